@@ -1,0 +1,51 @@
+"""Points in groups: what the measures check at the door, and their sums by group."""
+
+import numpy as np
+from sklearn.utils import check_array, column_or_1d
+
+
+def check_option(name, value, options):
+    if value not in options:
+        raise ValueError(f"{name}={value!r} is not one of {', '.join(map(repr, options))}.")
+
+
+def check_points(points, n_coordinates=None):
+    points = check_array(points, dtype=np.float64, ensure_2d=False, input_name="points")
+    if points.ndim == 1:
+        points = points[:, None]
+    if n_coordinates not in (None, points.shape[1]):
+        raise ValueError(f"points has shape {points.shape}; (n_points, {n_coordinates}) is needed.")
+    return points
+
+
+def check_groups(groups, n_points):
+    """Labels of the positions, sorted, and the position of each point as an index into them."""
+    if groups is None:
+        return np.zeros(1, dtype=int), np.zeros(n_points, dtype=int)
+    groups = column_or_1d(groups)
+    if len(groups) != n_points:
+        raise ValueError(f"groups names {len(groups)} points, but there are {n_points}.")
+    missing = np.array([g is None or g != g for g in groups.tolist()])
+    if missing.any():
+        raise ValueError(f"groups is missing (None or NaN) for {missing.sum()} of {n_points} rows.")
+    return np.unique(groups, return_inverse=True)
+
+
+def group_means(points, position, counts):
+    origin = points[0]  # sums of small differences: no digits lost to a large mean
+    sums = np.zeros((len(counts), points.shape[1]))
+    np.add.at(sums, position, points - origin)
+    return sums / counts[:, None] + origin
+
+
+def deviations_by_group(points, groups):
+    """Deviation of each point from its position's mean, its position, counts and labels."""
+    points = check_points(points)
+    labels, position = check_groups(groups, len(points))
+    counts = np.bincount(position)
+    if counts.min() < 2:
+        raise ValueError(
+            f"{(counts < 2).sum()} of {len(counts)} positions hold a single point (the first: "
+            f"{labels[counts < 2][0]!s}); a scatter needs at least 2."
+        )
+    return points - group_means(points, position, counts)[position], position, counts, labels

@@ -1,0 +1,87 @@
+"""Two spheres of metrology: the least-squares one and the smallest one that holds all points."""
+
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import least_squares
+
+
+def fit_sphere(points):
+    """Least-squares (Gaussian) sphere through points of shape (n, 3).
+
+    Returns the centre (3,), the radius, and the distance of each point from the centre (n,).
+    Raises ValueError with fewer than four points, or with points in one plane, which many
+    spheres fit equally well.
+    """
+    if len(points) < 4:
+        raise ValueError(f"A sphere is fitted to at least 4 points, got {len(points)}.")
+    mean = points.mean(axis=0)
+    centred = points - mean
+    spread = np.linalg.svd(centred, compute_uv=False)
+    # 1e-7 of the spread: a cap that flat has a sagitta below the rounding of any real point.
+    if spread[2] <= 1e-7 * spread[0]:
+        raise ValueError(
+            f"The {len(points)} points lie in one plane (spread {spread[2]:.3g} mm across, "
+            f"{spread[0]:.3g} mm along it), which does not determine a sphere."
+        )
+    # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit.
+    unknowns = np.linalg.lstsq(
+        np.column_stack([2 * centred, np.ones(len(points))]), (centred**2).sum(axis=1)
+    )[0]
+    start = np.append(unknowns[:3], np.sqrt(max(unknowns[3] + unknowns[:3] @ unknowns[:3], 0)))
+
+    def residuals(x):
+        return np.linalg.norm(centred - x[:3], axis=1) - x[3]
+
+    def jacobian(x):
+        offsets = x[:3] - centred
+        lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+        return np.column_stack([offsets / lengths, -np.ones(len(points))])
+
+    x = least_squares(
+        residuals, start, jac=jacobian, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+    ).x
+    return x[:3] + mean, x[3], np.linalg.norm(centred - x[:3], axis=1)
+
+
+def minimum_enclosing_sphere(points):
+    """Smallest sphere that holds all points of shape (n, n_dims).
+
+    At most n_dims + 1 points, the support, determine it. A point found outside joins the
+    support, the smallest sphere of these few is found among the circumspheres of all their
+    subsets, and its radius has grown: so no support comes twice, and the search ends.
+
+    Returns the centre (n_dims,) and the radius.
+    """
+    origin = points.mean(axis=0)
+    points = points - origin
+    center, radius = points[0], 0.0
+    support = points[:1]
+    while True:
+        distances = np.linalg.norm(points - center, axis=1)
+        farthest = distances.argmax()
+        if distances[farthest] <= radius * (1 + 1e-12):
+            return center + origin, radius
+        found = _smallest_sphere(np.vstack([support, points[farthest]]))
+        if found[1] <= radius:  # no growth left but rounding
+            return center + origin, distances[farthest]
+        center, radius, support = found
+
+
+def _smallest_sphere(few):
+    """Smallest enclosing sphere of at most n_dims + 2 points, by trying every subset."""
+    best = None
+    for size in range(1, min(len(few), few.shape[1] + 1) + 1):
+        for subset in combinations(range(len(few)), size):
+            edges = few[list(subset[1:])] - few[subset[0]]
+            # The solution of least norm is the circumcentre inside the subset's affine hull.
+            step = (
+                np.linalg.lstsq(2 * edges, (edges**2).sum(axis=1))[0]
+                if size > 1
+                else np.zeros(few.shape[1])
+            )
+            center = few[subset[0]] + step
+            radius = np.linalg.norm(few - center, axis=1).max()
+            if best is None or radius < best[1]:
+                best = center, radius, few[list(subset)]
+    return best
