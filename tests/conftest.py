@@ -1,0 +1,86 @@
+"""Fixtures of the whole suite: the real data sets, read once, and skipped clearly where absent."""
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def data_dir(name):
+    """Folder of a real data set: SKLEARN_RAACMM_DATA, or ../shared/data beside the project."""
+    folder = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data")) / name
+    if not folder.is_dir():
+        pytest.skip(f"real data not found: {folder} (set SKLEARN_RAACMM_DATA)")
+    return folder
+
+
+def read_panda(folder):
+    """Read one Panda's ball-and-socket test.
+
+    Returns a namespace of
+
+    - ``angles`` (n, 7) rad;
+    - ``groups`` (n,) labels "placement/hole", points of one group coincide;
+    - ``placements`` (n,) labels, what to split by;
+    - ``tool_poses`` (n, 7), the controller's x, y, z in m and quaternion w, x, y, z; NaN in the
+      sockets where the authors' two files have different numbers of rows.
+    """
+    angles, groups, placements, poses = [], [], [], []
+    for path in sorted(folder.glob("*/hole_[01].csv")):
+        q = np.loadtxt(path, delimiter=",", ndmin=2)
+        pose = np.loadtxt(path.with_name(f"{path.stem}_pose.csv"), delimiter=",", ndmin=2)
+        placement, hole = path.parent.name, path.stem[-1]
+        angles.append(q)
+        groups += [f"{placement}/{hole}"] * len(q)
+        placements += [placement] * len(q)
+        poses.append(pose if len(pose) == len(q) else np.full((len(q), 7), np.nan))
+    return SimpleNamespace(
+        angles=np.concatenate(angles),
+        groups=np.array(groups),
+        placements=np.array(placements),
+        tool_poses=np.concatenate(poses),
+    )
+
+
+def read_ur10(path):
+    """Read the UR10's tracker series.
+
+    Returns a namespace of ``angles`` (n, 6) rad (commanded), ``points`` (n, 3) mm in the tracker's
+    frame, ``groups`` (n,) number of the goal position, ``temperature`` (n,) degC.
+    """
+    table = np.array(
+        [
+            [float(field.replace(",", ".")) for field in line.split(";")]
+            for line in path.read_text(encoding="utf-8-sig").splitlines()[1:]
+        ]
+    )
+    _, groups = np.unique(table[:, 1:4].round(6), axis=0, return_inverse=True)
+    return SimpleNamespace(
+        angles=table[:, 7:13],
+        points=table[:, 14:17],
+        groups=groups.ravel(),
+        temperature=table[:, 13],
+    )
+
+
+@pytest.fixture(scope="session")
+def panda():
+    """Return ``panda(arm)``: a reader of "panda_2" or "panda_3", see `read_panda`."""
+    read = {}
+
+    def get(arm):
+        if arm not in read:
+            read[arm] = read_panda(data_dir("panda_ball_socket") / arm)
+        return read[arm]
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def ur10():
+    """The UR10's tracker series, see `read_ur10`."""
+    return read_ur10(data_dir("ur10_tracker") / "measurements_grid.csv")

@@ -1,0 +1,369 @@
+import copy
+import json
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+
+from sklearn_raacmm import Arm
+
+NAMES = ["aacmm6", "panda", "ur10"]
+
+
+def random_angles(arm, n=50, seed=0):
+    return np.random.default_rng(seed).uniform(-np.pi, np.pi, (n, arm.n_joints))
+
+
+def random_arm(convention, n_joints=6, seed=0):
+    rng = np.random.default_rng(seed)
+    return Arm(
+        a=rng.normal(0, 300, n_joints),
+        alpha=rng.uniform(-np.pi, np.pi, n_joints),
+        d=rng.normal(0, 300, n_joints),
+        theta_offset=rng.uniform(-1, 1, n_joints),
+        probe=rng.normal(0, 100, 3),
+        joint_signs=rng.choice([-1, 1], n_joints),
+        convention=convention,
+    )
+
+
+def rotation(axis, angle):
+    """4x4 rotation by Rodrigues' formula: nothing in common with the code under test."""
+    k = np.zeros((3, 3))
+    u = np.eye(3)[axis]
+    for i in range(3):
+        k[:, i] = np.cross(u, np.eye(3)[i])
+    out = np.eye(4)
+    out[:3, :3] += np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+    return out
+
+
+def translation(axis, length):
+    out = np.eye(4)
+    out[axis, 3] = length
+    return out
+
+
+def frames_by_matrices(arm, angles):
+    """Frames of one pose by products of 4x4 matrices, as the conventions are written."""
+    out = [np.eye(4)]
+    theta = angles * arm.joint_signs + arm.theta_offset
+    for a, alpha, d, t in zip(arm.a, arm.alpha, arm.d, theta, strict=True):
+        about_z = rotation(2, t) @ translation(2, d)
+        about_x = translation(0, a) @ rotation(0, alpha)
+        step = about_z @ about_x if arm.convention == "standard" else about_x @ about_z
+        out.append(out[-1] @ step)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("n_joints", [6, 7])
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_kinematics_against_products_of_matrices(convention, n_joints):
+    arm = random_arm(convention, n_joints)
+    angles = random_angles(arm, 20)
+    expected = np.array([frames_by_matrices(arm, q) for q in angles])
+    frames = arm.frames(angles)
+    assert frames.shape == (20, n_joints + 1, 3, 4)
+    assert_allclose(frames, expected[:, :, :3], atol=1e-9)
+    points = (expected[:, -1] @ np.append(arm.probe, 1))[:, :3]
+    assert_allclose(arm.forward(angles), points, atol=1e-9)
+    assert_allclose(arm.azimuth(angles), np.arctan2(points[:, 1], points[:, 0]), atol=1e-12)
+
+
+def test_panda_against_the_controllers_own_poses(panda):
+    # The tool point lies 103.4 mm beyond the flange. Angles and pose were read one after the other
+    # from an arm that a hand was moving, which leaves some 0.02 mm, and 0.1 mm in a few rows.
+    data = panda("panda_3")
+    arm = Arm.from_name("panda", probe=(0, 0, 107 + 103.4))
+    known = np.isfinite(data.tool_poses[:, 0])
+    assert known.sum() > 300
+    gap = np.linalg.norm(
+        arm.forward(data.angles[known]) - 1000 * data.tool_poses[known, :3], axis=1
+    )
+    assert np.median(gap) < 0.03
+    assert np.quantile(gap, 0.95) < 0.1
+
+
+def test_panda_orientation_against_the_controllers_own_poses(panda):
+    data = panda("panda_3")
+    known = np.isfinite(data.tool_poses[:, 0])
+    w, x, y, z = data.tool_poses[known, 3:].T
+    axis = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    frames = Arm.from_name("panda").frames(data.angles[known])
+    assert np.median(np.linalg.norm(frames[:, -1, :, 2] - axis, axis=1)) < 3e-4
+
+
+@pytest.mark.parametrize("n_joints", [6, 7])
+def test_standard_and_modified_are_the_same_arm(n_joints):
+    # Rz Tz Tx Rx of row i is Rx Tx of row i + 1 of the modified table; the last goes to the probe.
+    standard = random_arm("standard", n_joints)
+    last = translation(0, standard.a[-1]) @ rotation(0, standard.alpha[-1])
+    modified = standard.replace(
+        convention="modified",
+        a=np.r_[0, standard.a[:-1]],
+        alpha=np.r_[0, standard.alpha[:-1]],
+        probe=(last @ np.append(standard.probe, 1))[:3],
+    )
+    angles = random_angles(standard)
+    assert_allclose(modified.forward(angles), standard.forward(angles), atol=1e-9)
+    assert_allclose(modified.jacobian(angles), standard.jacobian(angles), atol=1e-9)
+
+
+def test_distance_is_the_law_of_cosines_in_theta4():
+    # Equations (2) and (3), with ideal twists and a = (0, a2, 0, a4, 0, 0).
+    a2, a4, d3, d5 = 62.0, 62.0, 750.0, 500.0
+    arm = Arm.from_degrees(
+        [0, a2, 0, a4, 0, 0], [-90, -90, 90, -90, 90, -90], [376.5, 0, d3, 0, d5, 15]
+    )
+    angles = random_angles(arm, 200)
+    frames = arm.frames(angles)
+    shoulder, wrist = (frames[:, i, :, 3] for i in arm.pose_frames)
+    length1, length2, phi = d3, np.hypot(a4, d5), np.arctan2(a4, d5)
+    # phi's sense depends on that of the elbow's axis; either sign is the same law.
+    expected = [
+        np.sqrt(length1**2 + length2**2 + 2 * length1 * length2 * np.cos(angles[:, 3] + s * phi))
+        for s in (-1, 1)
+    ]
+    distance = np.linalg.norm(wrist - shoulder, axis=1)
+    assert min(np.abs(distance - e).max() for e in expected) < 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_swivelling_the_base_turns_the_arm_about_z(name):
+    arm = Arm.from_name(name).replace(a=np.r_[0, Arm.from_name(name).a[1:]])
+    angles = random_angles(arm)
+    turned = angles + np.r_[0.7, np.zeros(arm.n_joints - 1)]
+    before, after = arm.frames(angles), arm.frames(turned)
+    assert_allclose(after[:, 1:, 2, 3], before[:, 1:, 2, 3], atol=1e-9)
+    assert_allclose(
+        np.hypot(after[:, :, 0, 3], after[:, :, 1, 3]),
+        np.hypot(before[:, :, 0, 3], before[:, :, 1, 3]),
+        atol=1e-9,
+    )
+    step = np.angle(np.exp(1j * (arm.azimuth(turned) - arm.azimuth(angles))))
+    assert_allclose(step, 0.7, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pose_frames_keep_their_distance_and_elevation_when_base_or_wrist_turn(name):
+    arm = Arm.from_name(name)
+    angles = random_angles(arm)
+    wrist_joints = range(arm.n_joints - 1, arm.n_joints)
+    moved = angles.copy()
+    moved[:, [0, *wrist_joints]] += 0.4
+
+    def distance_and_height(q):
+        frames = arm.frames(q)
+        gap = frames[:, arm.pose_frames[1], :, 3] - frames[:, arm.pose_frames[0], :, 3]
+        return np.column_stack([np.linalg.norm(gap, axis=1), gap[:, 2]])
+
+    assert_allclose(distance_and_height(moved), distance_and_height(angles), atol=1e-9)
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_jacobian_against_central_differences(convention):
+    arm = random_arm(convention, 7, seed=3)
+    angles = random_angles(arm, 30)
+    step = 1e-6
+    for i in range(arm.n_joints):
+        delta = step * np.eye(arm.n_joints)[i]
+        slope = (arm.forward(angles + delta) - arm.forward(angles - delta)) / (2 * step)
+        assert_allclose(arm.jacobian(angles)[:, :, i], slope, atol=1e-5)
+
+
+def test_joint_signs_and_offsets_are_a_change_of_the_encoders():
+    plain = Arm.from_name("aacmm6", theta_offset=0)
+    signs, offset = np.array([1, -1, 1, 1, -1, 1]), np.linspace(-0.3, 0.3, 6)
+    other = plain.replace(joint_signs=signs, theta_offset=offset)
+    angles = random_angles(plain)
+    assert_allclose(other.forward((angles - offset) * signs), plain.forward(angles), atol=1e-9)
+
+
+def test_chunks_do_not_show():
+    arm = Arm.from_name("panda")
+    angles = random_angles(arm, 10_000)
+    rows = [0, 4095, 4096, 8191, 8192, 9999]
+    assert_array_equal(arm.forward(angles)[rows], arm.forward(angles[rows]))
+    assert_array_equal(arm.frames(angles)[rows], arm.frames(angles[rows]))
+    assert_array_equal(arm.jacobian(angles)[rows], arm.jacobian(angles[rows]))
+    assert arm.forward(np.empty((0, 7))).shape == (0, 3)
+
+
+def test_memory_of_forward_is_bounded():
+    import tracemalloc
+
+    arm = Arm.from_name("panda")
+    angles = np.zeros((300_000, 7))
+    tracemalloc.start()
+    try:
+        result = arm.forward(angles)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < result.nbytes + 10e6
+
+
+def test_float32_is_computed_in_float64():
+    arm = Arm.from_name("aacmm6")
+    angles = random_angles(arm).astype(np.float32)
+    points = arm.forward(angles)
+    assert points.dtype == np.float64
+    assert_array_equal(points, arm.forward(angles.astype(np.float64)))
+
+
+def test_degrees_are_said():
+    arm = Arm.from_name("panda")
+    angles = random_angles(arm)
+    degrees = np.rad2deg(angles)
+    for method in ("forward", "frames", "azimuth", "jacobian"):
+        f = getattr(arm, method)
+        assert_allclose(f(degrees, angle_unit="deg"), f(angles), atol=1e-9)
+    with pytest.warns(UserWarning, match=r"rad.*degrees"):
+        arm.forward(degrees)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arm.forward(np.full((1, 7), 3.9 * np.pi))  # a multi-turn encoder
+    with pytest.raises(ValueError, match=r"'rad' or 'deg', got 'grad'"):
+        arm.forward(angles, angle_unit="grad")
+
+
+@pytest.mark.parametrize(
+    ("angles", "message"),
+    [
+        (np.zeros((4, 6)), r"7 joints, got \(4, 6\)"),
+        (np.zeros(7), r"7 joints, got \(7,\)"),
+        (
+            [[0, 0, 0, np.nan, 0, 0, 0]],
+            "1 NaN or infinite values; the first is nan in row 0, joint 4",
+        ),
+        ([[0] * 7, [0] * 6 + [-np.inf]], "the first is -inf in row 1, joint 7"),
+        ([["0"] * 7], "angles must hold numbers"),
+        (np.zeros((2, 7), dtype=complex), "angles must hold numbers"),
+    ],
+)
+def test_bad_angles_get_one_clear_sentence(angles, message):
+    with pytest.raises(ValueError, match=message):
+        Arm.from_name("panda").forward(angles)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"a": [1, 2, 3]}, r"alpha must hold 3 numbers, got shape \(6,\)"),
+        ({"d": [0, 0, np.inf, 0, 0, 0]}, r"d\[2\] = inf is out of bounds.*100000 mm"),
+        ({"alpha": [90, 0, 0, 0, 0, 0]}, r"alpha\[0\] = 90 is out of bounds.*from_degrees"),
+        ({"a": ["x"] * 6}, "a must hold numbers"),
+        ({"probe": (0, 0)}, r"probe must hold 3 numbers, got shape \(2,\)"),
+        ({"joint_signs": 0.5}, "joint_signs must be -1 or 1"),
+        ({"convention": "khalil"}, "'standard' or 'modified', got 'khalil'"),
+        ({"pose_joints": (3, 7)}, r"pose_joints must be two different whole numbers from 1 to 6"),
+        ({"pose_joints": (3.5, 4)}, r"got \(3\.5, 4\)"),
+        ({"pose_frames": (2, 2)}, r"pose_frames .* from 0 to 6, got \(2, 2\)"),
+        ({"name": 3}, "name must be a string"),
+    ],
+)
+def test_bad_tables_get_one_clear_sentence(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Arm.from_name("aacmm6").replace(**changes)
+
+
+def test_unknown_names():
+    with pytest.raises(TypeError, match="no parameter prob"):
+        Arm.from_name("panda").replace(prob=(0, 0, 1))
+    with pytest.raises(ValueError, match=r"\['aacmm6', 'panda', 'ur10'\], got 'kuka'"):
+        Arm.from_name("kuka")
+
+
+def test_arm_is_a_value():
+    arm, same = Arm.from_name("panda"), Arm.from_name("panda")
+    assert arm == same
+    assert hash(arm) == hash(same)
+    assert {arm: 1}[same] == 1
+    assert arm != "panda"
+    for changes in ({"probe": (0, 0, 1)}, {"name": "x"}, {"pose_joints": (2, 4)}, {"d": arm.d + 1}):
+        other = arm.replace(**changes)
+        assert other != arm
+        assert hash(other) != hash(arm)
+    # -0.0 and 0.0 are the same length
+    assert arm.replace(theta_offset=-0.0) == arm
+    with pytest.raises(AttributeError):
+        arm.name = "mine"
+    for restored in (arm, pickle.loads(pickle.dumps(arm))):
+        with pytest.raises(ValueError, match="read-only"):
+            restored.a[0] = 1.0
+
+
+def test_arm_does_not_follow_its_arguments():
+    a = np.zeros(6)
+    arm = Arm(a, np.zeros(6), np.zeros(6))
+    a[0] = 1
+    assert arm.a[0] == 0
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [
+        lambda arm: pickle.loads(pickle.dumps(arm)),
+        copy.copy,
+        copy.deepcopy,
+        lambda arm: clone(arm, safe=False),
+        lambda arm: Arm.from_json(arm.to_json()),
+        lambda arm: arm.replace(),
+    ],
+)
+def test_copies_are_equal(copied):
+    arm = random_arm("modified", 7).replace(name="Ä", pose_joints=(2, 4), pose_frames=(1, 6))
+    again = copied(arm)
+    assert again == arm
+    assert repr(again) == repr(arm)
+    angles = random_angles(arm)
+    assert_array_equal(again.forward(angles), arm.forward(angles))
+
+
+def test_str_shows_the_table():
+    text = str(Arm.from_name("aacmm6"))
+    for number in ("-89.9683", "62.1163", "750.7422", "0.0466", "97.811"):
+        assert number in text
+
+
+def test_json_file_is_replaced_whole(tmp_path):
+    path = tmp_path / "arm.json"
+    Arm.from_name("panda").to_json(path)
+    arm = Arm.from_name("ur10")
+    arm.to_json(str(path))
+    assert Arm.from_json(path) == arm
+    assert [p.name for p in tmp_path.iterdir()] == ["arm.json"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.pop("d_mm"), "lacks the field 'd_mm'"),
+        (lambda c: c.update(a_mm=["long"] * 6), "a must hold numbers"),
+        (lambda c: c.update(a_mm=None), "a must hold numbers"),
+        (lambda c: c.update(alpha_rad=[float("nan")] * 6), r"alpha\[0\] = nan is out of bounds"),
+        (lambda c: c.update(probe_mm=[0, 0, 1e9]), r"probe\[2\] = 1e\+09 is out of bounds"),
+        (lambda c: c.update(probe_mm=[0, 0, True]), "probe_mm must hold numbers"),
+        (lambda c: c.update(format_version=99), "format_version 99"),
+        (lambda c: c.update(format="x"), "not an arm"),
+        (lambda c: c.update(pose_frames=[2]), "pose_frames must be two"),
+    ],
+)
+def test_bad_json_gets_one_clear_sentence(change, message, tmp_path):
+    content = json.loads(Arm.from_name("aacmm6").to_json())
+    change(content)
+    path = tmp_path / "arm.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=message) as error:
+        Arm.from_json(path)
+    assert "arm.json" in str(error.value)
+
+
+def test_what_is_not_json(tmp_path):
+    with pytest.raises(ValueError, match="not valid JSON"):
+        Arm.from_json("{")
+    with pytest.raises(FileNotFoundError):
+        Arm.from_json(tmp_path / "none.json")
