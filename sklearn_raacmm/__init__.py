@@ -1,7 +1,21 @@
 """Residual correction for articulated arm coordinate measuring machines."""
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.pose import PoseFeatures
+from sklearn_raacmm.target import (
+    CylindricalResidualTarget,
+    cartesian_to_cylindrical,
+    cylindrical_to_cartesian,
+    position_residuals,
+)
 
 __version__ = "0.1.0.dev0"
 
-__all__ = ["Arm"]
+__all__ = [
+    "Arm",
+    "CylindricalResidualTarget",
+    "PoseFeatures",
+    "cartesian_to_cylindrical",
+    "cylindrical_to_cartesian",
+    "position_residuals",
+]
