@@ -281,7 +281,7 @@ def _last_two_columns(X):
     """Return the two last columns of X as floats."""
     if issparse(X):
         check_array(X, input_name="X")  # raises: sparse X is for the regressor alone
-    if X.ndim != 2 or X.shape[1] < 3:
+    if len(X.shape) != 2 or X.shape[1] < 3:
         raise ValueError(
             f"X has shape {tuple(X.shape)}, but needs at least one feature and, in the two last "
             "columns, the direction of the azimuth."
