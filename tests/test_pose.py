@@ -236,8 +236,14 @@ def test_probe_on_the_base_axis(monkeypatch):
     assert_allclose(PoseFeatures(arm).fit_transform(upright)[2, 2], np.pi / 2)
 
 
-def test_shoulder_and_wrist_that_coincide():
-    arm = Arm.from_name("panda").replace(pose_frames=(1, 2))  # d2 = a1 = 0: one point
-    pose = PoseFeatures(arm).fit(np.zeros((1, 7)))
+def test_shoulder_and_wrist_that_coincide(monkeypatch):
+    monkeypatch.setattr(sklearn_raacmm.pose, "_BATCH_ROWS", 2)
+    arm = Arm.from_name("panda").replace(pose_frames=(1, 2))  # d2 = a1 = 0: one point, always
     with pytest.raises(ValueError, match="frames 1 and 2 coincide, first in row 0"):
-        pose.transform(np.zeros((3, 7)))
+        PoseFeatures(arm).fit_transform(np.zeros((3, 7)))
+    # Two links of one length, folded in the last row.
+    arm = Arm(a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[400, 0, 0], pose_joints=(2, 3),
+              pose_frames=(1, 3))  # fmt: skip
+    angles = np.array([[0, 0, 0], [0.5, 1, 1], [0.3, 0.4, np.pi]])
+    with pytest.raises(ValueError, match="frames 1 and 3 coincide, first in row 2"):
+        PoseFeatures(arm).fit_transform(angles)
