@@ -2,6 +2,7 @@
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.pose import PoseFeatures
+from sklearn_raacmm.rbf import RBFNetRegressor
 from sklearn_raacmm.target import (
     CylindricalResidualTarget,
     cartesian_to_cylindrical,
@@ -15,6 +16,7 @@ __all__ = [
     "Arm",
     "CylindricalResidualTarget",
     "PoseFeatures",
+    "RBFNetRegressor",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
     "position_residuals",

@@ -1,0 +1,240 @@
+"""Radial functions, kernel matrices and a low-rank factor of them.
+
+Every function here works on inputs already divided by their length scales, so that a kernel is a
+function of one number, the squared distance ``s``. The derivative with respect to ``s`` is what a
+gradient with respect to any width needs: no square root, hence no division by a zero distance.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh, solve_triangular
+
+_SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
+
+
+def _gaussian(s):
+    s *= -0.5
+    return np.exp(s, out=s)
+
+
+def _gaussian_slope(s):
+    return -0.5 * np.exp(-0.5 * s)
+
+
+def _matern32(s):
+    d = _SQRT3 * np.sqrt(s)
+    return (1 + d) * np.exp(-d)
+
+
+def _matern32_slope(s):
+    return -1.5 * np.exp(-_SQRT3 * np.sqrt(s))
+
+
+def _matern52(s):
+    d = _SQRT5 * np.sqrt(s)
+    return (1 + d + 5 / 3 * s) * np.exp(-d)
+
+
+def _matern52_slope(s):
+    d = _SQRT5 * np.sqrt(s)
+    return -5 / 6 * (1 + d) * np.exp(-d)
+
+
+def _rational_quadratic(s):
+    return 1 / (1 + 0.5 * s)
+
+
+def _rational_quadratic_slope(s):
+    return -0.5 / (1 + 0.5 * s) ** 2
+
+
+def _inverse_multiquadric(s):
+    return 1 / np.sqrt(1 + s)
+
+
+def _inverse_multiquadric_slope(s):
+    return -0.5 * (1 + s) ** -1.5
+
+
+def _multiquadric(s):
+    return np.sqrt(1 + s)
+
+
+def _multiquadric_slope(s):
+    return 0.5 / np.sqrt(1 + s)
+
+
+def _thin_plate(s):
+    # r^2 log r with its limit 0 at r = 0.
+    return 0.5 * s * np.log(np.where(s > 0, s, 1.0))
+
+
+def _thin_plate_slope(s):
+    # Infinite in the limit s = 0, where every use multiplies it by a vanishing squared difference:
+    # 0 is the limit of the product.
+    return np.where(s > 0, 0.5 * (np.log(np.where(s > 0, s, 1.0)) + 1), 0.0)
+
+
+class Kernel(NamedTuple):
+    """A radial function of the scaled squared distance, and what is known of it."""
+
+    function: callable  # may overwrite its argument
+    slope: callable  # derivative with respect to the squared distance
+    positive_definite: bool  # value 1 at distance 0, and every kernel matrix positive semidefinite
+
+
+KERNELS = {
+    "gaussian": Kernel(_gaussian, _gaussian_slope, True),
+    "matern32": Kernel(_matern32, _matern32_slope, True),
+    "matern52": Kernel(_matern52, _matern52_slope, True),
+    "rational_quadratic": Kernel(_rational_quadratic, _rational_quadratic_slope, True),
+    "inverse_multiquadric": Kernel(_inverse_multiquadric, _inverse_multiquadric_slope, True),
+    "multiquadric": Kernel(_multiquadric, _multiquadric_slope, False),
+    "thin_plate": Kernel(_thin_plate, _thin_plate_slope, False),
+}
+
+
+def squared_distances(A, B):
+    """Squared Euclidean distances between the rows of A (n, d) and B (m, d), as one matrix product.
+
+    ``|a|^2 + |b|^2 - 2 a.b`` as ``[-2a, |a|^2, 1] . [b, 1, |b|^2]``. The inputs should be centred:
+    the absolute error is about machine epsilon times the largest squared norm.
+    """
+    left = np.empty((len(A), A.shape[1] + 2))
+    np.multiply(A, -2.0, out=left[:, :-2])
+    left[:, -2] = np.einsum("ij,ij->i", A, A)
+    left[:, -1] = 1.0
+    right = np.empty((len(B), B.shape[1] + 2))
+    right[:, :-2] = B
+    right[:, -2] = 1.0
+    right[:, -1] = np.einsum("ij,ij->i", B, B)
+    s = left @ right.T
+    return np.maximum(s, 0.0, out=s)
+
+
+def kernel_matrix(A, B, kernel):
+    """Kernel values (n, m) between scaled rows A (n, d) and B (m, d)."""
+    return KERNELS[kernel].function(squared_distances(A, B))
+
+
+class LowRankFactor(NamedTuple):
+    """``kernel_matrix(Z, Z) ~ rows @ rows.T``, exact on the pivot rows."""
+
+    rows: np.ndarray  # (n, rank)
+    pivots: np.ndarray  # (rank,)
+    residual: float  # largest diagonal entry of what the factor leaves
+    complete: bool  # whether the residual is at most the tolerance asked for
+
+
+def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, block_size=48):
+    """Low-rank factor of a positive definite kernel matrix by blocked, diagonally pivoted Cholesky.
+
+    Each round takes the `block_size` rows that the factor explains least, drops those that the
+    others in the round already explain, and updates with matrix products instead of vectors:
+    several times as fast as one pivot at a time, at nearly the same rank [1]_.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (n, d)
+        Rows divided by the length scales.
+    kernel : str
+        Name of a positive definite kernel, whose diagonal is 1.
+    tol : float
+        Stop when no diagonal entry of the remainder is above it. As the remainder is positive
+        semidefinite this bounds every entry of the kernel matrix's error.
+    max_rank : int, optional
+        Stop at this rank. Default n.
+    block_size : int
+        Largest number of pivots in a round.
+
+    Returns
+    -------
+    LowRankFactor
+
+    References
+    ----------
+    .. [1] H. Harbrecht, M. Peters, R. Schneider, "On the low-rank approximation by the pivoted
+    Cholesky
+       decomposition", Applied Numerical Mathematics 62 (2012).
+    """
+    n = len(Z)
+    max_rank = n if max_rank is None else min(n, max_rank)
+    diagonal = np.ones(n)
+    # The factor is kept transposed, one pivot a row, so that new pivots are appended without moving
+    # the old ones.
+    factor = np.empty((min(max_rank, 4 * block_size), n))
+    pivots = np.empty(max_rank, dtype=np.intp)
+    rank = 0
+    while rank < max_rank:
+        # A stable order makes the pivots a function of the data alone.
+        size = min(block_size, max_rank - rank, max(1, rank))
+        top = np.argsort(-diagonal, kind="stable")[:size] if n <= 4096 else _largest(diagonal, size)
+        top = top[diagonal[top] > tol]
+        if not len(top):
+            break
+        columns = kernel_matrix(Z[top], Z, kernel)
+        columns -= factor[:rank, top].T @ factor[:rank]
+        inside, root = _pivots_in_block(columns[:, top], threshold=max(tol, 0.2 * diagonal[top[0]]))
+        new = solve_triangular(
+            root, columns[inside], lower=True, overwrite_b=True, check_finite=False
+        )
+        need = rank + len(inside)
+        if need > len(factor):
+            grown = np.empty((min(max_rank, max(need, 2 * len(factor))), n))
+            grown[:rank] = factor[:rank]
+            factor = grown
+        factor[rank:need] = new
+        pivots[rank:need] = top[inside]
+        diagonal -= np.einsum("ij,ij->j", new, new)
+        diagonal[pivots[:need]] = 0.0
+        rank = need
+    residual = float(max(diagonal.max(), 0.0))
+    return LowRankFactor(factor[:rank].T, pivots[:rank].copy(), residual, residual <= tol)
+
+
+def _largest(values, size):
+    """Indices of the `size` largest values, largest first, the lower index first among equals."""
+    kth = np.partition(values, len(values) - size)[len(values) - size]
+    above = np.flatnonzero(values >= kth)
+    return above[np.argsort(-values[above], kind="stable")][:size]
+
+
+def _pivots_in_block(S, threshold):
+    """Pivoted Cholesky of the small matrix S while pivots exceed the threshold.
+
+    Returns the chosen indices and their lower triangular root.
+    """
+    m = len(S)
+    diagonal = S.diagonal().copy()
+    rows = np.zeros((m, m))
+    chosen = []
+    for k in range(m):
+        j = int(np.argmax(diagonal))
+        if k and diagonal[j] < threshold:
+            break
+        column = S[j] - rows[j, :k] @ rows[:, :k].T
+        rows[:, k] = column / np.sqrt(column[j])
+        diagonal -= rows[:, k] ** 2
+        diagonal[j] = -np.inf
+        chosen.append(j)
+    return np.array(chosen), np.tril(rows[chosen, : len(chosen)])
+
+
+def psd_root(K):
+    """A matrix U with ``U.T @ U = K`` for positive semidefinite K, singular or not."""
+    values, vectors = _positive_part(K)
+    return np.sqrt(values)[:, None] * vectors.T
+
+
+def psd_inverse_root(K):
+    """A matrix W with ``W.T @ W`` the pseudo-inverse of positive semidefinite K."""
+    values, vectors = _positive_part(K)
+    return vectors.T / np.sqrt(values)[:, None]
+
+
+def _positive_part(K):
+    """Eigenvalues above rounding, and their vectors."""
+    values, vectors = eigh(K, check_finite=False, driver="evd")
+    kept = values > len(K) * np.finfo(float).eps * values.max(initial=0.0)
+    return values[kept], vectors[:, kept]

@@ -1,0 +1,537 @@
+"""Radial basis function network regression with centres chosen by orthogonal least squares."""
+
+from numbers import Integral, Real
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
+from sklearn_raacmm._path import nested_least_squares
+from sklearn_raacmm._preparation import prepare
+from sklearn_raacmm._selection import (
+    candidates_from,
+    exchange,
+    forward_selection,
+    squared_ratio_score,
+    total_score,
+)
+from sklearn_raacmm._sklearn import Interval, StrOptions, _check_sample_weight, _fit_context
+from sklearn_raacmm._tuning import tune
+
+# Rows drawn as candidate centres where there are more: their factor fits in memory.
+_MAX_CANDIDATES = 10_000
+# Centres tried where their number is not given. A minimum needs the whole path.
+_MAX_CENTERS = dict.fromkeys(("posterior", "error_reduction", "mse"), 2000)
+_MAX_CENTERS |= dict.fromkeys(("gcv", "loo", "bic"), 500)
+# Kernel values held at a time while predicting: they stay in a core's cache.
+_CHUNK = 2**18
+
+
+class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+    r"""Radial basis function network with centres chosen by orthogonal least squares.
+
+    The model is a polynomial of low degree plus a few radial functions at centres taken from the
+    training rows,
+
+    .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr),
+
+    fitted by penalised least squares, :math:`\sum_i s_i |y_i - f(x_i)|^2 + \alpha\, w^\top K w`
+    with K the kernel matrix of the centres. Centres are added one at a time, each the one that
+    lowers this objective most (orthogonal least squares [1]_). By default the widths
+    :math:`\ell` (one a feature) and the ridge :math:`\alpha` maximise the marginal likelihood
+    of a low-rank Gaussian process [2]_, and centres are added until the network is as good as that
+    process.
+
+    Parameters
+    ----------
+    n_centers : int or "auto", default="auto"
+        Number of centres. "auto" leaves it to `criterion`.
+
+    kernel : {"gaussian", "matern32", "matern52", "rational_quadratic", "inverse_multiquadric", \
+            "multiquadric", "thin_plate"}, default="gaussian"
+        Radial function of the scaled distance r: :math:`e^{-r^2/2}`;
+        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`;
+        :math:`1 / (1 + r^2/2)`; :math:`1 / \sqrt{1 + r^2}`; :math:`\sqrt{1 + r^2}`;
+        :math:`r^2 \log r`. The last two are not positive definite: their ridge penalises
+        :math:`w^\top w`.
+
+    length_scale : {"auto", "isotropic"}, float or array-like of shape (n_features,), \
+            default="auto"
+        Width of the radial functions, in the units of X: one number, or one for each feature.
+        "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
+        standard deviation.
+
+    alpha : float or "auto", default="auto"
+        Ridge, in units of the sum of sample weights. 0 is plain least squares. In terms of a
+        Gaussian process it is the noise variance over the signal variance.
+
+    degree : {-1, 0, 1}, default=0
+        Degree of the unpenalised polynomial: none, a constant, or linear in the features.
+
+    criterion : {"auto", "posterior", "gcv", "loo", "bic", "error_reduction", "mse"}, \
+            default="auto"
+        How "auto" finds the number of centres:
+
+        - "posterior": stop as soon as what further centres could still gain, summed over all
+          samples, is below `tol` times the noise variance times the effective number of
+          parameters of the network that has all candidates: leaving them out then costs about
+          `tol` of the error that noise causes anyway. Needs `alpha` > 0 and a positive definite
+          kernel.
+        - "gcv": least generalised cross-validation score along the path, parameters counted
+          1.5-fold. "loo": least leave-one-out error (PRESS). "bic": least Bayesian information
+          criterion.
+        - "error_reduction": stop when the unexplained share of the targets' variance is at most
+          `tol` (Chen's criterion).
+        - "mse": stop when the mean squared residual, in the squared units of y, is at most `tol`.
+        - "auto": "posterior" where it applies, else "gcv".
+
+    tol : float, default=0.02
+        See `criterion`.
+
+    max_centers : int, default=None
+        Most centres that "auto" may take. None: 2000.
+
+    candidates : int, default=None
+        Number of distinct training rows, drawn at random, that may become centres. None: all, or
+        10 000 where there are more.
+
+    selection : {"ols", "newrb"}, default="ols"
+        "newrb" chooses as MATLAB's function of this name does: targets are neither centred nor
+        scaled, several outputs count by the sum of their squared error-reduction ratios, and the
+        polynomial enters the last fit only. See the notes.
+
+    refine : bool, default=False
+        After the forward pass exchange centres, one for a better one, until nothing improves. A
+        given number of centres is then used better, at up to several times the cost.
+
+    random_state : int, RandomState instance or None, default=None
+        Draws `candidates`, and the rows on which the widths are found where X has more than a few
+        thousand. Without effect on smaller problems but for ties.
+
+    Attributes
+    ----------
+    centers_ : ndarray of shape (n_centers, n_features)
+        Centres, in the order of selection.
+
+    center_indices_ : ndarray of shape (n_centers,)
+        Their rows in X.
+
+    coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
+        Weights, in the units of y.
+
+    intercept_ : float or ndarray of shape (n_outputs,)
+        Constant term.
+
+    linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
+        Linear term; zero unless `degree` is 1.
+
+    length_scale_ : ndarray of shape (n_features,)
+        Width of every feature.
+
+    alpha_ : float
+        Ridge.
+
+    noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
+        Of the Gaussian process whose posterior the network approximates, in squared units of y.
+
+    error_reduction_ : ndarray of shape (n_centers,)
+        Share of the targets' variance (about the polynomial, averaged over outputs) by which each
+        centre lowered the objective.
+
+    criterion_path_ : ndarray of shape (n_tried,)
+        The criterion after 1, 2, ... centres. Empty where `n_centers` is given.
+
+    stop_reason_ : str
+        Why no more centres were tried: "n_centers", "max_centers", "criterion" or "dependent"
+        (every other candidate is a combination of the chosen ones to working precision).
+
+    n_iter_ : int
+        Number of centres tried.
+
+    n_features_in_ : int
+        Number of features seen during fit.
+
+    feature_names_in_ : ndarray of shape (n_features_in_,)
+        Names of features seen during fit, where X had string names.
+
+    See Also
+    --------
+    sklearn.gaussian_process.GaussianProcessRegressor : The same posterior mean with a centre at
+        every sample; cubic in their number.
+    scipy.interpolate.RBFInterpolator : Radial functions at every sample.
+
+    Notes
+    -----
+    The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows are
+    merged, and rows are sorted, so that neither row order nor writing a row twice instead of
+    doubling its weight matters.
+
+    To repeat MATLAB's ``newrb(P, T, goal, spread, MN)`` use ``RBFNetRegressor(MN,
+    length_scale=spread / sqrt(2 * log(2)), alpha=0, selection="newrb")``, with
+    ``n_centers="auto", max_centers=MN, criterion="mse", tol=goal`` where the goal is to stop it.
+
+    References
+    ----------
+    .. [1] S. Chen, C. F. N. Cowan, P. M. Grant, "Orthogonal least squares learning algorithm for
+       radial basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
+    .. [2] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
+       2006, chapter 8.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm import RBFNetRegressor
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.uniform(-3, 3, size=(200, 1))
+    >>> y = np.sin(2 * X[:, 0]) + 0.1 * rng.standard_normal(200)
+    >>> model = RBFNetRegressor(random_state=0).fit(X, y)
+    >>> len(model.centers_) < 20
+    True
+    >>> mean, std = model.predict([[0.5]], return_std=True)
+    >>> bool(abs(mean[0] - np.sin(1.0)) < 2 * std[0])
+    True
+    """
+
+    _parameter_constraints: dict = {
+        "n_centers": [Interval(Integral, 1, None, closed="left"), StrOptions({"auto"}), None],
+        "kernel": [StrOptions(set(KERNELS))],
+        "length_scale": [
+            Interval(Real, 0, None, closed="neither"),
+            StrOptions({"auto", "isotropic"}),
+            "array-like",
+        ],
+        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "degree": [Interval(Integral, -1, 1, closed="both")],
+        "criterion": [
+            StrOptions({"auto", "posterior", "gcv", "loo", "bic", "error_reduction", "mse"})
+        ],
+        "tol": [Interval(Real, 0, None, closed="left")],
+        "max_centers": [Interval(Integral, 1, None, closed="left"), None],
+        "candidates": [Interval(Integral, 1, None, closed="left"), None],
+        "selection": [StrOptions({"ols", "newrb"})],
+        "refine": ["boolean"],
+        "random_state": ["random_state"],
+    }
+
+    def __init__(
+        self,
+        n_centers="auto",
+        *,
+        kernel="gaussian",
+        length_scale="auto",
+        alpha="auto",
+        degree=0,
+        criterion="auto",
+        tol=0.02,
+        max_centers=None,
+        candidates=None,
+        selection="ols",
+        refine=False,
+        random_state=None,
+    ):
+        self.n_centers = n_centers
+        self.kernel = kernel
+        self.length_scale = length_scale
+        self.alpha = alpha
+        self.degree = degree
+        self.criterion = criterion
+        self.tol = tol
+        self.max_centers = max_centers
+        self.candidates = candidates
+        self.selection = selection
+        self.refine = refine
+        self.random_state = random_state
+
+    @_fit_context(prefer_skip_nested_validation=True)
+    def fit(self, X, y, sample_weight=None):
+        """Choose widths, ridge and centres, and fit the weights.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Training rows.
+
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+            Targets.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights; an integer weight is worth that many repeats of the row.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If X or y hold NaN or infinity, a weight is negative or all are 0, `length_scale` does
+            not fit the features, or fewer distinct rows than `n_centers` are there.
+        """
+        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        if not weights.any():
+            raise ValueError(f"All {len(weights)} sample weights are zero.")
+        width = check_length_scale(self.length_scale, X.shape[1])
+        rng = check_random_state(self.random_state)
+        problem = prepare(X, y.reshape(len(y), -1).astype(np.float64), weights, self.degree)
+
+        self.length_scale_, self.alpha_ = self._tune(problem, width, rng)
+        Z = (problem.X - problem.X.mean(axis=0)) / self.length_scale_
+        order, self.stop_reason_ = self._select(problem, Z, rng)
+        columns = kernel_matrix(Z, Z[order], self.kernel)
+        path = nested_least_squares(
+            problem.tail,
+            problem.root * columns,
+            self._penalty_root(columns[order]),
+            problem.targets,
+            problem.within,
+        )
+        k, self.criterion_path_ = self._size(problem, path)
+
+        self.n_iter_ = len(order)
+        self.centers_ = problem.X[order[:k]]
+        self.center_indices_ = problem.first[order[:k]]
+        varying = problem.spread > 0
+        share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
+        self.error_reduction_ = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
+        p = problem.tail.shape[1]
+        solution = path.coefficients(k)
+        polynomial = problem.tail_map.T @ solution[:p]
+        self.coef_, self.intercept_, self.linear_coef_ = (
+            solution[p:].T,
+            polynomial[0],
+            polynomial[1:].T,
+        )
+        noise = path.objective[k] / max(problem.n_total - p, 1)
+        if self.alpha_ > 0:
+            signal = noise / self.alpha_
+        else:
+            noise = path.rss[k] / max(problem.n_total - path.dof[k], 1)
+            signal = problem.spread**2
+        self.noise_variance_, self.signal_variance_ = noise, signal
+        self._tail_map, self._triangle = problem.tail_map, path.R[: p + k, : p + k]
+        if y.ndim == 1:
+            for name in (
+                "coef_",
+                "intercept_",
+                "linear_coef_",
+                "noise_variance_",
+                "signal_variance_",
+            ):
+                setattr(self, name, getattr(self, name)[0])
+        return self
+
+    def _tune(self, problem, width, rng):
+        """Widths and ridge, found where they are not given."""
+        alpha = None if isinstance(self.alpha, str) else float(self.alpha)
+        if width is not None and alpha is not None:
+            return width, alpha
+        targets, within = problem.centred()
+        tuned = tune(
+            problem.X,
+            targets / problem.root,
+            np.square(problem.root[:, 0]),
+            within,
+            self.kernel,
+            length_scale=width,
+            isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
+            alpha=alpha,
+            random_state=rng,
+        )
+        return tuned.length_scale, tuned.alpha if alpha is None else alpha
+
+    def _criterion(self):
+        """Name of the criterion in force; None where the number of centres is given."""
+        if self.n_centers not in ("auto", None):
+            return None
+        applies = self.alpha_ > 0 and KERNELS[self.kernel].positive_definite
+        if self.criterion == "posterior" and not (applies and self.selection == "ols"):
+            raise ValueError(
+                'criterion="posterior" needs a positive definite kernel, alpha > 0 and '
+                f'selection="ols"; got kernel={self.kernel!r}, alpha={self.alpha_}, '
+                f"selection={self.selection!r}."
+            )
+        if self.criterion == "auto":
+            return "posterior" if applies and self.selection == "ols" else "gcv"
+        return self.criterion
+
+    def _select(self, problem, Z, rng):
+        """Indices of the centres among the rows of Z, in order, and why there are no more."""
+        n, criterion = len(Z), self._criterion()
+        most = _MAX_CANDIDATES if self.candidates is None else self.candidates
+        rows = np.arange(n) if n <= most else np.sort(rng.permutation(n)[:most])
+        if criterion is None:
+            if self.n_centers > len(rows):
+                raise ValueError(
+                    f"n_centers={self.n_centers}, but there are only {len(rows)} distinct "
+                    "candidate rows."
+                )
+            n_select = self.n_centers
+        else:
+            limit = _MAX_CENTERS[criterion] if self.max_centers is None else self.max_centers
+            n_select = min(limit, len(rows))
+        targets, within = problem.centred()
+        basis, score = problem.basis, total_score
+        if not targets.shape[1]:
+            # Nothing varies: no centre is needed, and any is as good as another.
+            return (rows[:n_select], "n_centers") if criterion is None else (rows[:0], "criterion")
+        if self.selection == "newrb":
+            targets, basis = problem.targets[:, problem.spread > 0], problem.basis[:, :0]
+            score = squared_ratio_score(np.square(targets).sum(axis=0))
+        candidates, dof = candidates_from(
+            Z,
+            rows,
+            problem.root,
+            basis,
+            targets,
+            self.kernel,
+            self.alpha_,
+            n_select if criterion is None else None,
+            whitened=self.refine,
+        )
+        enough = None
+        if criterion == "posterior":
+            # Gains in units of each output's noise, as the likelihood counts them.
+            explained = np.square(candidates.target).sum(axis=0)
+            noise = (np.square(targets).sum(axis=0) + within - explained) / problem.n_total
+            candidates.target = candidates.target / np.sqrt(noise)
+            enough = explained / noise - self.tol * dof
+        found = forward_selection(candidates, n_select, score=score, enough=enough)
+        indices = found.indices
+        if self.refine and len(indices) > 0:
+            indices = exchange(candidates, indices)[0]
+        stop = {"n_select": "n_centers" if criterion is None else "max_centers"}
+        return rows[indices], stop.get(found.stop, found.stop)
+
+    def _penalty_root(self, K):
+        """Matrix whose square is alpha times the penalty's."""
+        if self.alpha_ == 0:
+            return np.empty((0, len(K)))
+        if not KERNELS[self.kernel].positive_definite:
+            return np.sqrt(self.alpha_) * np.eye(len(K))
+        return np.sqrt(self.alpha_) * psd_root(K)
+
+    def _size(self, problem, path):
+        """Number of centres to keep, and the criterion along the path."""
+        criterion = self._criterion()
+        tried = len(path.dof) - 1
+        if criterion is None or tried == 0:
+            return tried, np.empty(0)
+        varying = problem.spread > 0
+        scale = problem.spread[varying] ** 2
+        rss, dof, n = path.rss[1:, varying] / scale, path.dof[1:], problem.n_total
+        with np.errstate(divide="ignore"):
+            if criterion == "posterior":
+                # The forward pass has stopped by it; what is shown is the objective it lowers.
+                return tried, (path.objective[1:, varying] / scale).mean(axis=1) / n
+            if criterion == "gcv":
+                free = np.maximum(n - 1.5 * dof, 0.0)
+                score = np.log(rss).mean(axis=1) + np.log(n) - 2 * np.log(free)
+            elif criterion == "loo":
+                score = np.log(path.press[1:, varying] / scale / n).mean(axis=1)
+            elif criterion == "bic":
+                score = n * np.log(rss / n).mean(axis=1) + np.log(n) * dof
+            elif criterion == "mse":
+                score = path.rss[1:].mean(axis=1) / n
+            else:
+                score = rss.mean(axis=1) / n
+        if criterion in ("mse", "error_reduction"):
+            reached = np.flatnonzero(score <= self.tol)
+            if len(reached):
+                self.stop_reason_ = "criterion"
+            return (int(reached[0]) + 1 if len(reached) else tried), score
+        return int(np.argmin(score)) + 1, score
+
+    def predict(self, X, return_std=False, with_noise=True):
+        """Predict targets.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Rows.
+
+        return_std : bool, default=False
+            Also return the standard deviation of the prediction: that of the Gaussian process
+            whose posterior mean the network approximates. It grows to the signal's own standard
+            deviation away from the data.
+
+        with_noise : bool, default=True
+            Whether that standard deviation is of a new observation, or of the mean.
+
+        Returns
+        -------
+        y : ndarray of shape (n_samples,) or (n_samples, n_outputs)
+            Predicted mean.
+
+        y_std : ndarray of the same shape
+            Standard deviation, where asked for.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If X has another number of features than in fit, or holds NaN or infinity.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        n, k = len(X), len(self.centers_)
+        shift = self.centers_.mean(axis=0) if k else 0.0
+        centers = (self.centers_ - shift) / self.length_scale_
+        coef = np.atleast_2d(self.coef_).T
+        mean = np.tile(np.atleast_1d(self.intercept_), (n, 1))
+        if np.any(self.linear_coef_):
+            mean += X @ np.atleast_2d(self.linear_coef_).T
+        variance = np.zeros((n, mean.shape[1]))
+        prior_root = None
+        step = max(1, _CHUNK // max(k, 1))
+        for start in range(0, n, step):
+            part = slice(start, start + step)
+            K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel)
+            mean[part] += K @ coef
+            if return_std:
+                if prior_root is None:
+                    prior_root = self._prior_root(centers)
+                variance[part] = self._variance(X[part], K, prior_root, with_noise)
+        flat = np.ndim(self.intercept_) == 0
+        if flat:
+            mean, variance = mean[:, 0], variance[:, 0]
+        return (mean, np.sqrt(variance)) if return_std else mean
+
+    def _prior_root(self, centers):
+        """Inverse root of the centres' kernel matrix, for a positive definite kernel."""
+        if not KERNELS[self.kernel].positive_definite:
+            return np.empty((0, len(centers)))
+        return psd_inverse_root(kernel_matrix(centers, centers, self.kernel))
+
+    def _variance(self, X, K, prior_root, with_noise):
+        """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
+        tail = np.column_stack([np.ones(len(X)), X]) @ self._tail_map.T
+        rows = np.hstack([tail, K])
+        of_weights = np.square(
+            solve_triangular(self._triangle, rows.T, trans="T", check_finite=False)
+        ).sum(axis=0)
+        outside = np.zeros(len(X))
+        if KERNELS[self.kernel].positive_definite:
+            outside = np.maximum(1 - np.square(K @ prior_root.T).sum(axis=1), 0.0)
+        noise, signal = np.atleast_1d(self.noise_variance_), np.atleast_1d(self.signal_variance_)
+        return np.outer(of_weights + float(with_noise), noise) + np.outer(outside, signal)
+
+
+def check_length_scale(length_scale, n_features):
+    """Widths as an array of one a feature; None where they are to be found."""
+    if isinstance(length_scale, str):
+        return None
+    width = np.asarray(length_scale, dtype=np.float64)
+    if width.ndim > 1 or (width.ndim == 1 and len(width) != n_features):
+        raise ValueError(
+            f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
+            f"of the {n_features} features."
+        )
+    if not np.all(np.isfinite(width)) or np.any(width <= 0):
+        raise ValueError(f"length_scale must be positive and finite; got {length_scale!r}.")
+    return np.broadcast_to(width, n_features).copy()
