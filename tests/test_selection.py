@@ -1,0 +1,227 @@
+"""The forward selection against fits of every candidate, fastcan, and extended precision."""
+
+import mpmath
+import numpy as np
+import pytest
+from fastcan import FastCan
+from scipy.spatial.distance import cdist
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm._kernels import KERNELS, kernel_matrix, pivoted_cholesky, squared_distances
+from sklearn_raacmm._path import nested_least_squares
+from sklearn_raacmm._selection import candidates_from, exchange, forward_selection
+
+
+def brute_force(K, Y, weights, tail, alpha, n_select):
+    """Refit with every candidate in turn; the one with the least penalised objective wins."""
+    root = np.sqrt(weights)[:, None]
+    chosen = []
+    for _ in range(n_select):
+        best, best_value = None, np.inf
+        for j in range(K.shape[1]):
+            if j in chosen:
+                continue
+            S = [*chosen, j]
+            A = root * np.hstack([tail, K[:, S]])
+            R = np.zeros((A.shape[1], A.shape[1]))
+            R[tail.shape[1] :, tail.shape[1] :] = alpha * K[np.ix_(S, S)]
+            B = root * Y
+            w = np.linalg.lstsq(A.T @ A + R, A.T @ B, rcond=None)[0] if alpha else None
+            if w is None:
+                w = np.linalg.lstsq(A, B, rcond=None)[0]
+            value = np.sum((B - A @ w) ** 2) + np.sum(w * (R @ w))
+            if value < best_value:
+                best, best_value = j, value
+        chosen.append(best)
+    return chosen
+
+
+def problem(n_outputs=1, n=70, seed=0, scale=None):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, 2))
+    Y = np.column_stack([np.sin((2 + i) * X[:, 0]) + X[:, 1] ** (i + 1) for i in range(n_outputs)])
+    Y += 0.1 * rng.standard_normal(Y.shape)
+    return X, Y * (1.0 if scale is None else scale), rng.uniform(0.2, 3, n)
+
+
+@pytest.mark.parametrize("length_scale", [0.15, 0.6])  # a full-rank kernel, and a smooth one
+@pytest.mark.parametrize("alpha", [0.0, 0.05])
+@pytest.mark.parametrize("degree", [-1, 0, 1])
+@pytest.mark.parametrize("n_outputs", [1, 3])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_same_centres_as_refitting_every_candidate(
+    length_scale, alpha, degree, n_outputs, weighted
+):
+    X, Y, weights = problem(n_outputs)
+    weights = weights if weighted else np.ones(len(X))
+    tail = np.hstack([np.ones((len(X), 1)), X])[:, : {-1: 0, 0: 1, 1: 3}[degree]]
+    root = np.sqrt(weights)[:, None]
+    about = root * Y
+    if degree >= 0:
+        about = about - root * tail @ np.linalg.lstsq(root * tail, root * Y, rcond=None)[0]
+    spread = np.sqrt(np.sum(about**2, axis=0))
+    K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / length_scale**2)
+    expected = brute_force(K, Y / spread, weights, tail, alpha, 8)
+    model = RBFNetRegressor(8, length_scale=length_scale, alpha=alpha, degree=degree)
+    model.fit(X, Y, sample_weight=weights)
+    np.testing.assert_array_equal(model.center_indices_, expected)
+
+
+@pytest.mark.parametrize("length_scale", [0.1, 0.7])
+def test_same_centres_as_fastcan(length_scale):
+    X, Y, _ = problem(n=300, seed=3)
+    K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / length_scale**2)
+    expected = FastCan(25, verbose=0).fit(K, Y).indices_
+    model = RBFNetRegressor(25, length_scale=length_scale, alpha=0).fit(X, Y[:, 0])
+    np.testing.assert_array_equal(model.center_indices_, expected)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1e-3])
+def test_both_representations_choose_alike(alpha):
+    X, Y, weights = problem(2, n=200)
+    root = np.sqrt(weights)[:, None]
+    basis = root / np.linalg.norm(root)
+    targets = root * Y - basis @ (basis.T @ (root * Y))
+    args = (X / 0.5, np.arange(200), root, basis, targets, "gaussian", alpha)
+    # One step is cheapest on the matrix itself; many steps on the factor.
+    symmetric, _ = candidates_from(*args, 1)
+    whitened, _ = candidates_from(*args, None)
+    assert type(symmetric) is not type(whitened)
+    a, b = forward_selection(symmetric, 20), forward_selection(whitened, 20)
+    np.testing.assert_array_equal(a.indices, b.indices)
+    # The factor leaves 1e-6 of the kernel matrix out.
+    np.testing.assert_allclose(a.reduction, b.reduction, atol=1e-6 * np.sum(targets**2))
+
+
+def test_residual_is_that_of_extended_precision_on_wide_widths():
+    # 40 rows, widths so wide that the kernel matrix has condition far beyond 1e16.
+    rng = np.random.default_rng(1)
+    x = np.sort(rng.uniform(-1, 1, 40))
+    y = np.cos(3 * x) + 0.01 * rng.standard_normal(40)
+    K = np.exp(-0.5 * (x[:, None] - x) ** 2 / 2.0**2)
+    assert np.linalg.cond(K) > 1e16
+    model = RBFNetRegressor("auto", length_scale=2.0, alpha=0, criterion="mse", tol=0, degree=-1)
+    model.fit(x[:, None], y)
+    k = len(model.centers_)
+    assert model.stop_reason_ == "dependent"
+    assert 5 <= k <= 15
+    with mpmath.workdps(60):
+        A = mpmath.matrix(40, k)
+        for i in range(40):
+            for j in range(k):
+                gap = mpmath.mpf(x[i]) - mpmath.mpf(model.centers_[j, 0])
+                A[i, j] = mpmath.exp(-gap * gap / 8)
+        b = mpmath.matrix([mpmath.mpf(v) for v in y])
+        w = mpmath.lu_solve(A.T * A, A.T * b)
+        exact = float(mpmath.norm(b - A * w) ** 2)
+    claimed = model.criterion_path_[k - 1] * 40
+    assert claimed == pytest.approx(exact, rel=1e-6)
+    reached = float(np.sum((y - model.predict(x[:, None])) ** 2))
+    assert reached == pytest.approx(exact, rel=1e-4)
+
+
+def test_stops_at_dependent_candidates_where_fastcan_goes_on():
+    rng = np.random.default_rng(2)
+    x = rng.uniform(-1, 1, 50)
+    y = np.sin(5 * x) + 0.05 * rng.standard_normal(50)
+    K = np.exp(-0.5 * (x[:, None] - x) ** 2 / 3.0**2)
+    chosen = FastCan(30, verbose=0).fit(K, y[:, None]).indices_
+    model = RBFNetRegressor(30, length_scale=3.0, alpha=0).fit(x[:, None], y)
+    assert model.stop_reason_ == "dependent"
+
+    def condition(S):
+        columns = K[:, S] - K[:, S].mean(axis=0)
+        return np.linalg.cond(columns / np.linalg.norm(columns, axis=0))
+
+    assert condition(model.center_indices_) < 1e9 < 1e14 < condition(chosen)
+
+
+@pytest.mark.parametrize("name", [k for k, v in KERNELS.items() if v.positive_definite])
+def test_pivoted_cholesky_reaches_its_tolerance(name):
+    Z = np.random.default_rng(0).uniform(-2, 2, (300, 2))
+    K = kernel_matrix(Z, Z, name)
+    for tol in (1e-2, 1e-5):
+        factor = pivoted_cholesky(Z, name, tol=tol)
+        assert factor.complete
+        assert np.abs(K - factor.rows @ factor.rows.T).max() <= tol * (1 + 1e-9)
+        assert len(np.unique(factor.pivots)) == len(factor.pivots)
+    cut = pivoted_cholesky(Z, name, tol=1e-9, max_rank=10)
+    assert cut.rows.shape == (300, 10)
+    assert not cut.complete
+    assert cut.residual == pytest.approx(np.max(1 - np.sum(cut.rows**2, axis=1)))
+
+
+@pytest.mark.parametrize("name", list(KERNELS))
+def test_kernel_slope_is_the_derivative(name):
+    s = np.linspace(0.05, 9, 40)
+    h = 1e-6
+    function, slope = KERNELS[name].function, KERNELS[name].slope
+    numeric = (function(s + h) - function(s - h)) / (2 * h)
+    np.testing.assert_allclose(slope(s.copy()), numeric, rtol=1e-6, atol=1e-9)
+
+
+def test_squared_distances():
+    rng = np.random.default_rng(0)
+    A, B = rng.standard_normal((30, 4)), rng.standard_normal((20, 4))
+    np.testing.assert_allclose(
+        squared_distances(A, B), cdist(A, B, "sqeuclidean"), rtol=1e-12, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.3])
+def test_path_is_that_of_separate_fits(alpha):
+    X, Y, weights = problem(2, n=60)
+    root = np.sqrt(weights)[:, None]
+    tail = root * np.ones((60, 1))
+    K = np.exp(-0.5 * cdist(X, X[:9], "sqeuclidean") / 0.4**2)
+    U = np.sqrt(alpha) * np.linalg.cholesky(K[:9]).T if alpha else np.empty((0, 9))
+    within = np.array([0.5, 0.25])
+    path = nested_least_squares(tail, root * K, U, root * Y, within)
+    for m in (0, 1, 4, 9):
+        A = np.hstack([tail, root * K[:, :m]])
+        R = np.zeros((m + 1, m + 1))
+        R[1:, 1:] = alpha * K[:m, :m]
+        inverse = np.linalg.inv(A.T @ A + R)
+        w = inverse @ A.T @ (root * Y)
+        H = A @ inverse @ A.T
+        residual = root * Y - A @ w
+        np.testing.assert_allclose(path.coefficients(m), w, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(path.rss[m], np.sum(residual**2, axis=0) + within)
+        np.testing.assert_allclose(
+            path.objective[m],
+            np.sum(residual**2 + 0 * w[:1], axis=0) + np.sum(w * (R @ w), axis=0) + within,
+        )
+        np.testing.assert_allclose(path.dof[m], np.trace(H))
+        # Leave-one-out by its definition: with the ridge fixed, drop a row and predict it.
+        loo = np.zeros(2)
+        for i in range(60):
+            keep = np.arange(60) != i
+            part = A[keep]
+            w_i = np.linalg.solve(part.T @ part + R, part.T @ (root * Y)[keep])
+            loo += (root[i] * Y[i] - A[i] @ w_i) ** 2
+        np.testing.assert_allclose(path.press[m], loo + within, rtol=1e-7)
+
+
+def test_exchange_reaches_a_local_optimum_never_worse_than_the_forward_pass():
+    X, Y, _ = problem(1, n=120, seed=5)
+    root = np.ones((120, 1))
+    basis = root / np.linalg.norm(root)
+    targets = Y - Y.mean(axis=0)
+    args = (X / 0.4, np.arange(120), root, basis, targets, "gaussian", 0.0, None)
+    candidates, _ = candidates_from(*args)
+    forward = forward_selection(candidates, 6).indices
+    better, n_swaps = exchange(candidates, forward, tol=0)
+    K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / 0.4**2)
+    K -= K.mean(axis=0)
+
+    def rss(S):
+        return float(
+            np.sum((targets - K[:, S] @ np.linalg.lstsq(K[:, S], targets, rcond=None)[0]) ** 2)
+        )
+
+    assert n_swaps > 0
+    assert rss(better) < rss(forward)
+    for position in range(6):
+        rest = np.delete(better, position)
+        trials = [rss([*rest, j]) for j in range(120) if j not in rest]
+        assert min(trials) >= rss(better) * (1 - 1e-9)
