@@ -26,7 +26,7 @@ def fit_sphere(points):
         )
     # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit.
     unknowns = np.linalg.lstsq(
-        np.column_stack([2 * centred, np.ones(len(points))]), (centred**2).sum(axis=1)
+        np.column_stack([2 * centred, np.ones(len(points))]), (centred**2).sum(axis=1), rcond=None
     )[0]
     start = np.append(unknowns[:3], np.sqrt(max(unknowns[3] + unknowns[:3] @ unknowns[:3], 0)))
 
@@ -76,7 +76,7 @@ def _smallest_sphere(few):
             edges = few[list(subset[1:])] - few[subset[0]]
             # The solution of least norm is the circumcentre inside the subset's affine hull.
             step = (
-                np.linalg.lstsq(2 * edges, (edges**2).sum(axis=1))[0]
+                np.linalg.lstsq(2 * edges, (edges**2).sum(axis=1), rcond=None)[0]
                 if size > 1
                 else np.zeros(few.shape[1])
             )
