@@ -1,6 +1,7 @@
 """Residual correction for articulated arm coordinate measuring machines."""
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.pose import PoseFeatures
 from sklearn_raacmm.rbf import RBFNetRegressor
 from sklearn_raacmm.target import (
@@ -14,9 +15,11 @@ __version__ = "0.1.0.dev0"
 
 __all__ = [
     "Arm",
+    "CalibrationResult",
     "CylindricalResidualTarget",
     "PoseFeatures",
     "RBFNetRegressor",
+    "calibrate",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
     "position_residuals",
