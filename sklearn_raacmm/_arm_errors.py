@@ -1,0 +1,160 @@
+"""What is wrong with a simulated arm, and by how much; public in `sklearn_raacmm.datasets`."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmErrors:
+    """Sizes of an arm's physical error sources, each in its own unit; 0 switches a source off.
+
+    Where a size comes from is said with it; ranges are those that we found or inferred, and the
+    defaults lie inside them.
+
+    Parameters
+    ----------
+    length_mm : float, default=0.2
+        Standard deviation of the errors of a, d and the probe vector, mm. *Published*: an
+        identified arm (that of ``Arm.from_name("aacmm6")``) shows 0.1 to 0.7 mm.
+    angle_deg : float, default=0.02
+        Standard deviation of the errors of twists and zero offsets, degrees. *Published*: the same
+        arm shows 0.004 to 0.047 degrees.
+    eccentricity_arcsec : tuple of two float, default=(4.0, 1.2)
+        Amplitudes of the first and the second harmonic of each encoder; joints differ by half of
+        it either way, phases are random. *Our choice*: makers of encoders publish 412.5 arcsec per
+        um of eccentricity and mm of diameter and a compensation from 100 to 10 arcsec; what is
+        left in a finished arm is inferred.
+    encoder_noise_arcsec : float, default=1.0
+        White noise of each reading. *Published* for encoders: 0.5 to 1.5 arcsec.
+    quantisation_arcsec : float, default=0.62
+        Step of a reading: 2**21 counts a turn. *Our choice*.
+    wobble_arcsec : float, default=3.0
+        Tilt of each joint's axis, turning once a turn in the moving frame. (A tilt that is fixed
+        in the moving frame is a twist error, which calibration removes.) *Our choice*: 2 to 5
+        arcsec inferred.
+    runout_um : float, default=2.0
+        Shift of each joint's axis, as the wobble. *Our choice*: 1 to 3 um inferred.
+    joint_compliance_urad_per_nm : float, default=33.0
+        Turn of the loaded joints under the torque of gravity, as though the hand carried nothing.
+        *Derived*: stiffness of 2e4 to 5e4 N m/rad.
+    counterbalance : float, default=0.85
+        Share of the shoulder's (joint 2) torque that a spring carries. *Derived*: 0.8 to 0.9.
+    sag_um : tuple of two float, default=(128.0, 24.0)
+        How far the ends of the upper tube and of the forearm tube sink where the tube is
+        horizontal: bending under its own weight and that of what it carries. *Derived* for carbon
+        tubes 75/71 mm of 0.75 m and 60/56 mm of 0.5 m, E 100 GPa.
+    warming_k : float, default=1.0
+        How much warmer the arm is than when it was calibrated, K, constant in a data set.
+        Expansions are makers' (carbon 0.5, aluminium 23 ppm/K); the size is *our choice*.
+    seating_um : float, default=3.0
+        Standard deviation, per coordinate, of how the probe sits in a cone. *Our choice*: 2 to 5
+        um inferred.
+
+    See Also
+    --------
+    SimulatedArm : An arm with these errors.
+
+    Notes
+    -----
+    Left out: play of the bearings and the force of the hand, for which we found no published
+    size that belongs to one joint or one newton of an arm like this.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.datasets import ArmErrors
+    >>> ArmErrors.only(sag_um=(128, 24)).seating_um
+    0.0
+    >>> ArmErrors.from_name("gravity").counterbalance
+    0.8
+    """
+
+    length_mm: float = 0.2
+    angle_deg: float = 0.02
+    eccentricity_arcsec: tuple = (4.0, 1.2)
+    encoder_noise_arcsec: float = 1.0
+    quantisation_arcsec: float = 0.62
+    wobble_arcsec: float = 3.0
+    runout_um: float = 2.0
+    joint_compliance_urad_per_nm: float = 33.0
+    counterbalance: float = 0.85
+    sag_um: tuple = (128.0, 24.0)
+    warming_k: float = 1.0
+    seating_um: float = 3.0
+
+    def __post_init__(self):
+        for field in fields(self):
+            value, pair = getattr(self, field.name), isinstance(field.default, tuple)
+            numbers = np.asarray(value)
+            wanted = "two numbers" if pair else "a number"
+            if numbers.dtype.kind not in "iuf" or numbers.shape != ((2,) if pair else ()):
+                raise ValueError(f"{field.name} must be {wanted}, got {value!r}.")
+            signed = field.name == "warming_k"
+            high = 1 if field.name == "counterbalance" else np.inf
+            if not np.all(np.isfinite(numbers) & (signed | (numbers >= 0)) & (numbers <= high)):
+                bounds = "finite" if signed else f"finite and in [0, {high:g}]"
+                raise ValueError(f"{field.name} must be {bounds}, got {value!r}.")
+            plain = tuple(map(float, value)) if pair else float(value)
+            object.__setattr__(self, field.name, plain)
+
+    @classmethod
+    def only(cls, **sizes):
+        """Switch on only the sources that are named.
+
+        The counterbalance, which is no source, keeps its default.
+
+        Parameters
+        ----------
+        **sizes : dict
+            Parameters of `ArmErrors`.
+
+        Returns
+        -------
+        ArmErrors
+            The sizes.
+        """
+        off = {f.name: (0.0, 0.0) if isinstance(f.default, tuple) else 0.0 for f in fields(cls)}
+        del off["counterbalance"]
+        return cls(**off | sizes)
+
+    @classmethod
+    def from_name(cls, name):
+        """Return a mix of sources by name.
+
+        Parameters
+        ----------
+        name : {"typical", "gravity", "eccentricity", "none"}
+            "typical" are the defaults. In "gravity" joints twist and tubes bend twice as much,
+            four fifths of the shoulder's torque are balanced, and the encoders are good (a quarter
+            of the eccentricity and of the wobble). In "eccentricity" encoders and axes are half
+            again as bad and the arm is four times as stiff. "none" is a perfect arm.
+
+        Returns
+        -------
+        ArmErrors
+            The sizes.
+        """
+        typical = cls()
+        mixes = {
+            "typical": typical,
+            "gravity": replace(
+                typical,
+                eccentricity_arcsec=(1.0, 0.3),
+                wobble_arcsec=0.75,
+                runout_um=0.5,
+                joint_compliance_urad_per_nm=66.0,
+                counterbalance=0.8,
+                sag_um=(256.0, 48.0),
+            ),
+            "eccentricity": replace(
+                typical,
+                eccentricity_arcsec=(6.0, 1.8),
+                wobble_arcsec=4.5,
+                joint_compliance_urad_per_nm=8.0,
+                sag_um=(32.0, 6.0),
+            ),
+            "none": cls.only(),
+        }
+        if not isinstance(name, str) or name not in mixes:
+            raise ValueError(f"name must be one of {sorted(mixes)}, got {name!r}.")
+        return mixes[name]
