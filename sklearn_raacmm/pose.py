@@ -90,7 +90,7 @@ class PoseFeatures(TransformerMixin, BaseEstimator):
     ['theta3', 'theta4', 'theta_dis']
     """
 
-    _parameter_constraints: dict = {  # noqa: RUF012
+    _parameter_constraints: dict = {
         "arm": [Arm, None],
         "angle_unit": [StrOptions({"rad", "deg"})],
         "encoding": [StrOptions({"angle", "periodic"})],
@@ -166,11 +166,13 @@ class PoseFeatures(TransformerMixin, BaseEstimator):
         return features
 
     def _features(self, X, first_row):
-        # The arm is given its own unit: it warns of degrees taken for radians.
+        angles = np.deg2rad(X) if self.angle_unit == "deg" else X
+        # The arm is handed the angles as they are, for it warns of degrees taken for radians.
+        if self.joints == "all" or self.append_azimuth:
+            points = self.arm_.forward(X, angle_unit=self.angle_unit)
         if self.joints == "all":
-            columns = list(self.arm_._check_angles(X, self.angle_unit).T)
+            columns = list(angles.T)
         else:
-            angles = np.deg2rad(X) if self.angle_unit == "deg" else X
             frames = self.arm_.frames(X, angle_unit=self.angle_unit)
             swivel, elbow = self.arm_.pose_joints
             theta_dis = _elevation(frames, self.arm_.pose_frames, first_row)
@@ -178,7 +180,6 @@ class PoseFeatures(TransformerMixin, BaseEstimator):
         if self.encoding == "periodic":
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
-            points = self.arm_.forward(X, angle_unit=self.angle_unit)
             columns += list(_azimuth_direction(points, first_row))
         return np.stack(columns, axis=1)
 

@@ -126,7 +126,7 @@ class CylindricalResidualTarget(RegressorMixin, BaseEstimator):
     array([0.1, 0. , 0. ])
     """
 
-    _parameter_constraints: dict = {  # noqa: RUF012
+    _parameter_constraints: dict = {
         "regressor": [HasMethods(["fit", "predict"]), None],
         "azimuth": [StrOptions({"appended"}), callable, None],
     }

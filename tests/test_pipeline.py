@@ -1,0 +1,320 @@
+"""The whole chain: joint angles in, Cartesian residual of the probe out."""
+
+import subprocess
+import sys
+
+import joblib
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import Ridge
+from sklearn.model_selection import (
+    GridSearchCV,
+    GroupKFold,
+    LeaveOneGroupOut,
+    cross_val_predict,
+    cross_val_score,
+)
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures, StandardScaler
+
+from sklearn_raacmm import (
+    Arm,
+    CylindricalResidualTarget,
+    PoseFeatures,
+    RBFNetRegressor,
+    cartesian_to_cylindrical,
+    cylindrical_to_cartesian,
+    position_residuals,
+)
+
+
+def network():
+    return RBFNetRegressor(15, length_scale=1.0, alpha=1e-4)
+
+
+def gaussian_process():
+    kernel = RBF(1.0, "fixed") + WhiteKernel(1e-4, "fixed")
+    return GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True)
+
+
+def form_a(arm, regressor, **pose):
+    return CylindricalResidualTarget(
+        make_pipeline(PoseFeatures(arm, **pose), StandardScaler(), regressor), azimuth=arm.azimuth
+    )
+
+
+def form_b(arm, regressor, **pose):
+    return make_pipeline(
+        PoseFeatures(arm, append_azimuth=True, **pose),
+        CylindricalResidualTarget(make_pipeline(StandardScaler(), regressor)),
+    )
+
+
+def sagging(arm, angles):
+    """Simulated residual in mm: the shoulder sags by its load, the elbow by its own.
+
+    Through the arm's Jacobian, and with no thought of pose or cylindrical frame: that they suit
+    it is for the tests to show.
+    """
+    frames = arm.frames(angles)
+    lever = np.hypot(*(frames[:, 5, :2, 3] - frames[:, 2, :2, 3]).T)
+    sag = np.zeros((len(angles), arm.n_joints))
+    sag[:, 1] = 3e-7 * lever  # rad, shoulder hinge
+    sag[:, 3] = 2e-4 * np.sin(angles[:, 3] / 2)
+    return np.einsum("nij,nj->ni", arm.jacobian(angles), sag)
+
+
+@pytest.fixture(scope="module")
+def cone_test():
+    """Simulated: 12 positions by 15 poses of the six-joint arm CMM."""
+    rng = np.random.default_rng(0)
+    arm = Arm.from_name("aacmm6")
+    angles = rng.uniform(-0.9, 0.9, (180, 6)) + np.array([0, -1.3, 0.2, 1.2, 0, 0.4])
+    angles[:, 0] = rng.uniform(-np.pi, np.pi, 180)
+    groups = np.repeat(np.arange(12), 15)
+    y = sagging(arm, angles) + rng.normal(scale=0.005, size=(180, 3))
+    return arm, angles, y, groups
+
+
+# -- the two forms --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+@pytest.mark.parametrize(
+    "regressor",
+    [network(), Ridge(), make_pipeline(PolynomialFeatures(2), Ridge()), gaussian_process()],
+    ids=["network", "ridge", "polynomial", "process"],
+)
+def test_both_forms_predict_the_same(cone_test, regressor, encoding):
+    arm, angles, y, _ = cone_test
+    a = form_a(arm, regressor, encoding=encoding).fit(angles[:120], y[:120])
+    b = form_b(arm, regressor, encoding=encoding).fit(angles[:120], y[:120])
+    assert_allclose(a.predict(angles), b.predict(angles), atol=1e-9)
+    assert a.score(angles[120:], y[120:]) == pytest.approx(b.score(angles[120:], y[120:]))
+
+
+def test_both_forms_on_a_seven_joint_arm():
+    rng = np.random.default_rng(1)
+    arm = Arm.from_name("panda")
+    angles, y = rng.uniform(-1, 1, (60, 7)), rng.normal(size=(60, 3))
+    a, b = (form(arm, Ridge()).fit(angles, y) for form in (form_a, form_b))
+    assert_allclose(a.predict(angles), b.predict(angles), atol=1e-12)
+
+
+def test_degrees_in_form_b(cone_test):
+    arm, angles, y, _ = cone_test
+    b = form_b(arm, network(), angle_unit="deg").fit(np.rad2deg(angles), y)
+    a = form_a(arm, network()).fit(angles, y)
+    assert_allclose(b.predict(np.rad2deg(angles)), a.predict(angles), atol=1e-9)
+
+
+@pytest.mark.parametrize("regressor", [network(), gaussian_process()], ids=["network", "process"])
+def test_return_std(cone_test, regressor):
+    arm, angles, y, _ = cone_test
+    a, b = (form(arm, regressor).fit(angles, y) for form in (form_a, form_b))
+    mean_a, std_a = a.predict(angles, return_std=True)
+    _, std_b = b.predict(angles, return_std=True)
+    assert_allclose(std_a, std_b, rtol=1e-6)
+    assert_array_equal(mean_a, a.predict(angles))
+    assert std_a.shape == y.shape
+    assert np.all(std_a > 0)
+
+
+@pytest.mark.parametrize("scaler", [StandardScaler(), MinMaxScaler()])
+def test_a_scaler_in_between_raises(cone_test, scaler):
+    arm, angles, y, _ = cone_test
+    model = form_b(arm, network())
+    model.steps.insert(1, ("scaler", scaler))
+    with pytest.raises(ValueError, match=r"norm other than 1 .*Put a scaler inside the regressor"):
+        model.fit(angles, y)
+
+
+def test_wrong_y(cone_test):
+    arm, angles, y, _ = cone_test
+    for form in (form_a, form_b):
+        for wrong in (y[:, :2], np.hstack([y, y])):
+            n = wrong.shape[1]
+            with pytest.raises(ValueError, match=f"y has {n} columns, but a residual has 3"):
+                form(arm, Ridge()).fit(angles, wrong)
+        with pytest.raises(ValueError, match="6 joints"):
+            form(arm, Ridge()).fit(angles[:, :5], y)
+
+
+# -- why it is done this way ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", [form_a, form_b])
+def test_what_is_learnt_on_one_side_holds_on_the_other(cone_test, form):
+    """The base is isotropic: the cylindrical target transfers across azimuths, no other does."""
+    arm, angles, y, _ = cone_test
+    front = np.abs(arm.azimuth(angles)) < np.pi / 2
+    truth = sagging(arm, angles)[~front]
+    before = np.linalg.norm(truth, axis=1).mean()
+
+    model = form(arm, network()).fit(angles[front], y[front])
+    after = np.linalg.norm(truth - model.predict(angles[~front]), axis=1).mean()
+    assert after < 0.2 * before
+
+    cartesian = form_a(arm, network()).set_params(azimuth=None).fit(angles[front], y[front])
+    worse = np.linalg.norm(truth - cartesian.predict(angles[~front]), axis=1).mean()
+    assert worse > 0.8 * before
+
+
+def test_correction_is_subtracted(cone_test):
+    """Single-point repeatability, 2S, of unseen positions goes down: equations (11) to (15)."""
+    arm, angles, _, groups = cone_test
+    seat = np.random.default_rng(2).uniform(200, 700, (12, 3))[groups]
+    points = seat + sagging(arm, angles)  # what an arm would say whose probe sits in 12 seats
+    residuals = position_residuals(points, groups)
+    predicted = cross_val_predict(
+        form_b(arm, network()), angles, residuals, groups=groups, cv=GroupKFold(4)
+    )
+    corrected = position_residuals(points - predicted, groups)
+
+    def spread(deviations):
+        return 2 * np.sqrt(np.square(deviations).sum(axis=1).sum() / (len(deviations) - 12))
+
+    assert spread(corrected) < 0.5 * spread(residuals)
+
+
+# -- model selection ------------------------------------------------------------------------------
+
+REGRESSORS = [
+    network(),
+    KernelRidge(kernel="rbf", alpha=0.01),
+    make_pipeline(PolynomialFeatures(2), Ridge()),
+]
+
+
+@pytest.mark.parametrize(
+    ("form", "key"),
+    [
+        (form_a, "regressor"),
+        (form_b, "cylindricalresidualtarget__regressor"),
+    ],
+)
+def test_grid_search_swaps_the_regressor(cone_test, form, key):
+    arm, angles, y, groups = cone_test
+    inside = [make_pipeline(StandardScaler(), regressor) for regressor in REGRESSORS]
+    if form is form_a:
+        inside = [make_pipeline(PoseFeatures(arm), *pipe) for pipe in inside]
+    search = GridSearchCV(
+        form(arm, Ridge()),
+        {key: inside},
+        cv=GroupKFold(4),
+        scoring="neg_root_mean_squared_error",
+        n_jobs=2,
+    ).fit(angles, y, groups=groups)
+
+    scores = search.cv_results_["mean_test_score"]
+    for regressor, score in zip(REGRESSORS, scores, strict=True):
+        own = cross_val_score(
+            form(arm, regressor),
+            angles,
+            y,
+            groups=groups,
+            cv=GroupKFold(4),
+            scoring="neg_root_mean_squared_error",
+        )
+        assert score == pytest.approx(own.mean())
+    best = clone(search.best_estimator_).fit(angles, y)
+    assert_allclose(search.predict(angles), best.predict(angles), atol=1e-12)
+
+
+def test_grid_search_over_parameters_of_every_step(cone_test):
+    arm, angles, y, groups = cone_test
+    grid = {
+        "posefeatures__encoding": ["angle", "periodic"],
+        "posefeatures__joints": ["pose", "all"],
+        "posefeatures__arm": [arm, arm.replace(probe=(0, 0, 50))],
+        "cylindricalresidualtarget__regressor__kernelridge__alpha": [0.01, 0.1],
+    }
+    search = GridSearchCV(
+        form_b(arm, KernelRidge(kernel="rbf")), grid, cv=LeaveOneGroupOut(), n_jobs=2
+    ).fit(angles, y, groups=groups % 3)
+    assert len(search.cv_results_["params"]) == 16
+    assert np.isfinite(search.cv_results_["mean_test_score"]).all()
+
+
+# -- metadata -------------------------------------------------------------------------------------
+
+
+def weighted(form, arm, routing):
+    """The chain, and the name by which its `fit` takes the weights of the network."""
+    model = form(arm, network())
+    if not routing:
+        name = "rbfnetregressor__sample_weight"
+        return model, name if form is form_a else f"cylindricalresidualtarget__{name}"
+    inside = (model if form is form_a else model[-1]).regressor
+    inside["rbfnetregressor"].set_fit_request(sample_weight=True)
+    inside["standardscaler"].set_fit_request(sample_weight=False)
+    return model, "sample_weight"
+
+
+@pytest.mark.parametrize("routing", [False, True])
+@pytest.mark.parametrize("form", [form_a, form_b])
+def test_sample_weight_reaches_the_network(cone_test, form, routing):
+    arm, angles, y, _ = cone_test
+    weight = np.where(np.arange(len(y)) % 3, 1.0, 0.01)
+
+    # The chain, link by link.
+    features = StandardScaler().fit_transform(PoseFeatures(arm).fit_transform(angles))
+    azimuth = arm.azimuth(angles)
+    inner = network().fit(features, cartesian_to_cylindrical(y, azimuth), sample_weight=weight)
+    expected = cylindrical_to_cartesian(inner.predict(features), azimuth)
+
+    with config_context(enable_metadata_routing=routing):
+        model, name = weighted(form, arm, routing)
+        model.fit(angles, y, **{name: weight})
+        assert_allclose(model.predict(angles), expected, atol=1e-9)
+        assert not np.allclose(clone(model).fit(angles, y).predict(angles), expected, atol=1e-6)
+
+
+def test_groups_and_weights_in_one_grid_search_with_routing(cone_test):
+    arm, angles, y, groups = cone_test
+    weight = np.linspace(0.5, 1.5, len(y))
+    with config_context(enable_metadata_routing=True):
+        model, _ = weighted(form_b, arm, routing=True)
+        model[-1].set_score_request(sample_weight=True)
+        search = GridSearchCV(
+            model, {"posefeatures__encoding": ["angle", "periodic"]}, cv=GroupKFold(3)
+        ).fit(angles, y, groups=groups, sample_weight=weight)
+        best = clone(search.best_estimator_).fit(angles, y, sample_weight=weight)
+        assert_array_equal(search.predict(angles), best.predict(angles))
+        unweighted = clone(search.best_estimator_).fit(angles, y)
+        assert not np.allclose(search.predict(angles), unweighted.predict(angles))
+
+
+# -- persistence ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", [form_a, form_b])
+def test_a_saved_model_predicts_the_same_bits_in_a_new_process(cone_test, form, tmp_path):
+    arm, angles, y, groups = cone_test
+    search = GridSearchCV(form(arm, network()), {}, cv=GroupKFold(3))
+    model = search.fit(angles, y, groups=groups).best_estimator_
+    joblib.dump((model, angles), tmp_path / "model.joblib")
+    code = (
+        "import joblib, sys\n"
+        "model, angles = joblib.load(sys.argv[1])\n"
+        "joblib.dump(model.predict(angles), sys.argv[2])\n"
+    )
+    command = [sys.executable, "-c", code, tmp_path / "model.joblib", tmp_path / "predicted.joblib"]
+    subprocess.run([str(part) for part in command], check=True, timeout=120)
+    assert_array_equal(joblib.load(tmp_path / "predicted.joblib"), model.predict(angles))
+
+
+def test_representations_show_the_whole_chain(cone_test):
+    arm, angles, y, _ = cone_test
+    for form in (form_a, form_b):
+        model = form(arm, network())
+        for shown in (model, model.fit(angles, y)):
+            html = shown._repr_html_()
+            for name in ("PoseFeatures", "StandardScaler", "RBFNetRegressor", "aacmm6"):
+                assert name in html
