@@ -150,8 +150,9 @@ class CylindricalResidualTarget(RegressorMixin, BaseEstimator):
             passes through unrotated.
 
         **fit_params : dict
-            Passed to the regressor's `fit`, such as `sample_weight`; routed by request if
-            metadata routing is enabled.
+            Passed to the regressor's `fit`, such as `sample_weight`, or
+            `rbfnetregressor__sample_weight` where the regressor is a pipeline; routed by request
+            if metadata routing is enabled.
 
         Returns
         -------
