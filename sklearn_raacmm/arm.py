@@ -228,9 +228,9 @@ class Arm:
               the centre of the flange, (0, 0, 107) mm;
             - "ur10": the Universal Robots UR10, nominal, six joints; the probe is the centre of
               the flange. Its shoulder, elbow and first wrist axes are parallel, so there is no
-              swivel between shoulder and elbow: its pose is joint 4 and joint 3 (which, with the
+              swivel between shoulder and elbow: its pose is joint 4 and joint 3, which, with the
               elevation of the line from shoulder to wrist, make the whole shape of the arm in its
-              vertical plane; joints 2 and 3 would repeat what the elevation says already).
+              vertical plane; joints 2 and 3 say alone what that elevation is.
         **changes : dict
             Parameters of `Arm` to change, such as ``probe``.
 

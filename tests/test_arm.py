@@ -73,27 +73,39 @@ def test_kinematics_against_products_of_matrices(convention, n_joints):
     assert_allclose(arm.azimuth(angles), np.arctan2(points[:, 1], points[:, 0]), atol=1e-12)
 
 
-def test_panda_against_the_controllers_own_poses(panda):
-    # The tool point lies 103.4 mm beyond the flange. Angles and pose were read one after the other
-    # from an arm that a hand was moving, which leaves some 0.02 mm, and 0.1 mm in a few rows.
-    data = panda("panda_3")
-    arm = Arm.from_name("panda", probe=(0, 0, 107 + 103.4))
-    known = np.isfinite(data.tool_poses[:, 0])
-    assert known.sum() > 300
-    gap = np.linalg.norm(
-        arm.forward(data.angles[known]) - 1000 * data.tool_poses[known, :3], axis=1
-    )
-    assert np.median(gap) < 0.03
-    assert np.quantile(gap, 0.95) < 0.1
-
-
-def test_panda_orientation_against_the_controllers_own_poses(panda):
-    data = panda("panda_3")
+def controllers_points(data, beyond=0.0):
+    """Joint angles, and points (n, 3) mm on the tool's z axis beyond its own point."""
     known = np.isfinite(data.tool_poses[:, 0])
     w, x, y, z = data.tool_poses[known, 3:].T
     axis = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-    frames = Arm.from_name("panda").frames(data.angles[known])
-    assert np.median(np.linalg.norm(frames[:, -1, :, 2] - axis, axis=1)) < 3e-4
+    return data.angles[known], 1000 * data.tool_poses[known, :3] + beyond * axis, axis
+
+
+def test_panda_against_the_controllers_own_poses(panda):
+    # The tool point lies 103.4 mm beyond the flange.
+    angles, points, axis = controllers_points(panda("panda_3"))
+    assert len(points) > 300
+    arm = Arm.from_name("panda", probe=(0, 0, 107 + 103.4))
+    gap = np.linalg.norm(arm.forward(angles) - points, axis=1)
+    assert np.median(gap) < 0.03
+    assert np.quantile(gap, 0.95) < 0.1
+    turn = np.linalg.norm(arm.frames(angles)[:, -1, :, 2] - axis, axis=1)
+    assert np.median(turn) < 3e-4
+
+
+def test_what_is_left_is_the_hand_that_moved_the_arm_between_two_readings(panda):
+    # Angles and pose were read one after the other. The ball sat in its socket, 31 mm beyond the
+    # tool point, all the time: there the gap is least, and grows with the distance from it.
+    largest, typical = [], []
+    for beyond in (-103.4, 0.0, 31.0):
+        angles, points, _ = controllers_points(panda("panda_3"), beyond)
+        arm = Arm.from_name("panda", probe=(0, 0, 107 + 103.4 + beyond))
+        gap = np.linalg.norm(arm.forward(angles) - points, axis=1)
+        largest.append(gap.max())
+        typical.append(np.quantile(gap, 0.95))
+    assert largest[0] > 2 * largest[1] > 4 * largest[2]
+    assert typical[0] > typical[1] > typical[2]
+    assert largest[2] < 0.12
 
 
 @pytest.mark.parametrize("n_joints", [6, 7])
