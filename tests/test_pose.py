@@ -116,7 +116,10 @@ def test_degrees_taken_for_radians_warn(joints):
     ("params", "names"),
     [
         ({}, ["theta3", "theta4", "theta_dis"]),
-        ({"arm": Arm.from_name("ur10")}, ["theta4", "theta3", "theta_dis"]),
+        (
+            {"arm": Arm.from_name("aacmm6").replace(pose_joints=(4, 2))},
+            ["theta4", "theta2", "theta_dis"],
+        ),
         (
             {"append_azimuth": True},
             ["theta3", "theta4", "theta_dis", "azimuth_cos", "azimuth_sin"],
