@@ -419,7 +419,6 @@ def test_clone_params_pickle_and_html(isotropic):
     _, y, phi, features, _ = isotropic
     model = CylindricalResidualTarget(Ridge(alpha=3), azimuth=first_column)
     assert clone(model).get_params()["regressor__alpha"] == 3
-    # A partial of a library's function: pytest may load this very module under no name.
     azimuth = functools.partial(np.take, indices=0, axis=1)
     model.set_params(regressor__alpha=2.0, azimuth=azimuth)
     raw = np.column_stack([phi, features])
