@@ -51,6 +51,7 @@ class Fit:
 
     def reset_weights(self):
         self.weights = np.ones(len(self.angles))
+        self.length_weights = self._new_length_weights()
         self.sigma = None
 
     def arm(self, x=None):
@@ -67,7 +68,9 @@ class Fit:
                 self._solve(mask)
             self.sigma = self._new_sigma(self._effective_parameters(mask))
             self.weights = WEIGHTS[self.loss](self.robust_distances() / self.sigma)
-            self.converged = bool(abs(self.sigma - before) <= 1e-3 * before)
+            weights, self.length_weights = self.length_weights, self._new_length_weights()
+            change = np.max(np.abs(weights - self.length_weights), initial=0.0)
+            self.converged = bool(abs(self.sigma - before) <= 1e-3 * before and change <= 0.02)
             if self.converged:
                 break
 
@@ -126,7 +129,10 @@ class Fit:
         n_arm, is_free = len(self.nominal), mask[: len(self.nominal)]
         rows = [(weight * residuals).ravel()]
         jacs = [(weight[:, :, None] * jac).reshape(-1, len(x))[:, mask]]
-        for i, j, length, sd in self.problem.lengths:
+        for (i, j, length, sd), length_weight in zip(
+            self.problem.lengths, self.length_weights, strict=True
+        ):
+            sd = sd / np.sqrt(length_weight)
             gap = centres[i] - centres[j]
             distance = max(np.linalg.norm(gap), 1e-12)
             rows.append([(distance - length) / sd])
@@ -153,6 +159,19 @@ class Fit:
     def robust_distances(self):
         """Distances (n,) in mm from the weighted mean of the group, which outliers do not pull."""
         return np.linalg.norm(self.residuals(self.weights), axis=1)
+
+    def length_errors(self):
+        """Lengths between the centres of groups less the known ones, mm."""
+        if not self.problem.lengths:
+            return np.empty(0)
+        centres = self.problem.sums(self.arm().forward(self.angles), self.weights)
+        i, j, length, _ = zip(*self.problem.lengths, strict=True)
+        return np.linalg.norm(centres[list(i)] - centres[list(j)], axis=1) - length
+
+    def _new_length_weights(self):
+        # A wrong length (one hole of a plate beside the right one) must not bend the arm.
+        sd = np.array([entry[3] for entry in self.problem.lengths])
+        return WEIGHTS[self.loss](np.abs(self.length_errors()) / sd)
 
     def _new_sigma(self, n_parameters):
         n_data = 3 * self.problem.n_informative

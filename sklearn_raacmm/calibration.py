@@ -20,7 +20,7 @@ _OUTLIER = 5.0
 _IDENTIFIED = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CalibrationResult:
     """What a calibration found, and what it could not find.
 
@@ -50,6 +50,8 @@ class CalibrationResult:
         mean of their group, or from their measured positions.
     residuals_mm : ndarray of shape (n_samples, 3)
         Those differences, in the arm's base frame.
+    length_errors_mm : ndarray of shape (n_lengths,)
+        Distances between the centres of groups less the known lengths.
     sigma_mm : float
         Standard deviation of one coordinate that the fit found and weighted with.
     outliers : tuple of int
@@ -69,7 +71,7 @@ class CalibrationResult:
     """
 
     arm: Arm
-    names: tuple
+    names: tuple = field(repr=False)
     nominal: np.ndarray = field(repr=False)
     values: np.ndarray = field(repr=False)
     standard_deviations: np.ndarray = field(repr=False)
@@ -79,6 +81,7 @@ class CalibrationResult:
     scatter_before_mm: float
     scatter_after_mm: float
     residuals_mm: np.ndarray = field(repr=False)
+    length_errors_mm: np.ndarray = field(repr=False)
     sigma_mm: float
     outliers: tuple
     groups: np.ndarray | None = field(repr=False)
@@ -170,7 +173,8 @@ def calibrate(
     Warns
     -----
     UserWarning
-        If groups of one point say nothing, or the fit did not converge.
+        If groups of one point say nothing, if a known length disagrees with the rest of the data,
+        or if the fit did not converge.
 
     Notes
     -----
@@ -178,7 +182,7 @@ def calibrate(
     projection: the fixed points are no parameters), over the variance of a coordinate, which is
     found along with the rest, plus the squares of the errors of the known lengths and of the
     departures from the nominal arm over theirs. Robust losses weigh whole points, so that the
-    result does not depend on the directions of the axes.
+    result does not depend on the directions of the axes, and known lengths.
 
     A single-point test cannot see the common scale of all lengths, but a smaller arm scatters
     less, so that least squares alone would shrink it. The distances are therefore divided by the
@@ -204,6 +208,7 @@ def calibrate(
     >>> bool(np.abs(result.arm.d[2] - truth.d[2]) < 0.02)
     True
     """
+    lengths = list(lengths)
     angles, problem = _check(
         arm, angles, groups, points, lengths, free, loss, angle_unit,
         {"prior_length": prior_length, "prior_angle": prior_angle, "prior_probe": prior_probe},
@@ -237,6 +242,8 @@ def calibrate(
             UserWarning,
             stacklevel=2,
         )
+    length_errors = fit.length_errors()
+    _warn_of_wrong_lengths(lengths, length_errors, fit.sigma)
     distance = fit.distances()
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.robust_distances()
@@ -253,6 +260,7 @@ def calibrate(
         scatter_before_mm=float(before),
         scatter_after_mm=float(distance.mean()),
         residuals_mm=fit.residuals(),
+        length_errors_mm=length_errors,
         sigma_mm=float(fit.sigma),
         outliers=tuple(int(i) for i in farthest if robust[i] > _OUTLIER * fit.sigma),
         groups=None if groups is None else np.asarray(groups),
@@ -260,6 +268,21 @@ def calibrate(
         base_translation=None if points is None else fit.x[len(names) + 3 :].copy(),
         converged=fit.converged,
     )
+
+
+def _warn_of_wrong_lengths(lengths, errors, sigma):
+    wrong = [
+        f"{first} to {second} is {length + error:.6g} mm, given as {length:g} +- {sd:g} mm"
+        for (first, second, length, sd), error in zip(lengths, errors, strict=True)
+        if abs(error) > _OUTLIER * max(sd, sigma)
+    ]
+    if wrong:
+        warnings.warn(
+            f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
+            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}.",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors):
@@ -278,7 +301,6 @@ def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors)
     for name, value in priors.items():
         if not (np.isscalar(value) and np.isreal(value) and 0 < value < np.inf):
             raise ValueError(f"{name} must be a positive number, got {value!r}.")
-    lengths = list(lengths)
     if points is not None:
         points = floats("points", points)
         if points.shape != (n, 3):

@@ -189,7 +189,7 @@ def test_tracker_data_give_arm_base_and_tool(seed):
     truth = disturbed(nominal, seed)
     rng = np.random.default_rng(seed)
     angles = rng.uniform(-2.5, 2.5, (400, 6))
-    turn = Rotation.random(random_state=seed).as_matrix()
+    turn = Rotation.from_euler("xyz", rng.uniform(-3, 3, 3)).as_matrix()
     shift = rng.normal(0, 2000, 3)
     points = truth.forward(angles) @ turn.T + shift + rng.normal(0, 0.05, (400, 3))
     result = calibrate(nominal, angles[:300], points=points[:300])
@@ -264,6 +264,20 @@ def test_outliers_are_named_and_hardly_count(loss):
     assert f"row {result.outliers[0]} ({groups[result.outliers[0]]})" in text
 
 
+def test_a_wrong_length_is_named_and_hardly_counts():
+    truth = disturbed(NOMINAL["aacmm6"])
+    angles, groups, targets = single_point_test(truth, noise_mm=0.02)
+    pairs = [(0, 1), (2, 3), (4, 5), (6, 7), (1, 2)]
+    lengths = [(i, j, np.linalg.norm(targets[i] - targets[j]), 0.05) for i, j in pairs]
+    right = calibrate(NOMINAL["aacmm6"], angles, groups, lengths=lengths)
+    lengths[2] = (4, 5, lengths[2][2] + 25, 0.05)
+    with pytest.warns(UserWarning, match=r"1 of 5 known lengths disagree.*4 to 5 is"):
+        result = calibrate(NOMINAL["aacmm6"], angles, groups, lengths=lengths)
+    assert result.length_errors_mm[2] == pytest.approx(-25, abs=0.5)
+    assert np.abs(np.delete(result.length_errors_mm, 2)).max() < 0.3
+    assert result.scatter_after_mm < 1.2 * right.scatter_after_mm
+
+
 def test_only_free_fields_change():
     nominal = NOMINAL["aacmm6"]
     angles, groups, _ = single_point_test(disturbed(nominal), noise_mm=0.05)
@@ -321,6 +335,31 @@ def test_panda_keeps_a_length_that_was_not_given(panda):
     for p in placements[3:]:
         holes = [result.arm.forward(data.angles[data.groups == f"{p}/{i}"]).mean(0) for i in "01"]
         assert np.linalg.norm(holes[0] - holes[1]) == pytest.approx(50.0, abs=0.25)
+
+
+def test_panda_finds_the_plate_that_stood_one_hole_off(panda):
+    # On the grid, left and right are said to be 350 mm apart. At the front they were not: all
+    # distances agree with a front left plate 25 mm farther out, such as back left to front left,
+    # said to be 150 mm, with hypot(150, 25).
+    data = panda("panda_3")
+    lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(data.placements)]
+    grid = [
+        ("backleft", "backright", 350.0),
+        ("backcenter", "frontcenter", 150.0),
+        ("backright", "frontright", 150.0),
+        ("frontleft", "frontright", 350.0),
+    ]
+    lengths += [(f"{a}/{i}", f"{b}/{i}", length, 0.5) for a, b, length in grid for i in "01"]
+    with pytest.warns(UserWarning, match="2 of 14 known lengths disagree.*frontleft/0 to"):
+        result = calibrate(NOMINAL["panda"], data.angles, data.groups, lengths=lengths)
+    assert result.scatter_after_mm <= 0.20
+    assert_allclose(result.length_errors_mm[-2:], 25, atol=1)
+    assert np.abs(result.length_errors_mm[:-2]).max() < 0.6
+    centre = [
+        result.arm.forward(data.angles[data.groups == f"{p}/0"]).mean(axis=0)
+        for p in ("backleft", "frontleft")
+    ]
+    assert np.linalg.norm(centre[0] - centre[1]) == pytest.approx(np.hypot(150, 25), abs=0.6)
 
 
 def test_ur10(ur10):
