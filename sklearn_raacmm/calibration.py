@@ -209,6 +209,7 @@ def calibrate(
     True
     """
     lengths = list(lengths)
+    free = free if isinstance(free, str) else tuple(free)
     angles, problem = _check(
         arm, angles, groups, points, lengths, free, loss, angle_unit,
         {"prior_length": prior_length, "prior_angle": prior_angle, "prior_probe": prior_probe},
