@@ -12,19 +12,20 @@ class Path(NamedTuple):
     rss: np.ndarray  # (k + 1, n_outputs) sum of squared residuals
     objective: np.ndarray  # (k + 1, n_outputs) the same with the penalty
     press: np.ndarray  # (k + 1, n_outputs) sum of squared leave-one-out residuals
-    dof: np.ndarray  # (k + 1,) trace of the smoother, tail included
-    R: np.ndarray  # (p + k, p + k) triangular factor, tail columns first
-    rotated: np.ndarray  # (p + k, n_outputs) targets in its coordinates
+    dof: np.ndarray  # (k + 1, n_outputs) trace of the smoother, tail included
+    triangles: list  # of (p + k, p + k) for each output, tail columns first
+    rotated: np.ndarray  # (p + k, n_outputs) targets in their coordinates
 
     def coefficients(self, m):
         """Weights of the tail and of the first m members, (p + m, n_outputs)."""
-        size = len(self.R) - len(self.dof) + 1 + m
-        if not size:
-            return self.rotated[:0]
-        return solve_triangular(self.R[:size, :size], self.rotated[:size], check_finite=False)
+        size = len(self.rotated) - len(self.dof) + 1 + m
+        solution = self.rotated[:size].copy()
+        for i, R in enumerate(self.triangles if size else ()):
+            solution[:, i] = solve_triangular(R[:size, :size], solution[:, i], check_finite=False)
+        return solution
 
 
-def nested_least_squares(tail, columns, penalty_root, targets, within):
+def nested_least_squares(tail, columns, penalty_root, alphas, targets, within):
     """Solve every nested subset, with no use of the running figures of the selection.
 
     Parameters
@@ -34,7 +35,9 @@ def nested_least_squares(tail, columns, penalty_root, targets, within):
     columns : ndarray of shape (n, k)
         Members in order, rows times root weight.
     penalty_root : ndarray of shape (m, k)
-        ``penalty_root.T @ penalty_root`` is the penalty's matrix; m = 0 for none.
+        ``penalty_root.T @ penalty_root`` is the penalty's matrix.
+    alphas : ndarray of shape (n_outputs,)
+        Factor of the penalty.
     targets : ndarray of shape (n, n_outputs)
         Rows times root weight.
     within : ndarray of shape (n_outputs,)
@@ -44,6 +47,20 @@ def nested_least_squares(tail, columns, penalty_root, targets, within):
     -------
     Path
     """
+    p, k, q = tail.shape[1], columns.shape[1], targets.shape[1]
+    rss, objective, press, dof = (np.empty((k + 1, q)) for _ in range(4))
+    triangles, rotated = [None] * q, np.empty((p + k, q))
+    for alpha in np.unique(alphas):
+        of = np.flatnonzero(alphas == alpha)
+        root = np.sqrt(alpha) * penalty_root if alpha > 0 else penalty_root[:0]
+        R, rotated[:, of], *figures = _one_penalty(tail, columns, root, targets[:, of])
+        rss[:, of], objective[:, of], press[:, of], dof[:, of] = figures
+        for i in of:
+            triangles[i] = R
+    return Path(rss + within, objective + within, press + within, dof, triangles, rotated)
+
+
+def _one_penalty(tail, columns, penalty_root, targets):
     n, p = tail.shape
     k, q = columns.shape[1], targets.shape[1]
     stacked = np.zeros((n + len(penalty_root), p + k), order="F")
@@ -56,7 +73,7 @@ def nested_least_squares(tail, columns, penalty_root, targets, within):
     rotated = Q.T @ targets
     residual = targets - Q[:, :p] @ rotated[:p]
     leverage = np.square(Q[:, :p]).sum(axis=1)
-    rss, press, objective = np.empty((k + 1, q)), np.empty((k + 1, q)), np.empty((k + 1, q))
+    rss, press, objective = (np.empty((k + 1, q)) for _ in range(3))
     for m in range(k + 1):
         if m:
             direction = Q[:, p + m - 1]
@@ -69,5 +86,4 @@ def nested_least_squares(tail, columns, penalty_root, targets, within):
         press[m] = np.square(residual / np.maximum(1 - leverage, 1e-10)[:, None]).sum(axis=0)
     dof = p + np.concatenate([[0.0], np.cumsum(np.square(Q[:, p:]).sum(axis=0))])
     # A difference of large numbers: the objective is never below its own first part.
-    objective = np.maximum(objective, rss)
-    return Path(rss + within, objective + within, press + within, dof, R, rotated)
+    return R, rotated, rss, np.maximum(objective, rss), press, dof[:, None]

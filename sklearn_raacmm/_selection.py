@@ -165,27 +165,70 @@ class _Basis:
         return self.rows[: self.size]
 
 
-def _orthogonalise(u, v, U, V):
-    """Take the directions U (duals V) out of (u, v), in place, twice: once more is never needed."""
-    if len(U):
-        for _ in range(2):
-            c = V @ u
-            u -= c @ U
+class _ForwardPass:
+    """What a group of outputs knows of every candidate while the chosen ones are projected out."""
+
+    def __init__(self, candidates):
+        self.candidates = candidates
+        self.norms = candidates.squared_norms()
+        self.floor = DEPENDENT * self.norms
+        self.correlations = candidates.correlations()
+        self.alive = self.norms > 0
+        self.U = _Basis(candidates.rank)
+        whitened = isinstance(candidates, WhitenedCandidates)
+        self.V = self.U if whitened else _Basis(candidates.rank)
+
+    def gains(self):
+        self.alive &= self.norms > self.floor
+        return np.square(self.correlations) / np.where(self.alive, self.norms, np.inf)[:, None]
+
+    def direction(self, j):
+        """Candidate j made orthogonal to the chosen ones, its dual, and its squared norm."""
+        u, v = self.candidates.column(j)
+        # Twice is enough for orthogonality to working precision (Giraud et al. 2005).
+        for _ in range(2 if self.U.size else 0):
+            c = self.V() @ u
+            u -= c @ self.U()
             if v is not u:
-                v -= c @ V
+                v -= c @ self.V()
+        return u, v, u @ v
+
+    def lost(self, j, squared_norm):
+        """Whether repeated subtraction has lost the length of candidate j."""
+        return self.alive[j] and abs(squared_norm - self.norms[j]) > 0.1 * self.norms[j]
+
+    def correct(self, j, u, squared_norm):
+        """Put the truth about candidate j in the place of the running figures."""
+        self.norms[j], self.correlations[j] = squared_norm, self.candidates.target_inner(u)
+
+    def add(self, j, u, v, squared_norm):
+        """Choose candidate j; return by how much it lowers the objective of each output."""
+        if not self.alive[j]:
+            return np.zeros(self.correlations.shape[1])
+        self.alive[j] = False
+        u /= np.sqrt(squared_norm)
+        self.U.append(u)
+        if v is not u:
+            v /= np.sqrt(squared_norm)
+            self.V.append(v)
+        h, on_target = self.candidates.inner(v), self.candidates.target_inner(u)
+        self.norms -= h * h
+        self.correlations -= h[:, None] * on_target
+        return on_target**2
 
 
-def forward_selection(candidates, n_select, *, score=total_score, enough=None):
+def forward_selection(groups, n_select, *, score=total_score, enough=None):
     """Choose candidates one at a time, each the one that lowers the objective most.
 
     Parameters
     ----------
-    candidates : WhitenedCandidates or SymmetricCandidates
+    groups : list of WhitenedCandidates or SymmetricCandidates
+        The same candidates as seen by groups of outputs that differ in their ridge.
     n_select : int
         Stop after this many.
     score : callable
         From gains (n_candidates, n_outputs) to one figure a candidate; the largest wins, the lower
-        index among equals.
+        index among equals. Outputs are in the order of the groups.
     enough : ndarray of shape (n_outputs,), optional
         Stop when the summed reduction of every output has reached this.
 
@@ -193,59 +236,93 @@ def forward_selection(candidates, n_select, *, score=total_score, enough=None):
     -------
     Selection
     """
-    norms = candidates.squared_norms()
-    floor = DEPENDENT * norms
-    correlations = candidates.correlations()
-    alive = norms > 0
-    U = _Basis(candidates.rank)
-    V = U if isinstance(candidates, WhitenedCandidates) else _Basis(candidates.rank)
+    passes = [_ForwardPass(candidates) for candidates in groups]
+    open_ = np.ones(groups[0].n_candidates, dtype=bool)
     indices, reductions, stop = [], [], "n_select"
-    summed = np.zeros(correlations.shape[1])
     while len(indices) < n_select:
-        alive &= norms > floor
-        if not alive.any():
+        gains = np.hstack([one.gains() for one in passes])
+        open_ &= np.any([one.alive for one in passes], axis=0)
+        if not open_.any():
             stop = "dependent"
             break
-        gains = np.square(correlations) / np.where(alive, norms, np.inf)[:, None]
-        j = int(np.argmax(np.where(alive, score(gains), -1.0)))
-        u, v = candidates.column(j)
-        _orthogonalise(u, v, U(), V())
-        true = u @ v
-        if abs(true - norms[j]) > 0.1 * norms[j]:
-            # Repeated subtraction has lost this candidate's length: put the truth in its place and
-            # choose again.
-            norms[j], correlations[j] = true, candidates.target_inner(u)
-            alive[j] = true > floor[j]
+        j = int(np.argmax(np.where(open_, score(gains), -1.0)))
+        directions = [one.direction(j) for one in passes]
+        lost = False
+        for one, (u, _, squared_norm) in zip(passes, directions, strict=True):
+            if one.lost(j, squared_norm):
+                one.correct(j, u, squared_norm)
+                lost = True
+        if lost:
             continue
-        u /= np.sqrt(true)
-        if v is not u:
-            v /= np.sqrt(true)
-            V.append(v)
-        U.append(u)
-        h, on_target = candidates.inner(v), candidates.target_inner(u)
-        norms -= h * h
-        correlations -= h[:, None] * on_target
-        alive[j] = False
+        reductions.append(
+            np.concatenate([one.add(j, *way) for one, way in zip(passes, directions, strict=True)])
+        )
         indices.append(j)
-        reductions.append(on_target**2)
-        summed += on_target**2
-        if enough is not None and np.all(summed >= enough):
+        open_[j] = False
+        if enough is not None and np.all(np.sum(reductions, axis=0) >= enough):
             stop = "enough"
             break
-    shape = (len(indices), correlations.shape[1])
-    return Selection(np.array(indices, dtype=np.intp), np.reshape(reductions, shape), stop)
+    reduction = np.reshape(reductions, (len(indices), -1))
+    return Selection(np.array(indices, dtype=np.intp), reduction, stop)
 
 
-def exchange(candidates, indices, *, max_sweeps=10, tol=1e-4):
+class _Subset:
+    """Least squares on a subset that trades members, with the gains of all candidates at hand."""
+
+    def __init__(self, candidates, members):
+        self.D, self.t = candidates.coordinates, candidates.target
+        self.floor = DEPENDENT * candidates.squared_norms()
+        self.Q, self.R = qr(self.D[members].T, mode="economic", check_finite=False)
+        self.remainder = self.t - self.Q @ (self.Q.T @ self.t)
+        self.norms = candidates.squared_norms() - np.square(self.D @ self.Q).sum(axis=1)
+        self.correlations = self.D @ self.remainder
+
+    def without(self, position):
+        """Gains of all candidates once the member at `position` has gone, and its own.
+
+        With it goes one direction, the part of its column that no other member has.
+        """
+        unit = np.zeros(len(self.R))
+        unit[position] = 1.0
+        u = self.Q @ solve_triangular(self.R, unit, trans="T", check_finite=False)
+        u /= np.linalg.norm(u)
+        h, on_target = self.D @ u, u @ self.t
+        left = self.norms + h * h
+        gains = np.square(self.correlations + h[:, None] * on_target).sum(axis=1)
+        gains = np.divide(gains, left, out=np.zeros(len(left)), where=left > self.floor)
+        return gains, np.sum(on_target**2), (u, h, on_target, left)
+
+    def direction(self, j, removal):
+        """Candidate j made orthogonal to the others; None where its length is not trustworthy."""
+        u, h, _, left = removal
+        w = self.D[j] - self.Q @ (self.Q.T @ self.D[j]) + u * h[j]
+        w -= self.Q @ (self.Q.T @ w) - u * (u @ w)
+        squared_norm = w @ w
+        if abs(squared_norm - left[j]) > 0.1 * left[j] or squared_norm <= self.floor[j]:
+            return None
+        return w / np.sqrt(squared_norm)
+
+    def swap(self, position, j, removal, w):
+        """Put candidate j at the end in the place of the member at `position`."""
+        u, h, on_target, left = removal
+        h_new, on_new = self.D @ w, w @ self.t
+        self.norms = left - h_new**2
+        self.correlations += h[:, None] * on_target - h_new[:, None] * on_new
+        self.remainder += np.outer(u, on_target) - np.outer(w, on_new)
+        k = len(self.R)
+        Q, R = qr_delete(self.Q, self.R, position, which="col", check_finite=False)
+        self.Q, self.R = qr_insert(Q, R, self.D[j], k - 1, which="col", check_finite=False)
+
+
+def exchange(groups, indices, *, max_sweeps=10, tol=1e-4):
     """Improve a subset of fixed size: drop one, take the best in its place, until nothing improves.
 
-    Dropping a member adds back one direction, the part of its column that no other member has; with
-    it the gains of all candidates follow from one product, so that a sweep costs about what the
-    forward pass did.
+    A sweep over all members costs about what the forward pass did.
 
     Parameters
     ----------
-    candidates : WhitenedCandidates
+    groups : list of WhitenedCandidates
+        As for `forward_selection`.
     indices : ndarray of shape (k,)
     max_sweeps : int
     tol : float
@@ -257,58 +334,38 @@ def exchange(candidates, indices, *, max_sweeps=10, tol=1e-4):
         In the order in which `forward_selection` would take them.
     n_swaps : int
     """
-    D, t = candidates.coordinates, candidates.target
-    floor = DEPENDENT * candidates.squared_norms()
     members = [int(i) for i in indices]
     n_swaps = 0
     for _ in range(max_sweeps):
-        Q, R = qr(D[members].T, mode="economic", check_finite=False)
-        remainder = t - Q @ (Q.T @ t)
-        norms = candidates.squared_norms() - np.square(D @ Q).sum(axis=1)
-        correlations = D @ remainder
-        swapped = False
+        subsets = [_Subset(candidates, members) for candidates in groups]
+        before = n_swaps
         for member in list(members):
             position = members.index(member)
-            unit = np.zeros(len(members))
-            unit[position] = 1.0
-            u = Q @ solve_triangular(R, unit, trans="T", check_finite=False)
-            u /= np.linalg.norm(u)
-            h, on_target = D @ u, u @ t
-            left = norms + h * h
-            gains = np.square(correlations + h[:, None] * on_target).sum(axis=1)
-            alive = left > floor
-            alive[members] = False
-            gains = np.divide(gains, left, out=np.full(len(D), -1.0), where=alive)
+            gains, own, removals = zip(*(s.without(position) for s in subsets), strict=True)
+            gains, own = np.sum(gains, axis=0), np.sum(own)
+            gains[members] = -1.0
             j = int(np.argmax(gains))
-            own = np.sum(on_target**2)
-            reducible = np.sum(remainder**2) + own
+            reducible = own + sum(np.sum(s.remainder**2) for s in subsets)
             if gains[j] <= own + tol / len(members) * reducible:
                 continue
-            w = D[j] - Q @ (Q.T @ D[j]) + u * h[j]
-            w -= Q @ (Q.T @ w) - u * (u @ w)
-            true = w @ w
-            if abs(true - left[j]) > 0.1 * left[j]:
+            ways = [s.direction(j, r) for s, r in zip(subsets, removals, strict=True)]
+            if any(w is None for w in ways):
                 continue
-            w /= np.sqrt(true)
-            h_new, on_new = D @ w, w @ t
-            norms = left - h_new**2
-            correlations += h[:, None] * on_target - h_new[:, None] * on_new
-            remainder += np.outer(u, on_target) - np.outer(w, on_new)
-            Q, R = qr_delete(Q, R, position, which="col", check_finite=False)
-            Q, R = qr_insert(Q, R, D[j], len(members) - 1, which="col", check_finite=False)
+            for subset, removal, w in zip(subsets, removals, ways, strict=True):
+                subset.swap(position, j, removal, w)
             members.pop(position)
             members.append(j)
             n_swaps += 1
-            swapped = True
-        if not swapped:
+        if n_swaps == before:
             break
     members = np.sort(members)
-    order = forward_selection(WhitenedCandidates(D[members], t), len(members)).indices
+    chosen = [WhitenedCandidates(c.coordinates[members], c.target) for c in groups]
+    order = forward_selection(chosen, len(members)).indices
     return members[order], n_swaps
 
 
-def whiten(rows, features, target, alpha):
-    """Coordinates of candidates for `forward_selection`.
+def whiten(rows, features, target, alphas):
+    """Coordinates of candidates for `forward_selection`, for every ridge.
 
     Parameters
     ----------
@@ -316,31 +373,39 @@ def whiten(rows, features, target, alpha):
         Candidates in the factor's coordinates: ``rows @ rows.T`` is their kernel matrix.
     features : ndarray of shape (n, rank)
         Samples in the factor's coordinates, the tail projected out, times root weight.
-    target : ndarray of shape (n, n_outputs)
-        The same of the targets.
-    alpha : float
+    target : list of ndarray of shape (n, n_outputs)
+        The same of the targets of each group.
+    alphas : list of float
 
     Returns
     -------
-    WhitenedCandidates
-    degrees_of_freedom : float
+    groups : list of WhitenedCandidates
+    degrees_of_freedom : list of float
         Trace of the smoother that uses all candidates.
     """
     rank = rows.shape[1]
     gram = features.T @ features
-    if alpha > 1e-10 * gram.diagonal().max():
-        gram[np.diag_indices(rank)] += alpha
-        root = cholesky(gram, lower=True, overwrite_a=True, check_finite=False)
-        inverse = solve_triangular(root, np.eye(rank), lower=True, check_finite=False)
-        t = inverse @ (features.T @ target)
-        return WhitenedCandidates(rows @ root, t), rank - alpha * float(np.sum(inverse**2))
-    # Without a ridge to carry them, directions below the root of machine epsilon would drown in the
-    # Gram matrix.
-    Q, R = qr(features, mode="economic", check_finite=False)
-    return WhitenedCandidates(rows @ R.T, Q.T @ target), float(rank)
+    triangle = None
+    groups, degrees = [], []
+    for alpha, t in zip(alphas, target, strict=True):
+        if alpha > 1e-10 * gram.diagonal().max(initial=0.0):
+            ridged = gram.copy()
+            ridged[np.diag_indices(rank)] += alpha
+            root = cholesky(ridged, lower=True, overwrite_a=True, check_finite=False)
+            inverse = solve_triangular(root, np.eye(rank), lower=True, check_finite=False)
+            groups.append(WhitenedCandidates(rows @ root, inverse @ (features.T @ t)))
+            degrees.append(rank - alpha * float(np.sum(inverse**2)))
+        else:
+            # Without a ridge to carry them, directions below the root of machine epsilon would
+            # drown in the Gram matrix.
+            if triangle is None:
+                Q, triangle = qr(features, mode="economic", check_finite=False)
+            groups.append(WhitenedCandidates(rows @ triangle.T, Q.T @ t))
+            degrees.append(float(rank))
+    return groups, degrees
 
 
-def candidates_from(Z, rows, root, basis, targets, kernel, alpha, n_select, *, whitened=False):
+def candidate_groups(Z, rows, root, basis, targets, kernel, alphas, n_select, *, whitened=False):
     """The representation of the candidates that makes a step of the selection cheapest.
 
     A smooth kernel has a factor of low rank: a step costs the number of candidates times the rank.
@@ -357,10 +422,11 @@ def candidates_from(Z, rows, root, basis, targets, kernel, alpha, n_select, *, w
         Root of the weights.
     basis : ndarray of shape (n, p)
         Orthonormal basis of the tail times root.
-    targets : ndarray of shape (n, q)
-        Targets with the tail projected out, times root.
+    targets : list of ndarray of shape (n, q)
+        Targets of each group with the tail projected out, times root.
     kernel : str
-    alpha : float
+    alphas : list of float
+        Ridge of each group.
     n_select : int or None
         Number of steps, where it is known.
     whitened : bool
@@ -368,8 +434,8 @@ def candidates_from(Z, rows, root, basis, targets, kernel, alpha, n_select, *, w
 
     Returns
     -------
-    candidates : WhitenedCandidates or SymmetricCandidates
-    degrees_of_freedom : float or None
+    groups : list of WhitenedCandidates or SymmetricCandidates
+    degrees_of_freedom : list of float or None
         Trace of the smoother that uses all candidates, without the tail, where it is known.
     """
     n = len(Z)
@@ -377,14 +443,17 @@ def candidates_from(Z, rows, root, basis, targets, kernel, alpha, n_select, *, w
         # The ridge on the weights of such kernels is left to the last fit.
         columns = root * kernel_matrix(Z, Z[rows], kernel)
         columns -= basis @ (basis.T @ columns)
-        return WhitenedCandidates(columns.T, targets), None
-    tol = 1e-6 if alpha == 0 else min(max(1e-3 * alpha, 1e-10), 1e-6)
+        return [WhitenedCandidates(columns.T, np.hstack(targets))], None
+    least = min(alphas)
+    tol = 1e-6 if least == 0 else min(max(1e-3 * least, 1e-10), 1e-6)
     may_be_symmetric = n_select is not None and not whitened and len(rows) == n <= MAX_SYMMETRIC
     max_rank = MAX_RANK if not may_be_symmetric else max(64, int(0.85 * np.sqrt(n * n_select)))
     factor = pivoted_cholesky(Z[rows], kernel, tol=tol, max_rank=max_rank)
     if may_be_symmetric and not factor.complete:
         K = kernel_matrix(Z, Z, kernel).T
-        return SymmetricCandidates(K, root[:, 0] ** 2, basis, targets, alpha), None
+        weights = root[:, 0] ** 2
+        pairs = zip(targets, alphas, strict=True)
+        return [SymmetricCandidates(K, weights, basis, t, alpha) for t, alpha in pairs], None
     if len(rows) == n:
         features = root * factor.rows
     else:
@@ -392,4 +461,4 @@ def candidates_from(Z, rows, root, basis, targets, kernel, alpha, n_select, *, w
         K = kernel_matrix(Z[rows[pivots]], Z, kernel)
         features = root * solve_triangular(factor.rows[pivots], K, lower=True, overwrite_b=True).T
     features -= basis @ (basis.T @ features)
-    return whiten(factor.rows, features, targets, alpha)
+    return whiten(factor.rows, features, targets, alphas)

@@ -3,6 +3,7 @@
 from sklearn.base import _fit_context
 from sklearn.utils import _safe_indexing
 from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
+from sklearn.utils.parallel import _threadpool_controller_decorator
 from sklearn.utils.validation import _check_feature_names_in, _check_sample_weight
 
 __all__ = [
@@ -13,4 +14,9 @@ __all__ = [
     "_check_sample_weight",
     "_fit_context",
     "_safe_indexing",
+    "one_blas_thread",
 ]
+
+# Rounding depends on how many threads share a product, and choices hang on rounding: one thread
+# makes a fit the same everywhere, and on small matrices it is the faster one too.
+one_blas_thread = _threadpool_controller_decorator(limits=1, user_api="blas")

@@ -15,7 +15,7 @@ References
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from sklearn_raacmm._kernels import KERNELS, pivoted_cholesky, squared_distances
@@ -23,13 +23,17 @@ from sklearn_raacmm._kernels import KERNELS, pivoted_cholesky, squared_distances
 ALPHA_BOUNDS = (1e-9, 1e3)
 # In standard deviations of a feature: below, every sample is alone; above, the feature is ignored.
 WIDTH_BOUNDS = (1e-2, 1e3)
+# Rows of the first stage; rows and iterations of those that follow, and their inducing rows.
+COARSE_ROWS = 300
+FINE = ((1000, 25), (3000, 12), (3000, 12))
+INDUCING = 600
 
 
 class Tuned(NamedTuple):
     """What the likelihood chose."""
 
     length_scale: np.ndarray  # (n_features,)
-    alpha: float
+    alpha: np.ndarray  # (n_outputs,)
     objective: float  # negative log marginal likelihood per target value, on the rows used
     start: float  # the same at the heuristic start
 
@@ -51,17 +55,17 @@ def negative_log_likelihood(Z, X, Y, weights, n_total, within, kernel, log_width
         Sum of squares that merging repeated rows took out of Y.
     kernel : str
     log_width : ndarray of shape (d,)
-    log_alpha : float
+    log_alpha : ndarray of shape (q,)
 
     Returns
     -------
     value : float
-    gradient : ndarray of shape (d + 1,)
+    gradient : ndarray of shape (d + q,)
         With respect to `log_width` and `log_alpha`.
     """
     m, q = len(Z), Y.shape[1]
     inverse_width = np.exp(-log_width)
-    alpha = np.exp(log_alpha)
+    alphas = np.exp(log_alpha)
     function, slope, definite = KERNELS[kernel]
     root = np.sqrt(weights)
     Zs, Xs = Z * inverse_width, X * inverse_width
@@ -75,44 +79,48 @@ def negative_log_likelihood(Z, X, Y, weights, n_total, within, kernel, log_width
         Kmm = function(s_mm)
         Kmm[np.diag_indices(m)] += 1e-8
         L = cholesky(Kmm, lower=True, check_finite=False)
-        A = solve_triangular(L, Kw, lower=True, check_finite=False)
+        L_inverse = solve_triangular(L, np.eye(m), lower=True, check_finite=False)
+        # A = L^-1 Kw, as its transpose, which is in the order that BLAS wants.
+        A = blas.dtrsm(1.0, L, Kw.T, side=1, lower=1, trans_a=1).T
     else:
-        L, A = None, Kw
-    B = A @ A.T
-    B[np.diag_indices(m)] += alpha
-    LB = cholesky(B, lower=True, check_finite=False)
-    LB_inverse = solve_triangular(LB, np.eye(m), lower=True, check_finite=False)
-    c = LB_inverse @ (A @ Yw)
+        A, L_inverse = Kw, np.eye(m)
+    AA, AY = A @ A.T, A @ Yw
     total = np.square(Yw).sum(axis=0) + within
-    quadratic = np.maximum(total - np.square(c).sum(axis=0), 1e-14 * total) / alpha
-    value = (
-        0.5 * q * (2 * np.log(LB.diagonal()).sum() + (n_total - m) * log_alpha)
-        + 0.5 * n_total * np.log(quadratic).sum()
-    )
 
-    B_inverse = LB_inverse.T @ LB_inverse
-    beta = LB_inverse.T @ c
-    scale = n_total / quadratic
-    # The three derivatives below are those of log det and of the quadratic form with respect to
-    # the whitened weights' covariance; see the module's reference, section 5.4.1.
-    d_log_alpha = 0.5 * q * (alpha * np.trace(B_inverse) + n_total - m) + 0.5 * (
-        scale @ (np.square(beta).sum(axis=0) - quadratic)
-    )
-    T = B_inverse @ A
-    if definite:
-        beta_z = solve_triangular(L, beta, lower=True, trans="T", check_finite=False)
-        T = solve_triangular(L, T, lower=True, trans="T", check_finite=False, overwrite_b=True)
-    else:
-        beta_z = beta
-    residual = Yw - Kw.T @ beta_z
-    G = q * T - (beta_z * (scale / alpha)) @ residual.T
+    # Derivatives of the log determinant and of the quadratic form (the reference's section 5.4.1)
+    # through S = alpha Kmm + Kw Kw', whose inverse is L^-T B^-1 L^-1, B = A A' + alpha I.
+    value, d_log_alpha, beta = 0.0, np.empty(q), np.empty((m, q))
+    scale, S_sum, S_weighted = np.empty(q), 0.0, 0.0
+    for i, alpha in enumerate(alphas):
+        if i and alpha == alphas[i - 1]:
+            pass  # the last root serves again
+        else:
+            B = AA.copy()
+            B[np.diag_indices(m)] += alpha
+            LB = cholesky(B, lower=True, overwrite_a=True, check_finite=False)
+            LB_inverse = solve_triangular(LB, np.eye(m), lower=True, check_finite=False)
+            root_inverse = LB_inverse @ L_inverse
+            S_inverse = root_inverse.T @ root_inverse
+            log_det = 2 * np.log(LB.diagonal()).sum() + (n_total - m) * log_alpha[i]
+            d_log_det = alpha * np.sum(LB_inverse**2) + n_total - m
+        c = LB_inverse @ AY[:, i]
+        quadratic = max(total[i] - c @ c, 1e-14 * total[i]) / alpha
+        value += 0.5 * (log_det + n_total * np.log(quadratic))
+        beta[:, i] = root_inverse.T @ c
+        scale[i] = n_total / quadratic
+        prior = np.sum((LB_inverse.T @ c) ** 2)
+        d_log_alpha[i] = 0.5 * (d_log_det + scale[i] * (prior - quadratic))
+        S_sum = S_sum + S_inverse
+        S_weighted = S_weighted + alpha * S_inverse
+    residual = Yw - Kw.T @ beta
+    G = S_sum @ Kw
+    G -= (beta * (scale / alphas)) @ residual.T
     G *= root
     G *= slope_mn
     gradient = _width_gradient(G, Zs, Xs)
     if definite:
-        L_inverse = solve_triangular(L, np.eye(m), lower=True, check_finite=False)
-        H = 0.5 * q * (L_inverse.T @ ((alpha * B_inverse - np.eye(m)) @ L_inverse))
-        H += 0.5 * (beta_z * scale) @ beta_z.T
+        H = 0.5 * (S_weighted - q * (L_inverse.T @ L_inverse))
+        H += 0.5 * (beta * scale) @ beta.T
         H *= slope_mm
         gradient += _width_gradient(H, Zs, Zs)
     return value, np.append(gradient, d_log_alpha)
@@ -136,9 +144,8 @@ def tune(
     isotropic=False,
     alpha=None,
     random_state=None,
-    stages=((300, 300), (450, 3000)),
 ):
-    """Maximise the marginal likelihood over what is not given.
+    """Maximise the marginal likelihood over what is not given, on few rows first, then on many.
 
     Parameters
     ----------
@@ -158,94 +165,83 @@ def tune(
         Fixed ridge; found where None.
     random_state : numpy.random.RandomState
         Draws the rows of a stage where there are more than it uses.
-    stages : sequence of (int, int)
-        Inducing rows and rows of each stage, coarse to fine.
 
     Returns
     -------
     Tuned
     """
-    n, d = X.shape
-    spread = np.sqrt(
-        np.average((X - np.average(X, axis=0, weights=weights)) ** 2, axis=0, weights=weights)
-    )
-    spread = np.where(spread > 0, spread, 1.0)
-    fixed = length_scale is not None
+    (n, d), q = X.shape, Y.shape[1]
+    mean = np.average(X, axis=0, weights=weights)
+    spread = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weights))
+    log_spread = np.log(np.where(spread > 1e-13 * np.abs(mean), spread, 1.0))
+    n_widths = 0 if length_scale is not None else 1 if isotropic else d
+    n_alphas = q if alpha is None else 0
+    if not q:
+        # Nothing varies, nothing can be learnt of the widths.
+        return Tuned(np.exp(log_spread) * np.sqrt(d), np.empty(0), 0.0, 0.0)
 
     def unpack(theta):
-        if fixed:
-            log_width = np.log(length_scale)
-        elif isotropic:
-            log_width = np.log(spread) + theta[0]
-        else:
-            log_width = np.log(spread) + theta[:d]
-        return log_width, np.log(alpha) if alpha is not None else theta[-1]
-
-    n_widths = 0 if fixed else 1 if isotropic else d
+        log_width = log_spread + theta[:n_widths] if n_widths else np.log(length_scale)
+        if n_alphas:
+            return log_width, theta[n_widths:]
+        return log_width, np.full(q, np.log(max(alpha, ALPHA_BOUNDS[0])))
 
     def objective(theta, rows, inducing):
         log_width, log_alpha = unpack(theta)
-        total = n_total * weights[rows].sum() / weights.sum()
-        share = within * total / n_total
+        w = weights[rows]
+        n_total = w.sum()
+        share = within * (n_total / weights.sum())
+        data = X[inducing], X[rows], Y[rows], w, n_total, share
         try:
-            value, gradient = negative_log_likelihood(
-                X[inducing],
-                X[rows],
-                Y[rows],
-                weights[rows],
-                total,
-                share,
-                kernel,
-                log_width,
-                log_alpha,
-            )
+            value, gradient = negative_log_likelihood(*data, kernel, log_width, log_alpha)
         except LinAlgError:
             return np.inf, np.zeros(len(theta))
-        by_width = gradient[:d] if n_widths == d else gradient[:d].sum(keepdims=True)[:n_widths]
-        gradient = np.append(by_width, gradient[d] if alpha is None else [])
-        return value / total / Y.shape[1], gradient / total / Y.shape[1]
+        by_width = gradient[:d] if n_widths == d else [gradient[:d].sum()] * n_widths
+        gradient = np.append(by_width, gradient[d:] if n_alphas else [])
+        return value / (n_total * q), gradient / (n_total * q)
 
-    n_total = weights.sum()
-    bounds = [np.log(WIDTH_BOUNDS)] * n_widths + [np.log(ALPHA_BOUNDS)] * (alpha is None)
-    theta, start = None, None
-    for m, n_rows in stages:
-        rows = np.arange(n) if n <= n_rows else np.sort(random_state.permutation(n)[:n_rows])
-        if theta is None:
-            # Even the nearest of many neighbours is about a root of d standard deviations away.
-            trials = [
-                np.append(np.full(n_widths, np.log(c * np.sqrt(d))), [a] * (alpha is None))
-                for c in (0.4, 1.0, 2.5)
-                for a in np.log((1e-3, 1e-1))
-            ]
-        else:
-            trials = [theta]
-        scored = []
-        for trial in trials:
-            inducing = _inducing(X, rows, np.exp(unpack(trial)[0]), kernel, m)
-            scored.append((objective(trial, rows, inducing)[0], tuple(trial), inducing))
-        value, trial, inducing = min(scored, key=lambda s: s[0])
+    bounds = [np.log(WIDTH_BOUNDS)] * n_widths + [np.log(ALPHA_BOUNDS)] * n_alphas
+
+    def minimise(theta, rows, inducing, max_iter):
+        options = {"maxiter": max_iter, "ftol": 1e-8}
         result = minimize(
-            objective,
-            trial,
-            (rows, inducing),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": 60},
+            objective, theta, (rows, inducing), "L-BFGS-B", jac=True, bounds=bounds, options=options
         )
-        theta = result.x if result.fun <= value else np.array(trial)
-        start = value if start is None else start
-        if n <= n_rows and m >= n:
+        start = objective(theta, rows, inducing)[0]
+        return (result.x, result.fun, start) if result.fun < start else (theta, start, start)
+
+    def draw(size):
+        return np.arange(n) if n <= size else np.sort(random_state.permutation(n)[:size])
+
+    # The whole process on few rows. Even the nearest of many neighbours is about sqrt(d) standard
+    # deviations away, so that starts are in units of it.
+    rows = draw(COARSE_ROWS)
+    starts = [
+        np.append(np.full(n_widths, np.log(c * np.sqrt(d))), np.full(n_alphas, np.log(a)))
+        for c in (0.2, 0.5, 1.0, 2.5)
+        for a in (1e-3, 1e-1)
+    ]
+    theta = min(starts, key=lambda theta: objective(theta, rows, rows)[0])
+    theta, value, start = minimise(theta, rows, rows, 60)
+    for size, max_iter in FINE if n > len(rows) else ():
+        before, rows = theta, draw(size)
+        # Rows that would do for narrower widths too, lest the widths be held where they are, and
+        # so many that what they leave unexplained is small beside the noise.
+        log_width, log_alpha = unpack(theta)
+        tol = np.clip(0.03 * np.exp(log_alpha.min()), 1e-8, 1e-2)
+        inducing = _inducing(X, rows, 0.7 * np.exp(log_width), kernel, tol)
+        theta, value, start = minimise(theta, rows, inducing, max_iter)
+        # Widths of ignored features drift without effect.
+        felt = np.append(before[:n_widths] < np.log(20), [True] * n_alphas)
+        if len(rows) == min(n, FINE[-1][0]) and not np.any(np.abs(theta - before)[felt] > 0.15):
             break
     log_width, log_alpha = unpack(theta)
-    return Tuned(
-        np.exp(log_width), float(np.exp(log_alpha)), float(min(result.fun, value)), float(start)
-    )
+    return Tuned(np.exp(log_width), np.exp(log_alpha), float(value), float(start))
 
 
-def _inducing(X, rows, length_scale, kernel, m):
-    """Rows that the kernel spreads best: the first m pivots of its Cholesky factor."""
+def _inducing(X, rows, length_scale, kernel, tol):
+    """Rows that the kernel spreads best: the first pivots of its Cholesky factor."""
     if not KERNELS[kernel].positive_definite:
         kernel = "gaussian"
-    scaled = X[rows] / length_scale
-    return rows[pivoted_cholesky(scaled, kernel, tol=1e-8, max_rank=m).pivots]
+    factor = pivoted_cholesky(X[rows] / length_scale, kernel, tol=tol, max_rank=INDUCING)
+    return rows[factor.pivots]

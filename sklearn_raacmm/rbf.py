@@ -12,13 +12,19 @@ from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, ps
 from sklearn_raacmm._path import nested_least_squares
 from sklearn_raacmm._preparation import prepare
 from sklearn_raacmm._selection import (
-    candidates_from,
+    candidate_groups,
     exchange,
     forward_selection,
     squared_ratio_score,
     total_score,
 )
-from sklearn_raacmm._sklearn import Interval, StrOptions, _check_sample_weight, _fit_context
+from sklearn_raacmm._sklearn import (
+    Interval,
+    StrOptions,
+    _check_sample_weight,
+    _fit_context,
+    one_blas_thread,
+)
 from sklearn_raacmm._tuning import tune
 
 # Rows drawn as candidate centres where there are more: their factor fits in memory.
@@ -28,6 +34,16 @@ _MAX_CENTERS = dict.fromkeys(("posterior", "error_reduction", "mse"), 2000)
 _MAX_CENTERS |= dict.fromkeys(("gcv", "loo", "bic"), 500)
 # Kernel values held at a time while predicting: they stay in a core's cache.
 _CHUNK = 2**18
+# Ratio of ridges up to which outputs see the candidates alike.
+_ALIKE = 4.0
+_PER_OUTPUT = (
+    "coef_",
+    "intercept_",
+    "linear_coef_",
+    "alpha_",
+    "noise_variance_",
+    "signal_variance_",
+)
 
 
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -131,8 +147,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     length_scale_ : ndarray of shape (n_features,)
         Width of every feature.
 
-    alpha_ : float
-        Ridge.
+    alpha_ : float or ndarray of shape (n_outputs,)
+        Ridge of every output. Outputs share widths and centres, but not their noise.
 
     noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
         Of the Gaussian process whose posterior the network approximates, in squared units of y.
@@ -246,6 +262,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.random_state = random_state
 
     @_fit_context(prefer_skip_nested_validation=True)
+    @one_blas_thread
     def fit(self, X, y, sample_weight=None):
         """Choose widths, ridge and centres, and fit the weights.
 
@@ -273,8 +290,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
         weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
-        if not weights.any():
-            raise ValueError(f"All {len(weights)} sample weights are zero.")
         width = check_length_scale(self.length_scale, X.shape[1])
         rng = check_random_state(self.random_state)
         problem = prepare(X, y.reshape(len(y), -1).astype(np.float64), weights, self.degree)
@@ -283,10 +298,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Z = (problem.X - problem.X.mean(axis=0)) / self.length_scale_
         order, self.stop_reason_ = self._select(problem, Z, rng)
         columns = kernel_matrix(Z, Z[order], self.kernel)
+        definite = KERNELS[self.kernel].positive_definite
         path = nested_least_squares(
             problem.tail,
             problem.root * columns,
-            self._penalty_root(columns[order]),
+            psd_root(columns[order]) if definite else np.eye(len(order)),
+            self.alpha_,
             problem.targets,
             problem.within,
         )
@@ -306,30 +323,26 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             polynomial[0],
             polynomial[1:].T,
         )
-        noise = path.objective[k] / max(problem.n_total - p, 1)
-        if self.alpha_ > 0:
-            signal = noise / self.alpha_
-        else:
-            noise = path.rss[k] / max(problem.n_total - path.dof[k], 1)
-            signal = problem.spread**2
-        self.noise_variance_, self.signal_variance_ = noise, signal
-        self._tail_map, self._triangle = problem.tail_map, path.R[: p + k, : p + k]
+        # The likelihood's estimates; without a ridge the residual and the targets' own variance.
+        ridged = self.alpha_ > 0
+        plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
+        noise = np.where(ridged, path.objective[k] / max(problem.n_total - p, 1), plain)
+        signal = noise / np.where(ridged, self.alpha_, 1.0)
+        self.noise_variance_ = noise
+        self.signal_variance_ = np.where(ridged, signal, problem.spread**2)
+        self._tail_map = problem.tail_map
+        self._triangles = [R[: p + k, : p + k] for R in path.triangles]
         if y.ndim == 1:
-            for name in (
-                "coef_",
-                "intercept_",
-                "linear_coef_",
-                "noise_variance_",
-                "signal_variance_",
-            ):
+            for name in _PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
         return self
 
     def _tune(self, problem, width, rng):
-        """Widths and ridge, found where they are not given."""
+        """Widths, and the ridge of every output, found where they are not given."""
         alpha = None if isinstance(self.alpha, str) else float(self.alpha)
+        alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
         if width is not None and alpha is not None:
-            return width, alpha
+            return width, alphas
         targets, within = problem.centred()
         tuned = tune(
             problem.X,
@@ -342,17 +355,19 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             alpha=alpha,
             random_state=rng,
         )
-        return tuned.length_scale, tuned.alpha if alpha is None else alpha
+        if alpha is None:
+            alphas[problem.spread > 0] = tuned.alpha
+        return tuned.length_scale if width is None else width, alphas
 
     def _criterion(self):
         """Name of the criterion in force; None where the number of centres is given."""
         if self.n_centers not in ("auto", None):
             return None
-        applies = self.alpha_ > 0 and KERNELS[self.kernel].positive_definite
+        applies = np.all(self.alpha_ > 0) and KERNELS[self.kernel].positive_definite
         if self.criterion == "posterior" and not (applies and self.selection == "ols"):
             raise ValueError(
                 'criterion="posterior" needs a positive definite kernel, alpha > 0 and '
-                f'selection="ols"; got kernel={self.kernel!r}, alpha={self.alpha_}, '
+                f'selection="ols"; got kernel={self.kernel!r}, alpha={self.alpha!r}, '
                 f"selection={self.selection!r}."
             )
         if self.criterion == "auto":
@@ -382,38 +397,37 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if self.selection == "newrb":
             targets, basis = problem.targets[:, problem.spread > 0], problem.basis[:, :0]
             score = squared_ratio_score(np.square(targets).sum(axis=0))
-        candidates, dof = candidates_from(
+        members, alphas = group_alphas(self.alpha_[problem.spread > 0])
+        groups, dof = candidate_groups(
             Z,
             rows,
             problem.root,
             basis,
-            targets,
+            [targets[:, of] for of in members],
             self.kernel,
-            self.alpha_,
+            alphas,
             n_select if criterion is None else None,
             whitened=self.refine,
         )
         enough = None
         if criterion == "posterior":
             # Gains in units of each output's noise, as the likelihood counts them.
-            explained = np.square(candidates.target).sum(axis=0)
-            noise = (np.square(targets).sum(axis=0) + within - explained) / problem.n_total
-            candidates.target = candidates.target / np.sqrt(noise)
-            enough = explained / noise - self.tol * dof
-        found = forward_selection(candidates, n_select, score=score, enough=enough)
+            enough = []
+            for candidates, of, free in zip(groups, members, dof, strict=True):
+                explained = np.square(candidates.target).sum(axis=0)
+                left = np.square(targets[:, of]).sum(axis=0) + within[of] - explained
+                noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
+                candidates.target = candidates.target / np.sqrt(noise)
+                enough.extend(explained / noise - self.tol * free)
+        found = forward_selection(groups, n_select, score=score, enough=enough)
         indices = found.indices
         if self.refine and len(indices) > 0:
-            indices = exchange(candidates, indices)[0]
-        stop = {"n_select": "n_centers" if criterion is None else "max_centers"}
+            indices = exchange(groups, indices)[0]
+        stop = {
+            "n_select": "n_centers" if criterion is None else "max_centers",
+            "enough": "criterion",
+        }
         return rows[indices], stop.get(found.stop, found.stop)
-
-    def _penalty_root(self, K):
-        """Matrix whose square is alpha times the penalty's."""
-        if self.alpha_ == 0:
-            return np.empty((0, len(K)))
-        if not KERNELS[self.kernel].positive_definite:
-            return np.sqrt(self.alpha_) * np.eye(len(K))
-        return np.sqrt(self.alpha_) * psd_root(K)
 
     def _size(self, problem, path):
         """Number of centres to keep, and the criterion along the path."""
@@ -423,18 +437,18 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             return tried, np.empty(0)
         varying = problem.spread > 0
         scale = problem.spread[varying] ** 2
-        rss, dof, n = path.rss[1:, varying] / scale, path.dof[1:], problem.n_total
+        rss, dof, n = path.rss[1:, varying] / scale, path.dof[1:, varying], problem.n_total
         with np.errstate(divide="ignore"):
             if criterion == "posterior":
                 # The forward pass has stopped by it; what is shown is the objective it lowers.
                 return tried, (path.objective[1:, varying] / scale).mean(axis=1) / n
             if criterion == "gcv":
                 free = np.maximum(n - 1.5 * dof, 0.0)
-                score = np.log(rss).mean(axis=1) + np.log(n) - 2 * np.log(free)
+                score = (np.log(rss) + np.log(n) - 2 * np.log(free)).mean(axis=1)
             elif criterion == "loo":
                 score = np.log(path.press[1:, varying] / scale / n).mean(axis=1)
             elif criterion == "bic":
-                score = n * np.log(rss / n).mean(axis=1) + np.log(n) * dof
+                score = (n * np.log(rss / n) + np.log(n) * dof).mean(axis=1)
             elif criterion == "mse":
                 score = path.rss[1:].mean(axis=1) / n
             else:
@@ -511,15 +525,19 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _variance(self, X, K, prior_root, with_noise):
         """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
         tail = np.column_stack([np.ones(len(X)), X]) @ self._tail_map.T
-        rows = np.hstack([tail, K])
-        of_weights = np.square(
-            solve_triangular(self._triangle, rows.T, trans="T", check_finite=False)
-        ).sum(axis=0)
+        rows = np.hstack([tail, K]).T
         outside = np.zeros(len(X))
         if KERNELS[self.kernel].positive_definite:
             outside = np.maximum(1 - np.square(K @ prior_root.T).sum(axis=1), 0.0)
         noise, signal = np.atleast_1d(self.noise_variance_), np.atleast_1d(self.signal_variance_)
-        return np.outer(of_weights + float(with_noise), noise) + np.outer(outside, signal)
+        variance = np.outer(outside, signal)
+        of_weights = {}
+        for i, R in enumerate(self._triangles):
+            if id(R) not in of_weights:
+                solved = solve_triangular(R, rows, trans="T", check_finite=False)
+                of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
+            variance[:, i] += noise[i] * of_weights[id(R)]
+        return variance
 
 
 def check_length_scale(length_scale, n_features):
@@ -535,3 +553,25 @@ def check_length_scale(length_scale, n_features):
     if not np.all(np.isfinite(width)) or np.any(width <= 0):
         raise ValueError(f"length_scale must be positive and finite; got {length_scale!r}.")
     return np.broadcast_to(width, n_features).copy()
+
+
+def group_alphas(alphas):
+    """Outputs whose ridges are alike, to select for together, and the ridge of each group.
+
+    Returns
+    -------
+    members : list of ndarray
+        Indices, together all of them in order of their ridge.
+    shared : list of float
+        Geometric mean of the members' ridges.
+    """
+    order = np.argsort(alphas, kind="stable")
+    members, shared = [], []
+    for i in order:
+        if members and alphas[i] <= _ALIKE * alphas[members[-1][0]]:
+            members[-1].append(i)
+        else:
+            members.append([i])
+    for of in members:
+        shared.append(float(np.exp(np.mean(np.log(alphas[of])))) if alphas[of[0]] > 0 else 0.0)
+    return [np.array(of) for of in members], shared

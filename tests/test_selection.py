@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, pivoted_cholesky, squared_distances
 from sklearn_raacmm._path import nested_least_squares
-from sklearn_raacmm._selection import candidates_from, exchange, forward_selection
+from sklearn_raacmm._selection import candidate_groups, exchange, forward_selection
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -82,11 +82,11 @@ def test_both_representations_choose_alike(alpha):
     root = np.sqrt(weights)[:, None]
     basis = root / np.linalg.norm(root)
     targets = root * Y - basis @ (basis.T @ (root * Y))
-    args = (X / 0.5, np.arange(200), root, basis, targets, "gaussian", alpha)
+    args = (X / 0.5, np.arange(200), root, basis, [targets], "gaussian", [alpha])
     # One step is cheapest on the matrix itself; many steps on the factor.
-    symmetric, _ = candidates_from(*args, 1)
-    whitened, _ = candidates_from(*args, None)
-    assert type(symmetric) is not type(whitened)
+    symmetric, _ = candidate_groups(*args, 1)
+    whitened, _ = candidate_groups(*args, None)
+    assert type(symmetric[0]) is not type(whitened[0])
     a, b = forward_selection(symmetric, 20), forward_selection(whitened, 20)
     np.testing.assert_array_equal(a.indices, b.indices)
     # The factor leaves 1e-6 of the kernel matrix out.
@@ -168,38 +168,35 @@ def test_squared_distances():
     )
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.3])
-def test_path_is_that_of_separate_fits(alpha):
+@pytest.mark.parametrize("alphas", [[0.0, 0.0], [0.3, 0.3], [0.02, 0.7]])
+def test_path_is_that_of_separate_fits(alphas):
     X, Y, weights = problem(2, n=60)
     root = np.sqrt(weights)[:, None]
     tail = root * np.ones((60, 1))
     K = np.exp(-0.5 * cdist(X, X[:9], "sqeuclidean") / 0.4**2)
-    U = np.sqrt(alpha) * np.linalg.cholesky(K[:9]).T if alpha else np.empty((0, 9))
+    U = np.linalg.cholesky(K[:9]).T
     within = np.array([0.5, 0.25])
-    path = nested_least_squares(tail, root * K, U, root * Y, within)
+    path = nested_least_squares(tail, root * K, U, np.array(alphas), root * Y, within)
     for m in (0, 1, 4, 9):
         A = np.hstack([tail, root * K[:, :m]])
-        R = np.zeros((m + 1, m + 1))
-        R[1:, 1:] = alpha * K[:m, :m]
-        inverse = np.linalg.inv(A.T @ A + R)
-        w = inverse @ A.T @ (root * Y)
-        H = A @ inverse @ A.T
-        residual = root * Y - A @ w
-        np.testing.assert_allclose(path.coefficients(m), w, rtol=1e-8, atol=1e-8)
-        np.testing.assert_allclose(path.rss[m], np.sum(residual**2, axis=0) + within)
-        np.testing.assert_allclose(
-            path.objective[m],
-            np.sum(residual**2 + 0 * w[:1], axis=0) + np.sum(w * (R @ w), axis=0) + within,
-        )
-        np.testing.assert_allclose(path.dof[m], np.trace(H))
-        # Leave-one-out by its definition: with the ridge fixed, drop a row and predict it.
-        loo = np.zeros(2)
-        for i in range(60):
-            keep = np.arange(60) != i
-            part = A[keep]
-            w_i = np.linalg.solve(part.T @ part + R, part.T @ (root * Y)[keep])
-            loo += (root[i] * Y[i] - A[i] @ w_i) ** 2
-        np.testing.assert_allclose(path.press[m], loo + within, rtol=1e-7)
+        for i in range(2):
+            R = np.zeros((m + 1, m + 1))
+            R[1:, 1:] = alphas[i] * K[:m, :m]
+            b = root[:, 0] * Y[:, i]
+            inverse = np.linalg.inv(A.T @ A + R)
+            w = inverse @ A.T @ b
+            rss = np.sum((b - A @ w) ** 2)
+            np.testing.assert_allclose(path.coefficients(m)[:, i], w, rtol=1e-8, atol=1e-8)
+            assert path.rss[m, i] == pytest.approx(rss + within[i])
+            assert path.objective[m, i] == pytest.approx(rss + w @ R @ w + within[i])
+            assert path.dof[m, i] == pytest.approx(np.trace(A @ inverse @ A.T))
+            # Leave-one-out by its definition: with the ridge fixed, drop a row and predict it.
+            loo = 0.0
+            for row in range(60):
+                keep = np.arange(60) != row
+                part = A[keep]
+                loo += (b[row] - A[row] @ np.linalg.solve(part.T @ part + R, part.T @ b[keep])) ** 2
+            assert path.press[m, i] == pytest.approx(loo + within[i], rel=1e-7)
 
 
 def test_exchange_reaches_a_local_optimum_never_worse_than_the_forward_pass():
@@ -207,8 +204,8 @@ def test_exchange_reaches_a_local_optimum_never_worse_than_the_forward_pass():
     root = np.ones((120, 1))
     basis = root / np.linalg.norm(root)
     targets = Y - Y.mean(axis=0)
-    args = (X / 0.4, np.arange(120), root, basis, targets, "gaussian", 0.0, None)
-    candidates, _ = candidates_from(*args)
+    args = (X / 0.4, np.arange(120), root, basis, [targets], "gaussian", [0.0], None)
+    candidates, _ = candidate_groups(*args)
     forward = forward_selection(candidates, 6).indices
     better, n_swaps = exchange(candidates, forward, tol=0)
     K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / 0.4**2)
