@@ -15,7 +15,7 @@ References
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, blas, cholesky, lapack
 from scipy.optimize import minimize
 
 from sklearn_raacmm._kernels import KERNELS, pivoted_cholesky, squared_distances
@@ -79,51 +79,62 @@ def negative_log_likelihood(Z, X, Y, weights, n_total, within, kernel, log_width
         Kmm = function(s_mm)
         Kmm[np.diag_indices(m)] += 1e-8
         L = cholesky(Kmm, lower=True, check_finite=False)
-        L_inverse = solve_triangular(L, np.eye(m), lower=True, check_finite=False)
+        L_inverse = lapack.dtrtri(L, lower=1)[0]
         # A = L^-1 Kw, as its transpose, which is in the order that BLAS wants.
         A = blas.dtrsm(1.0, L, Kw.T, side=1, lower=1, trans_a=1).T
     else:
-        A, L_inverse = Kw, np.eye(m)
+        A = Kw
     AA, AY = A @ A.T, A @ Yw
     total = np.square(Yw).sum(axis=0) + within
 
     # Derivatives of the log determinant and of the quadratic form (the reference's section 5.4.1)
     # through S = alpha Kmm + Kw Kw', whose inverse is L^-T B^-1 L^-1, B = A A' + alpha I.
-    value, d_log_alpha, beta = 0.0, np.empty(q), np.empty((m, q))
-    scale, S_sum, S_weighted = np.empty(q), 0.0, 0.0
+    value, d_log_alpha = 0.0, np.empty(q)
+    solved, scale = np.empty((m, q)), np.empty(q)
+    B_sum, B_weighted = np.zeros((m, m)), np.zeros((m, m))
     for i, alpha in enumerate(alphas):
-        if i and alpha == alphas[i - 1]:
-            pass  # the last root serves again
-        else:
-            B = AA.copy()
-            B[np.diag_indices(m)] += alpha
-            LB = cholesky(B, lower=True, overwrite_a=True, check_finite=False)
-            LB_inverse = solve_triangular(LB, np.eye(m), lower=True, check_finite=False)
-            root_inverse = LB_inverse @ L_inverse
-            S_inverse = root_inverse.T @ root_inverse
-            log_det = 2 * np.log(LB.diagonal()).sum() + (n_total - m) * log_alpha[i]
-            d_log_det = alpha * np.sum(LB_inverse**2) + n_total - m
-        c = LB_inverse @ AY[:, i]
-        quadratic = max(total[i] - c @ c, 1e-14 * total[i]) / alpha
-        value += 0.5 * (log_det + n_total * np.log(quadratic))
-        beta[:, i] = root_inverse.T @ c
+        B_inverse, log_det = _inverse(AA, alpha)
+        solved[:, i] = B_inverse @ AY[:, i]
+        quadratic = max(total[i] - AY[:, i] @ solved[:, i], 1e-14 * total[i]) / alpha
         scale[i] = n_total / quadratic
-        prior = np.sum((LB_inverse.T @ c) ** 2)
-        d_log_alpha[i] = 0.5 * (d_log_det + scale[i] * (prior - quadratic))
-        S_sum = S_sum + S_inverse
-        S_weighted = S_weighted + alpha * S_inverse
+        value += 0.5 * (log_det + (n_total - m) * log_alpha[i] + n_total * np.log(quadratic))
+        d_log_alpha[i] = 0.5 * (
+            alpha * np.trace(B_inverse)
+            + n_total
+            - m
+            + scale[i] * (solved[:, i] @ solved[:, i] - quadratic)
+        )
+        B_sum += B_inverse
+        B_weighted += alpha * B_inverse
+    if definite:
+        beta = L_inverse.T @ solved
+        B_sum = L_inverse.T @ B_sum @ L_inverse
+    else:
+        beta = solved
     residual = Yw - Kw.T @ beta
-    G = S_sum @ Kw
+    G = B_sum @ Kw
     G -= (beta * (scale / alphas)) @ residual.T
     G *= root
     G *= slope_mn
     gradient = _width_gradient(G, Zs, Xs)
     if definite:
-        H = 0.5 * (S_weighted - q * (L_inverse.T @ L_inverse))
-        H += 0.5 * (beta * scale) @ beta.T
-        H *= slope_mm
+        B_weighted[np.diag_indices(m)] -= q
+        H = L_inverse.T @ B_weighted @ L_inverse
+        H += (beta * scale) @ beta.T
+        H *= 0.5 * slope_mm
         gradient += _width_gradient(H, Zs, Zs)
     return value, np.append(gradient, d_log_alpha)
+
+
+def _inverse(AA, alpha):
+    """Inverse of AA + alpha I, and the logarithm of its determinant."""
+    B = np.array(AA, order="F")
+    B[np.diag_indices(len(B))] += alpha
+    root = cholesky(B, lower=True, overwrite_a=True, check_finite=False)
+    log_det = 2 * np.log(root.diagonal()).sum()
+    inverse = lapack.dpotri(root, lower=1, overwrite_c=1)[0]
+    lower = np.tril(inverse, -1)
+    return lower + lower.T + np.diag(inverse.diagonal()), log_det
 
 
 def _width_gradient(G, A, B):
@@ -203,7 +214,10 @@ def tune(
     bounds = [np.log(WIDTH_BOUNDS)] * n_widths + [np.log(ALPHA_BOUNDS)] * n_alphas
 
     def minimise(theta, rows, inducing, max_iter):
-        options = {"maxiter": max_iter, "ftol": 1e-8}
+        # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as
+        # the cost of a step allows.
+        nats = np.clip(1e-11 * len(inducing) ** 2 * len(rows), 1e-4, 3e-3)
+        options = {"maxiter": max_iter, "ftol": nats / (weights[rows].sum() * q)}
         result = minimize(
             objective, theta, (rows, inducing), "L-BFGS-B", jac=True, bounds=bounds, options=options
         )
@@ -213,6 +227,7 @@ def tune(
     def draw(size):
         return np.arange(n) if n <= size else np.sort(random_state.permutation(n)[:size])
 
+    most = min(n, FINE[-1][0])
     # The whole process on few rows. Even the nearest of many neighbours is about sqrt(d) standard
     # deviations away, so that starts are in units of it.
     rows = draw(COARSE_ROWS)
@@ -233,7 +248,7 @@ def tune(
         theta, value, start = minimise(theta, rows, inducing, max_iter)
         # Widths of ignored features drift without effect.
         felt = np.append(before[:n_widths] < np.log(20), [True] * n_alphas)
-        if len(rows) == min(n, FINE[-1][0]) and not np.any(np.abs(theta - before)[felt] > 0.15):
+        if len(rows) == most and not np.any(np.abs(theta - before)[felt] > 0.15):
             break
     log_width, log_alpha = unpack(theta)
     return Tuned(np.exp(log_width), np.exp(log_alpha), float(value), float(start))
