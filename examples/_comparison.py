@@ -2,6 +2,7 @@
 
 import sys
 import time
+import warnings
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -80,7 +81,10 @@ def fit(model, angles, residuals, groups):
     """Fit a model; a search splits its rows by group."""
     if isinstance(model, GridSearchCV):
         return model.fit(angles, residuals, groups=groups)
-    return model.fit(angles, residuals)
+    with warnings.catch_warnings():
+        # A Gaussian process says so when a width runs to its bound: a feature without influence.
+        warnings.filterwarnings("ignore", message=".*close to the specified.*bound")
+        return model.fit(angles, residuals)
 
 
 def in_parallel(function, calls, jobs, title=""):

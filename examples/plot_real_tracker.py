@@ -53,6 +53,14 @@ def read(path):
     return SimpleNamespace(angles=rows[:, JOINTS], points=rows[:, POINT], goals=goals)
 
 
+def some_goals(data, n_rows):
+    """Keep goal positions drawn at random, with about so many rows."""
+    order = np.random.default_rng(0).permutation(data.goals.max() + 1)
+    kept = order[: max(3, n_rows * len(order) // len(data.goals))]
+    some = np.isin(data.goals, kept)
+    return SimpleNamespace(**{name: values[some] for name, values in vars(data).items()})
+
+
 def calibrated(data, train, test):
     """Calibrate on the training rows: the arm, and the residuals of all rows in its base frame."""
     # The tracker's target sits about 109 mm along the last axis; calibration finds where exactly.
@@ -78,6 +86,7 @@ def left_over(data, fold, name, gp_rows):
 def compare(data, folds, jobs, gp_rows):
     """Print the table of models; return the distance of every row from the truth, by model."""
     goals = data.goals[np.concatenate([fold.test for fold in folds])]
+    repeated = np.bincount(goals)[goals] > 1
     table = Table(
         ("inputs", 24, ""),
         ("regressor", 22, ""),
@@ -98,7 +107,7 @@ def compare(data, folds, jobs, gp_rows):
             parts, seconds = in_parallel(left_over, calls, jobs, ", ".join(name))
         residuals = np.concatenate(parts)
         distance = distances[name] = np.linalg.norm(residuals, axis=1)
-        spread = single_point_repeatability(residuals, goals, aggregate=None)
+        spread = single_point_repeatability(residuals[repeated], goals[repeated], aggregate=None)
         explained = 1 - np.sum(distance**2) / np.sum(distances[UNCORRECTED] ** 2)
         table.row(
             *name,
@@ -140,7 +149,7 @@ def main(argv=None):
     """Run the job."""
     parser = argparse.ArgumentParser(description="A real robot against a laser tracker.")
     parser.add_argument("--data", type=Path, help=f"{FILE}, or its folder")
-    parser.add_argument("--rows", type=int, help="use the first goals only, about so many rows")
+    parser.add_argument("--rows", type=int, help="use about so many rows only, of random goals")
     parser.add_argument("--folds", type=int, default=3, help="of goal positions (default: 3)")
     parser.add_argument(
         "--gp-rows", type=int, default=3000, help="to train a Gaussian process (default: 3000)"
@@ -154,10 +163,7 @@ def main(argv=None):
 
     data = read(args.data)
     if args.rows is not None:
-        some = data.goals < max(
-            args.folds, args.rows * len(np.unique(data.goals)) // len(data.goals)
-        )
-        data = SimpleNamespace(**{name: values[some] for name, values in vars(data).items()})
+        data = some_goals(data, args.rows)
     n_goals = len(np.unique(data.goals))
     splits = GroupKFold(args.folds).split(data.angles, groups=data.goals)
     folds = [calibrated(data, train, test) for train, test in splits]
