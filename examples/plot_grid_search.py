@@ -104,7 +104,7 @@ def same_in_a_new_process(model, angles):
 
 def plot(best, before):
     """Draw the scores as bars."""
-    figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
     inputs = list(dict.fromkeys(key[0] for key in best))
     for i, name in enumerate(NAMES.values()):
         values = [best[key, name] for key in inputs]
@@ -115,9 +115,10 @@ def plot(best, before):
         [f"joints={a}\nencoding={b}" for a, b in (key.split(", ") for key in inputs)],
     )
     axes.set(
-        ylabel="repeatability 2S (mm)", title="Best setting of each, in the search's own folds"
+        ylabel="repeatability 2S (mm)",
+        title="Best setting of each, in the search's own folds (simulated)",
     )
-    axes.legend(fontsize="small", ncols=2, loc="lower left")
+    figure.legend(fontsize="small", loc="outside right upper")
     return figure
 
 

@@ -1,0 +1,152 @@
+"""The examples run, small, and what they print is what the package says of the same data."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, calibrate, position_residuals
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
+
+matplotlib = pytest.importorskip("matplotlib")
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+PNG = b"\x89PNG"
+
+
+@pytest.fixture
+def example(monkeypatch, tmp_path):
+    """Return ``example(name)``: the module of an example, as though run from its folder."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("Agg")
+    yield importlib.import_module
+    matplotlib.pyplot.close("all")
+    for name in [name for name in sys.modules if name.startswith(("plot_", "_comparison"))]:
+        del sys.modules[name]
+
+
+def cells(output, *start):
+    """Numbers of the first line of a table that starts with these words."""
+    for line in output.splitlines():
+        texts = [text for text in line.split("  ") if text]
+        if tuple(text.strip() for text in texts[: len(start)]) == start:
+            return [float(text.strip().rstrip("%")) for text in texts[len(start) :]]
+    raise AssertionError(f"no line starts with {start}:\n{output}")
+
+
+def test_simulated_arm(example, capsys):
+    example("plot_simulated_arm").main(["--positions", "4", "--poses", "12", "--jobs", "1"])
+    output = capsys.readouterr().out
+
+    data = make_single_point(4, 12)
+    before = single_point_repeatability(data.points, data.groups, aggregate=None)
+    uncorrected = cells(output, "-", "uncorrected")
+    assert uncorrected[:2] == pytest.approx([before.mean(), before.max()], abs=1e-4)
+    floor = cells(output, "-", "perfect model")
+    assert floor[0] < 0.5 * before.mean()
+    assert floor[3:] == [100, *floor[4:]]
+    assert [cells(output, str(i + 1))[1] for i in range(4)] == pytest.approx(before, abs=1e-4)
+    for inputs in ("pose angles", "all joints, cos and sin"):
+        for regressor in ("polynomial ridge", "Gaussian process", "RBF network"):
+            mean, _, less, share, *_ = cells(output, inputs, regressor)
+            assert less == pytest.approx(100 * (1 - mean / before.mean()), abs=1)
+            gain = (before.mean() - mean) / (before.mean() - floor[0])
+            assert share == pytest.approx(100 * gain, abs=1)
+    assert Path("simulated_arm.png").read_bytes().startswith(PNG)
+
+
+def test_simulated_arm_refuses_too_few_positions(example, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        example("plot_simulated_arm").main(["--positions", "2"])
+    assert "at least 3 to hold one out, got 2" in capsys.readouterr().err
+
+
+def test_grid_search(example, capsys):
+    example("plot_grid_search").main(["--positions", "6", "--poses", "10", "--jobs", "1"])
+    output = capsys.readouterr().out
+    assert "Saved, loaded in a new process: predictions equal." in output
+    scores = [
+        cells(output, f"{joints}, {encoding}", regressor)[0]
+        for joints in ("pose", "all")
+        for encoding in ("angle", "periodic")
+        for regressor in ("RBF network", "nearest neighbours")
+    ]
+    assert f"{min(scores):.4f}" in output.splitlines()[4]
+    assert Path("grid_search.png").read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize("name", ["plot_real_arm", "plot_real_tracker"])
+def test_without_data_says_where_to_get_them(example, capsys, name):
+    with pytest.raises(SystemExit, match="2"):
+        example(name).main([])
+    message = capsys.readouterr().err
+    assert "--data" in message
+    assert "github" in message
+
+
+@pytest.mark.parametrize("name", ["plot_real_arm", "plot_real_tracker"])
+def test_the_wrong_folder_says_where_to_get_the_data(example, tmp_path, name):
+    with pytest.raises(SystemExit, match=r"(?s)nowhere.*github"):
+        example(name).main(["--data", str(tmp_path / "nowhere")])
+
+
+@pytest.fixture
+def few_rows(panda, tmp_path):
+    """Three placements of panda_3, the first twelve rows of every file, as files."""
+    data = panda("panda_3")
+    for placement in ("backleft", "frontcenter", "frontright"):
+        for hole in (0, 1):
+            path = tmp_path / "data" / "panda_3" / placement / f"hole_{hole}.csv"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rows = data.angles[data.groups == f"{placement}/{hole}"][:12]
+            np.savetxt(path, rows, delimiter=",", fmt="%.17g")
+    return tmp_path / "data"
+
+
+def test_real_arm(example, capsys, few_rows):
+    module = example("plot_real_arm")
+    data = module.read(few_rows / "panda_3")
+    module.main(["--data", str(few_rows), "--jobs", "1"])
+    output = capsys.readouterr().out
+    left_out = []
+    for placement in np.unique(data.placements):
+        train = data.placements != placement
+        known = [(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(data.placements[train])]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, data.angles[train], data.sockets[train], lengths=known).arm
+        y = position_residuals(arm.forward(data.angles[~train]), data.sockets[~train])
+        left_out.append(np.linalg.norm(y, axis=1))
+        assert cells(output, placement)[2] == pytest.approx(left_out[-1].mean(), abs=1e-3)
+    everything = np.concatenate(left_out)
+    mean, largest, *_ = cells(output, "-", "uncorrected")
+    assert (mean, largest) == pytest.approx((everything.mean(), everything.max()), abs=1e-3)
+    for inputs in ("pose angles", "all joints, cos and sin"):
+        assert len(cells(output, inputs, "RBF network")) == 7
+    assert Path("real_arm.png").read_bytes().startswith(PNG)
+
+
+def test_real_arm_names_what_is_wrong_with_a_file(example, few_rows):
+    path = few_rows / "panda_3" / "backleft" / "hole_1.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:-1], lines[-1].replace(lines[-1].split(",")[2], "nan")]))
+    with pytest.raises(ValueError, match="NaN"):
+        example("plot_real_arm").main(["--data", str(few_rows), "--jobs", "1"])
+
+
+def test_real_tracker(example, capsys, ur10, monkeypatch):
+    module = example("plot_real_tracker")
+    some = np.isin(ur10.groups, np.arange(0, 619, 40))
+    data = {"angles": ur10.angles[some], "points": ur10.points[some], "goals": ur10.groups[some]}
+    data["goals"] = np.unique(data["goals"], return_inverse=True)[1]
+    monkeypatch.setattr(module, "read", lambda path: module.SimpleNamespace(**data))
+    module.main(["--data", "from the fixture", "--gp-rows", "60", "--folds", "2", "--jobs", "1"])
+    output = capsys.readouterr().out
+    assert f"{some.sum()} poses at 16 goal positions" in output
+    mean, high, largest, *_ = cells(output, "-", "uncorrected")
+    assert 0.2 < mean < high < largest < 3
+    for inputs in ("pose angles", "all joints, cos and sin"):
+        assert len(cells(output, inputs, "RBF network")) == 7
+    assert Path("real_tracker.png").read_bytes().startswith(PNG)
