@@ -124,15 +124,19 @@ class LowRankFactor(NamedTuple):
     rows: np.ndarray  # (n, rank)
     pivots: np.ndarray  # (rank,)
     residual: float  # largest diagonal entry of what the factor leaves
-    complete: bool  # whether the residual is at most the tolerance asked for
+    tol: float  # the tolerance that was aimed at
+
+    @property
+    def complete(self):
+        return self.residual <= self.tol
 
 
-def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, block_size=48):
+def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_size=96):
     """Low-rank factor of a positive definite kernel matrix by blocked, diagonally pivoted Cholesky.
 
-    Each round takes the `block_size` rows that the factor explains least, drops those that the
-    others in the round already explain, and updates with matrix products instead of vectors:
-    several times as fast as one pivot at a time, at nearly the same rank [1]_.
+    Each round looks at the `block_size` rows that the factor explains least, takes those of them
+    that the others do not explain, and updates with matrix products instead of vectors: several
+    times as fast as one pivot at a time, at nearly the same rank [1]_.
 
     Parameters
     ----------
@@ -145,8 +149,11 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, block_size=48):
         semidefinite this bounds every entry of the kernel matrix's error.
     max_rank : int, optional
         Stop at this rank. Default n.
+    resolve : int, optional
+        Tighten the tolerance to a small part of what this many pivots leave, so that this many
+        columns can be told apart.
     block_size : int
-        Largest number of pivots in a round.
+        Rows looked at in a round.
 
     Returns
     -------
@@ -155,8 +162,7 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, block_size=48):
     References
     ----------
     .. [1] H. Harbrecht, M. Peters, R. Schneider, "On the low-rank approximation by the pivoted
-    Cholesky
-       decomposition", Applied Numerical Mathematics 62 (2012).
+       Cholesky decomposition", Applied Numerical Mathematics 62 (2012).
     """
     n = len(Z)
     max_rank = n if max_rank is None else min(n, max_rank)
@@ -167,50 +173,51 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, block_size=48):
     pivots = np.empty(max_rank, dtype=np.intp)
     rank = 0
     while rank < max_rank:
-        # A stable order makes the pivots a function of the data alone.
-        size = min(block_size, max_rank - rank, max(1, rank))
-        top = np.argsort(-diagonal, kind="stable")[:size] if n <= 4096 else _largest(diagonal, size)
+        if resolve is not None and rank >= resolve:
+            tol, resolve = min(tol, max(1e-5 * diagonal.max(), 1e-13)), None
+        top = largest(diagonal, min(n, block_size))
         top = top[diagonal[top] > tol]
         if not len(top):
             break
-        columns = kernel_matrix(Z[top], Z, kernel)
-        columns -= factor[:rank, top].T @ factor[:rank]
-        inside, root = _pivots_in_block(columns[:, top], threshold=max(tol, 0.2 * diagonal[top[0]]))
-        new = solve_triangular(
-            root, columns[inside], lower=True, overwrite_b=True, check_finite=False
-        )
-        need = rank + len(inside)
+        inside = kernel_matrix(Z[top], Z[top], kernel)
+        inside -= factor[:rank, top].T @ factor[:rank, top]
+        most = min(max_rank - rank, max(1, rank))
+        chosen, root = _pivots_in_block(inside, max(tol, 0.2 * diagonal[top[0]]), most)
+        top = top[chosen]
+        new = kernel_matrix(Z[top], Z, kernel)
+        new -= factor[:rank, top].T @ factor[:rank]
+        new = solve_triangular(root, new, lower=True, overwrite_b=True, check_finite=False)
+        need = rank + len(top)
         if need > len(factor):
             grown = np.empty((min(max_rank, max(need, 2 * len(factor))), n))
             grown[:rank] = factor[:rank]
             factor = grown
         factor[rank:need] = new
-        pivots[rank:need] = top[inside]
+        pivots[rank:need] = top
         diagonal -= np.einsum("ij,ij->j", new, new)
         diagonal[pivots[:need]] = 0.0
         rank = need
     residual = float(max(diagonal.max(), 0.0))
-    return LowRankFactor(factor[:rank].T, pivots[:rank].copy(), residual, residual <= tol)
+    return LowRankFactor(factor[:rank].T, pivots[:rank].copy(), residual, tol)
 
 
-def _largest(values, size):
+def largest(values, size):
     """Indices of the `size` largest values, largest first, the lower index first among equals."""
     kth = np.partition(values, len(values) - size)[len(values) - size]
     above = np.flatnonzero(values >= kth)
     return above[np.argsort(-values[above], kind="stable")][:size]
 
 
-def _pivots_in_block(S, threshold):
+def _pivots_in_block(S, threshold, most):
     """Pivoted Cholesky of the small matrix S while pivots exceed the threshold.
 
-    Returns the chosen indices and their lower triangular root.
+    Returns the chosen indices, at most `most`, and their lower triangular root.
     """
-    m = len(S)
     diagonal = S.diagonal().copy()
-    rows = np.zeros((m, m))
+    rows = np.zeros_like(S)
     chosen = []
-    for k in range(m):
-        j = int(np.argmax(diagonal))
+    while len(chosen) < min(most, len(S)):
+        k, j = len(chosen), int(np.argmax(diagonal))
         if k and diagonal[j] < threshold:
             break
         column = S[j] - rows[j, :k] @ rows[:, :k].T

@@ -25,17 +25,32 @@ References
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import blas, cholesky, qr, qr_delete, qr_insert, solve_triangular
+from scipy.linalg import (
+    LinAlgError,
+    blas,
+    cholesky,
+    lapack,
+    qr,
+    qr_delete,
+    qr_insert,
+    solve_triangular,
+)
 
-from sklearn_raacmm._kernels import KERNELS, kernel_matrix, pivoted_cholesky
+from sklearn_raacmm._kernels import KERNELS, kernel_matrix, largest, pivoted_cholesky
 
-# A candidate whose squared norm has shrunk by this factor is a combination of the chosen ones to
-# working precision: the squared norms are differences of numbers known to about machine epsilon.
+# A candidate that has shrunk to this part of its length is a combination of the chosen ones to
+# working precision, or to that of the representation.
 DEPENDENT = 1e-12
+# Running squared lengths are differences: below this part of what they were, only half their digits
+# are left, and they are computed anew.
+STALE = 1e-7
 # Rank at which the factor of a rough kernel is cut where the number of steps is not known.
 MAX_RANK = 3000
 # Samples whose whole kernel matrix is held: 1.8 GB.
 MAX_SYMMETRIC = 15_000
+# Candidates on the short list, and the most choices made ahead on it.
+SHORT_LIST = 1024
+MAX_AHEAD = 32
 
 
 class WhitenedCandidates:
@@ -46,10 +61,13 @@ class WhitenedCandidates:
     coordinates : ndarray of shape (n_candidates, rank)
     target : ndarray of shape (rank, n_outputs)
         Coordinates of the projection of the targets onto the candidates' span.
+    resolution : float
+        Part of a candidate's length below which its coordinates are not to be trusted.
     """
 
-    def __init__(self, coordinates, target):
+    def __init__(self, coordinates, target, resolution=0.0):
         self.coordinates, self.target = coordinates, target
+        self.resolution = max(resolution, DEPENDENT)
         self.n_candidates, self.rank = coordinates.shape
 
     def squared_norms(self):
@@ -63,12 +81,22 @@ class WhitenedCandidates:
         u = self.coordinates[j].copy()
         return u, u
 
-    def inner(self, v):
-        """Inner products of every candidate with the direction that has the dual vector v."""
-        return self.coordinates @ v
+    def inner(self, V):
+        """Inner products of every candidate with the directions whose dual vectors are V's rows."""
+        return self.coordinates @ V.T
+
+    def rows(self, indices):
+        """What gives some candidates' inner products when multiplied with a dual vector."""
+        return self.coordinates[indices]
 
     def target_inner(self, u):
         return u @ self.target
+
+    def without(self, U):
+        """The same candidates and target with the orthonormal rows U projected out."""
+        coordinates = self.coordinates - (self.coordinates @ U.T) @ U
+        target = self.target - U.T @ (U @ self.target)
+        return WhitenedCandidates(coordinates, target, self.resolution)
 
 
 class SymmetricCandidates:
@@ -88,6 +116,8 @@ class SymmetricCandidates:
 
     def __init__(self, K, weights, tail, Y, alpha):
         self.K, self.tail, self.alpha = K, tail, alpha
+        # Running squared lengths are all there is: they are good to the root of machine epsilon.
+        self.resolution = 1e-6
         self.root = np.sqrt(weights)
         self.weighted_target = self.root[:, None] * Y
         self.n_candidates = self.rank = len(K)
@@ -113,8 +143,11 @@ class SymmetricCandidates:
         v[j] += self.alpha
         return u, v
 
-    def inner(self, v):
-        return blas.dsymv(1.0, self.K, v, lower=1)
+    def inner(self, V):
+        return blas.dsymm(1.0, self.K, V.T, lower=1)
+
+    def rows(self, indices):
+        return self.K[:, indices].T
 
     def target_inner(self, u):
         return u @ self.weighted_target
@@ -155,6 +188,9 @@ class _Basis:
     def __init__(self, width):
         self.rows, self.size = np.empty((16, width)), 0
 
+    def cut(self, size):
+        self.size = size
+
     def append(self, row):
         if self.size == len(self.rows):
             self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
@@ -166,21 +202,34 @@ class _Basis:
 
 
 class _ForwardPass:
-    """What a group of outputs knows of every candidate while the chosen ones are projected out."""
+    """What a group of outputs knows of every candidate while the chosen ones are projected out.
+
+    `attempt` looks ahead on a short list of candidates, `settle` catches up with all of them.
+    """
 
     def __init__(self, candidates):
         self.candidates = candidates
         self.norms = candidates.squared_norms()
-        self.floor = DEPENDENT * self.norms
+        self.floor = candidates.resolution**2 * self.norms
+        self.fresh = self.norms.copy()
         self.correlations = candidates.correlations()
-        self.alive = self.norms > 0
         self.U = _Basis(candidates.rank)
         whitened = isinstance(candidates, WhitenedCandidates)
         self.V = self.U if whitened else _Basis(candidates.rank)
+        self.settled = 0
 
-    def gains(self):
-        self.alive &= self.norms > self.floor
-        return np.square(self.correlations) / np.where(self.alive, self.norms, np.inf)[:, None]
+    def figures(self):
+        return self.norms, self.correlations, self.floor
+
+    def list_figures(self):
+        return self.list_norms, self.list_correlations, self.floor[self.listed]
+
+    def start(self, listed):
+        """Begin to look ahead on the candidates `listed`."""
+        self.listed = listed
+        self.rows = self.candidates.rows(listed)
+        self.list_norms = self.norms[listed]
+        self.list_correlations = self.correlations[listed]
 
     def direction(self, j):
         """Candidate j made orthogonal to the chosen ones, its dual, and its squared norm."""
@@ -193,32 +242,71 @@ class _ForwardPass:
                 v -= c @ self.V()
         return u, v, u @ v
 
-    def lost(self, j, squared_norm):
-        """Whether repeated subtraction has lost the length of candidate j."""
-        return self.alive[j] and abs(squared_norm - self.norms[j]) > 0.1 * self.norms[j]
+    def lost(self, position, squared_norm):
+        """Whether repeated subtraction has lost the length of a listed candidate."""
+        norm = self.list_norms[position]
+        return norm > self.floor[self.listed[position]] and abs(squared_norm - norm) > 0.1 * norm
 
-    def correct(self, j, u, squared_norm):
-        """Put the truth about candidate j in the place of the running figures."""
-        self.norms[j], self.correlations[j] = squared_norm, self.candidates.target_inner(u)
+    def correct(self, position, way):
+        """Put the truth about a listed candidate in the place of the running figures."""
+        u, _, squared_norm = way
+        self.list_norms[position] = squared_norm
+        self.list_correlations[position] = self.candidates.target_inner(u)
+        return self.listed[position], squared_norm, self.list_correlations[position].copy()
 
-    def add(self, j, u, v, squared_norm):
-        """Choose candidate j; return by how much it lowers the objective of each output."""
-        if not self.alive[j]:
-            return np.zeros(self.correlations.shape[1])
-        self.alive[j] = False
+    def attempt(self, position, u, v, squared_norm):
+        """Choose a listed candidate, as far as the list is concerned."""
+        if self.list_norms[position] <= self.floor[self.listed[position]]:
+            # Dependent in this group's eyes, chosen for another's: a direction of no length.
+            u, v, squared_norm = np.zeros_like(u), np.zeros_like(v), 1.0
         u /= np.sqrt(squared_norm)
         self.U.append(u)
-        if v is not u:
+        if self.V is not self.U:
             v /= np.sqrt(squared_norm)
             self.V.append(v)
-        h, on_target = self.candidates.inner(v), self.candidates.target_inner(u)
+        h = self.rows @ self.V()[-1]
+        self.list_norms -= h * h
+        self.list_correlations -= h[:, None] * self.candidates.target_inner(u)
+        self.list_norms[position] = 0.0
+
+    def look_up(self):
+        """Inner products of all candidates with the directions attempted since `forget`."""
+        self.h = self.candidates.inner(self.V()[self.settled :])
+        self.on_target = self.candidates.target_inner(self.U()[self.settled :])
+
+    def settle(self, step, j):
+        """Choose candidate j in earnest; return by how much it lowers each output's objective."""
+        h, on_target = self.h[:, step], self.on_target[step]
         self.norms -= h * h
         self.correlations -= h[:, None] * on_target
+        self.norms[j] = 0.0
         return on_target**2
+
+    def forget(self, n_kept):
+        """Keep only the first directions of those attempted."""
+        self.settled += n_kept
+        self.U.cut(self.settled)
+        self.V.cut(self.settled)
+        usable = self.norms > self.floor
+        stale = usable & (self.norms < STALE * self.fresh)
+        if self.V is self.U and np.any(stale):
+            self.candidates = self.candidates.without(self.U())
+            self.norms = np.where(usable, self.candidates.squared_norms(), 0.0)
+            self.correlations = self.candidates.correlations()
+            self.fresh = self.norms.copy()
+
+
+def _gains(norms, correlations, floor):
+    return np.square(correlations) / np.where(norms > floor, norms, np.inf)[:, None]
 
 
 def forward_selection(groups, n_select, *, score=total_score, enough=None):
     """Choose candidates one at a time, each the one that lowers the objective most.
+
+    To update all candidates after every choice takes a matrix-vector product, which waits for
+    memory. So choices are made ahead on a short list of the best candidates, then all are updated
+    for several choices in one matrix product, and each choice is confirmed, or undone if a
+    candidate off the list would have been better: the order is that of choosing one at a time.
 
     Parameters
     ----------
@@ -237,32 +325,61 @@ def forward_selection(groups, n_select, *, score=total_score, enough=None):
     Selection
     """
     passes = [_ForwardPass(candidates) for candidates in groups]
-    open_ = np.ones(groups[0].n_candidates, dtype=bool)
-    indices, reductions, stop = [], [], "n_select"
-    while len(indices) < n_select:
-        gains = np.hstack([one.gains() for one in passes])
-        open_ &= np.any([one.alive for one in passes], axis=0)
-        if not open_.any():
+    indices, reductions, summed = [], [], 0.0
+    ahead, stop = 4, "n_select"
+
+    def scores(figures):
+        """One figure a candidate; negative where it is dependent on the chosen ones."""
+        gains = score(np.hstack([_gains(*of_group) for of_group in figures]))
+        gains[np.all([norms <= floor for norms, _, floor in figures], axis=0)] = -1.0
+        return gains
+
+    while len(indices) < n_select and stop == "n_select":
+        gains = scores([one.figures() for one in passes])
+        listed = np.sort(largest(gains, min(len(gains), SHORT_LIST)))
+        for one in passes:
+            one.start(listed)
+        tried, corrections = [], []
+        while len(tried) < min(ahead, n_select - len(indices)):
+            gains = scores([one.list_figures() for one in passes])
+            position = int(np.argmax(gains))
+            if gains[position] < 0:
+                break
+            ways = [one.direction(listed[position]) for one in passes]
+            lost = [one.lost(position, way[2]) for one, way in zip(passes, ways, strict=True)]
+            if any(lost):
+                # Repeated subtraction has lost this candidate's length: put the truth in its place
+                # and choose again.
+                for i in np.flatnonzero(lost):
+                    corrections.append((len(tried), i, *passes[i].correct(position, ways[i])))
+                continue
+            for one, way in zip(passes, ways, strict=True):
+                one.attempt(position, *way)
+            tried.append(int(listed[position]))
+        if not tried and not corrections:
             stop = "dependent"
             break
-        j = int(np.argmax(np.where(open_, score(gains), -1.0)))
-        directions = [one.direction(j) for one in passes]
-        lost = False
-        for one, (u, _, squared_norm) in zip(passes, directions, strict=True):
-            if one.lost(j, squared_norm):
-                one.correct(j, u, squared_norm)
-                lost = True
-        if lost:
-            continue
-        reductions.append(
-            np.concatenate([one.add(j, *way) for one, way in zip(passes, directions, strict=True)])
-        )
-        indices.append(j)
-        open_[j] = False
-        if enough is not None and np.all(np.sum(reductions, axis=0) >= enough):
-            stop = "enough"
-            break
-    reduction = np.reshape(reductions, (len(indices), -1))
+        for one in passes:
+            one.look_up()
+        kept = 0
+        for step in range(len(tried) + 1):
+            for _, i, j, norm, correlation in [c for c in corrections if c[0] == step]:
+                passes[i].norms[j], passes[i].correlations[j] = norm, correlation
+            if step == len(tried) or stop != "n_select":
+                break
+            if int(np.argmax(scores([one.figures() for one in passes]))) != tried[step]:
+                break
+            reductions.append(np.concatenate([one.settle(step, tried[step]) for one in passes]))
+            indices.append(tried[step])
+            summed = summed + reductions[-1]
+            kept += 1
+            if enough is not None and np.all(summed >= enough):
+                stop = "enough"
+        for one in passes:
+            one.forget(kept)
+        ahead = min(2 * ahead, MAX_AHEAD) if kept == ahead else max(kept, 2)
+    n_outputs = sum(one.correlations.shape[1] for one in passes)
+    reduction = np.reshape(reductions, (len(indices), n_outputs))
     return Selection(np.array(indices, dtype=np.intp), reduction, stop)
 
 
@@ -271,7 +388,8 @@ class _Subset:
 
     def __init__(self, candidates, members):
         self.D, self.t = candidates.coordinates, candidates.target
-        self.floor = DEPENDENT * candidates.squared_norms()
+        # Lengths that are differences are good to the root of machine epsilon.
+        self.floor = max(candidates.resolution, 1e-6) ** 2 * candidates.squared_norms()
         self.Q, self.R = qr(self.D[members].T, mode="economic", check_finite=False)
         self.remainder = self.t - self.Q @ (self.Q.T @ self.t)
         self.norms = candidates.squared_norms() - np.square(self.D @ self.Q).sum(axis=1)
@@ -359,12 +477,12 @@ def exchange(groups, indices, *, max_sweeps=10, tol=1e-4):
         if n_swaps == before:
             break
     members = np.sort(members)
-    chosen = [WhitenedCandidates(c.coordinates[members], c.target) for c in groups]
+    chosen = [WhitenedCandidates(c.coordinates[members], c.target, c.resolution) for c in groups]
     order = forward_selection(chosen, len(members)).indices
     return members[order], n_swaps
 
 
-def whiten(rows, features, target, alphas):
+def whiten(rows, features, target, alphas, resolution):
     """Coordinates of candidates for `forward_selection`, for every ridge.
 
     Parameters
@@ -376,6 +494,8 @@ def whiten(rows, features, target, alphas):
     target : list of ndarray of shape (n, n_outputs)
         The same of the targets of each group.
     alphas : list of float
+    resolution : float
+        Error of the kernel matrix's entries.
 
     Returns
     -------
@@ -385,23 +505,25 @@ def whiten(rows, features, target, alphas):
     """
     rank = rows.shape[1]
     gram = features.T @ features
-    triangle = None
     groups, degrees = [], []
     for alpha, t in zip(alphas, target, strict=True):
-        if alpha > 1e-10 * gram.diagonal().max(initial=0.0):
-            ridged = gram.copy()
-            ridged[np.diag_indices(rank)] += alpha
+        ridged = gram.copy()
+        ridged[np.diag_indices(rank)] += alpha
+        try:
             root = cholesky(ridged, lower=True, overwrite_a=True, check_finite=False)
-            inverse = solve_triangular(root, np.eye(rank), lower=True, check_finite=False)
-            groups.append(WhitenedCandidates(rows @ root, inverse @ (features.T @ t)))
-            degrees.append(rank - alpha * float(np.sum(inverse**2)))
-        else:
-            # Without a ridge to carry them, directions below the root of machine epsilon would
-            # drown in the Gram matrix.
-            if triangle is None:
-                Q, triangle = qr(features, mode="economic", check_finite=False)
-            groups.append(WhitenedCandidates(rows @ triangle.T, Q.T @ t))
-            degrees.append(float(rank))
+            # What a root of the Gram matrix loses is of the order of rounding beside the candidates'
+            # squared lengths, which is all that DEPENDENT lets count.
+            if np.square(root.diagonal().min()) < 1e-14 * gram.diagonal().max():
+                raise LinAlgError
+            projected = solve_triangular(root, features.T @ t, lower=True, check_finite=False)
+        except LinAlgError:
+            ridge = np.sqrt(alpha) * np.eye(rank) if alpha else np.empty((0, rank))
+            Q, R = qr(np.vstack([features, ridge]), mode="economic", check_finite=False)
+            root, projected = R.T, Q[: len(features)].T @ t
+        coordinates = blas.dtrmm(1.0, root, rows.T, trans_a=1, lower=1).T
+        groups.append(WhitenedCandidates(coordinates, projected, resolution))
+        inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
+        degrees.append(rank - alpha * float(np.sum(np.square(inverse))))
     return groups, degrees
 
 
@@ -445,10 +567,11 @@ def candidate_groups(Z, rows, root, basis, targets, kernel, alphas, n_select, *,
         columns -= basis @ (basis.T @ columns)
         return [WhitenedCandidates(columns.T, np.hstack(targets))], None
     least = min(alphas)
-    tol = 1e-6 if least == 0 else min(max(1e-3 * least, 1e-10), 1e-6)
+    tol = 1e-8 if least == 0 else min(max(1e-3 * least, 1e-10), 1e-6)
     may_be_symmetric = n_select is not None and not whitened and len(rows) == n <= MAX_SYMMETRIC
-    max_rank = MAX_RANK if not may_be_symmetric else max(64, int(0.85 * np.sqrt(n * n_select)))
-    factor = pivoted_cholesky(Z[rows], kernel, tol=tol, max_rank=max_rank)
+    max_rank = MAX_RANK if not may_be_symmetric else max(64, int(2 * np.sqrt(n * n_select)))
+    resolve = n_select if least == 0 else None
+    factor = pivoted_cholesky(Z[rows], kernel, tol=tol, max_rank=max_rank, resolve=resolve)
     if may_be_symmetric and not factor.complete:
         K = kernel_matrix(Z, Z, kernel).T
         weights = root[:, 0] ** 2
@@ -461,4 +584,4 @@ def candidate_groups(Z, rows, root, basis, targets, kernel, alphas, n_select, *,
         K = kernel_matrix(Z[rows[pivots]], Z, kernel)
         features = root * solve_triangular(factor.rows[pivots], K, lower=True, overwrite_b=True).T
     features -= basis @ (basis.T @ features)
-    return whiten(factor.rows, features, targets, alphas)
+    return whiten(factor.rows, features, targets, alphas, factor.residual)
