@@ -118,6 +118,10 @@ def kernel_matrix(A, B, kernel):
     return KERNELS[kernel].function(squared_distances(A, B))
 
 
+# Of the entries of a kernel matrix that is known by a factor.
+ROUNDING = 1e-13
+
+
 class LowRankFactor(NamedTuple):
     """``kernel_matrix(Z, Z) ~ rows @ rows.T``, exact on the pivot rows."""
 
@@ -172,9 +176,12 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
     factor = np.empty((min(max_rank, 4 * block_size), n))
     pivots = np.empty(max_rank, dtype=np.intp)
     rank = 0
+    aim = tol
+    if resolve is not None:
+        tol = ROUNDING  # until it is known
     while rank < max_rank:
         if resolve is not None and rank >= resolve:
-            tol, resolve = min(tol, max(1e-5 * diagonal.max(), 1e-13)), None
+            tol, resolve = min(aim, max(1e-5 * diagonal.max(), ROUNDING)), None
         top = largest(diagonal, min(n, block_size))
         top = top[diagonal[top] > tol]
         if not len(top):
@@ -189,7 +196,7 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
         new = solve_triangular(root, new, lower=True, overwrite_b=True, check_finite=False)
         need = rank + len(top)
         if need > len(factor):
-            grown = np.empty((min(max_rank, max(need, 2 * len(factor))), n))
+            grown = np.empty((min(max_rank, max(need, len(factor) * 5 // 4)), n))
             grown[:rank] = factor[:rank]
             factor = grown
         factor[rank:need] = new

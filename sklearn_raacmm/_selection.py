@@ -26,9 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import (
-    LinAlgError,
     blas,
-    cholesky,
     lapack,
     qr,
     qr_delete,
@@ -40,7 +38,7 @@ from sklearn_raacmm._kernels import KERNELS, kernel_matrix, largest, pivoted_cho
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
 # working precision, or to that of the representation.
-DEPENDENT = 1e-12
+DEPENDENT = 1e-10
 # Running squared lengths are differences: below this part of what they were, only half their digits
 # are left, and they are computed anew.
 STALE = 1e-7
@@ -507,21 +505,24 @@ def whiten(rows, features, target, alphas, resolution):
     gram = features.T @ features
     groups, degrees = [], []
     for alpha, t in zip(alphas, target, strict=True):
-        ridged = gram.copy()
-        ridged[np.diag_indices(rank)] += alpha
-        try:
-            root = cholesky(ridged, lower=True, overwrite_a=True, check_finite=False)
-            # What a root of the Gram matrix loses is of the order of rounding beside the candidates'
-            # squared lengths, which is all that DEPENDENT lets count.
-            if np.square(root.diagonal().min()) < 1e-14 * gram.diagonal().max():
-                raise LinAlgError
-            projected = solve_triangular(root, features.T @ t, lower=True, check_finite=False)
-        except LinAlgError:
+        # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
+        # machine epsilon; a ridge, or a coarse factor, does not ask for more.
+        trusted = resolution
+        if alpha > 1e-12 * gram.diagonal().max(initial=0.0) or resolution >= 1e-9:
+            trusted = max(resolution, 1e-7)
+            gram[np.diag_indices(rank)] += alpha
+            root, failed = lapack.dpotrf(gram, lower=1, clean=1)
+            gram[np.diag_indices(rank)] -= alpha
+        else:
+            failed = True
+        if failed:
             ridge = np.sqrt(alpha) * np.eye(rank) if alpha else np.empty((0, rank))
             Q, R = qr(np.vstack([features, ridge]), mode="economic", check_finite=False)
             root, projected = R.T, Q[: len(features)].T @ t
+        else:
+            projected = solve_triangular(root, features.T @ t, lower=True, check_finite=False)
         coordinates = blas.dtrmm(1.0, root, rows.T, trans_a=1, lower=1).T
-        groups.append(WhitenedCandidates(coordinates, projected, resolution))
+        groups.append(WhitenedCandidates(coordinates, projected, trusted))
         inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
         degrees.append(rank - alpha * float(np.sum(np.square(inverse))))
     return groups, degrees
