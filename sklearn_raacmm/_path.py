@@ -11,7 +11,6 @@ class Path(NamedTuple):
 
     rss: np.ndarray  # (k + 1, n_outputs) sum of squared residuals
     objective: np.ndarray  # (k + 1, n_outputs) the same with the penalty
-    press: np.ndarray  # (k + 1, n_outputs) sum of squared leave-one-out residuals
     dof: np.ndarray  # (k + 1, n_outputs) trace of the smoother, tail included
     triangles: list  # of (p + k, p + k) for each output, tail columns first
     rotated: np.ndarray  # (p + k, n_outputs) targets in their coordinates
@@ -25,21 +24,39 @@ class Path(NamedTuple):
         return solution
 
 
-def nested_least_squares(tail, columns, penalty_root, alphas, targets, within):
+def triangular_factor(parts):
+    """R of the QR factorisation of stacked blocks of rows, each seen once.
+
+    Parameters
+    ----------
+    parts : iterable of ndarray of shape (n_i, m)
+
+    Returns
+    -------
+    ndarray of shape (min(m, sum of n_i), m)
+        Upper triangular (or trapezoidal); its signs are arbitrary.
+    """
+    R = None
+    for part in parts:
+        block = part if R is None else np.vstack([R, part])
+        R = qr(block, mode="r", overwrite_a=True, check_finite=False)[0][: block.shape[1]]
+    return R
+
+
+def nested_least_squares(parts, n_tail, penalty_root, alphas, within):
     """Solve every nested subset, with no use of the running figures of the selection.
 
     Parameters
     ----------
-    tail : ndarray of shape (n, p)
-        Polynomial tail, rows times root weight. It is not penalised.
-    columns : ndarray of shape (n, k)
-        Members in order, rows times root weight.
+    parts : iterable of ndarray of shape (n_i, p + k + n_outputs)
+        Blocks of rows of the polynomial tail, which is not penalised, the members in order, and the
+        targets; all times root weight.
+    n_tail : int
+        Number p of columns of the tail.
     penalty_root : ndarray of shape (m, k)
         ``penalty_root.T @ penalty_root`` is the penalty's matrix.
     alphas : ndarray of shape (n_outputs,)
         Factor of the penalty.
-    targets : ndarray of shape (n, n_outputs)
-        Rows times root weight.
     within : ndarray of shape (n_outputs,)
         Sum of squares that no model can explain, because repeated rows were merged.
 
@@ -47,43 +64,64 @@ def nested_least_squares(tail, columns, penalty_root, alphas, targets, within):
     -------
     Path
     """
-    p, k, q = tail.shape[1], columns.shape[1], targets.shape[1]
-    rss, objective, press, dof = (np.empty((k + 1, q)) for _ in range(4))
-    triangles, rotated = [None] * q, np.empty((p + k, q))
+    q, p, k = len(alphas), n_tail, penalty_root.shape[1]
+    # Everything that follows depends on the rows through this triangle only.
+    R = triangular_factor(parts)
+    columns, targets = R[: p + k, : p + k], R[:, p + k :]
+    beyond = np.square(targets[p + k :]).sum(axis=0)
+    targets = targets[: p + k]
+    rss, objective, dof = (np.empty((k + 1, q)) for _ in range(3))
+    triangles, rotated = [None] * q, np.zeros((p + k, q))
     for alpha in np.unique(alphas):
         of = np.flatnonzero(alphas == alpha)
-        root = np.sqrt(alpha) * penalty_root if alpha > 0 else penalty_root[:0]
-        R, rotated[:, of], *figures = _one_penalty(tail, columns, root, targets[:, of])
-        rss[:, of], objective[:, of], press[:, of], dof[:, of] = figures
+        penalty = np.sqrt(alpha) * penalty_root if alpha > 0 else penalty_root[:0]
+        stacked = np.zeros((len(columns) + len(penalty), p + k))
+        stacked[: len(columns)], stacked[len(columns) :, p:] = columns, penalty
+        Q, triangle = qr(stacked, mode="economic", check_finite=False) if p + k else (stacked,) * 2
+        Q = Q[: len(columns)]
+        size = Q.shape[1]
+        rotated[:size, of] = Q.T @ targets[:, of]
+        # Residuals of all sizes at once: what each further direction takes away.
+        residual = targets[:, of, None] - np.cumsum(
+            Q[:, None, :] * rotated[:size, of].T[None], axis=2
+        )
+        residual = np.concatenate([targets[:, of, None], residual], axis=2)[:, :, p : p + k + 1]
+        rss[:, of] = np.square(residual).sum(axis=0).T + beyond[of]
+        gained = np.cumsum(np.square(rotated[p:, of]), axis=0)
+        objective[0, of] = rss[0, of]
+        objective[1:, of] = rss[0, of] - gained
+        dof[0, of] = p
+        dof[1:, of] = p + np.cumsum(np.square(Q[:, p:]).sum(axis=0))[:, None]
         for i in of:
-            triangles[i] = R
-    return Path(rss + within, objective + within, press + within, dof, triangles, rotated)
-
-
-def _one_penalty(tail, columns, penalty_root, targets):
-    n, p = tail.shape
-    k, q = columns.shape[1], targets.shape[1]
-    stacked = np.zeros((n + len(penalty_root), p + k), order="F")
-    stacked[:n, :p], stacked[:n, p:], stacked[n:, p:] = tail, columns, penalty_root
-    if p + k:
-        Q, R = qr(stacked, mode="economic", overwrite_a=True, check_finite=False)
-    else:
-        Q, R = stacked, np.empty((0, 0))
-    Q = Q[:n]
-    rotated = Q.T @ targets
-    residual = targets - Q[:, :p] @ rotated[:p]
-    leverage = np.square(Q[:, :p]).sum(axis=1)
-    rss, press, objective = (np.empty((k + 1, q)) for _ in range(3))
-    for m in range(k + 1):
-        if m:
-            direction = Q[:, p + m - 1]
-            residual -= np.outer(direction, rotated[p + m - 1])
-            leverage += direction * direction
-            objective[m] = objective[m - 1] - rotated[p + m - 1] ** 2
-        rss[m] = np.einsum("ij,ij->j", residual, residual)
-        if not m:
-            objective[0] = rss[0]
-        press[m] = np.square(residual / np.maximum(1 - leverage, 1e-10)[:, None]).sum(axis=0)
-    dof = p + np.concatenate([[0.0], np.cumsum(np.square(Q[:, p:]).sum(axis=0))])
+            triangles[i] = triangle
     # A difference of large numbers: the objective is never below its own first part.
-    return R, rotated, rss, np.maximum(objective, rss), press, dof[:, None]
+    objective = np.maximum(objective, rss)
+    return Path(rss + within, objective + within, dof, triangles, rotated)
+
+
+def leave_one_out(tail, columns, targets, path, within):
+    """Sum of squared leave-one-out residuals (PRESS) after 0, 1, ... k members, (k + 1, n_outputs).
+
+    Parameters
+    ----------
+    tail, columns, targets : ndarray of shape (n, p), (n, k), (n, n_outputs)
+        All times root weight.
+    path : Path
+        Of these data.
+    within : ndarray of shape (n_outputs,)
+        As for `nested_least_squares`.
+    """
+    p, k = tail.shape[1], columns.shape[1]
+    press = np.empty((k + 1, targets.shape[1]))
+    rows = np.hstack([tail, columns]).T
+    for i, R in enumerate(path.triangles):
+        Q = solve_triangular(R, rows, trans="T", check_finite=False).T
+        residual = targets[:, i] - Q[:, :p] @ path.rotated[:p, i]
+        leverage = np.square(Q[:, :p]).sum(axis=1)
+        for m in range(k + 1):
+            if m:
+                direction = Q[:, p + m - 1]
+                residual = residual - direction * path.rotated[p + m - 1, i]
+                leverage = leverage + direction * direction
+            press[m, i] = np.square(residual / np.maximum(1 - leverage, 1e-10)).sum()
+    return press + within

@@ -35,6 +35,7 @@ from scipy.linalg import (
 )
 
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, largest, pivoted_cholesky
+from sklearn_raacmm._path import triangular_factor
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
 # working precision, or to that of the representation.
@@ -46,6 +47,8 @@ STALE = 1e-7
 MAX_RANK = 3000
 # Samples whose whole kernel matrix is held: 1.8 GB.
 MAX_SYMMETRIC = 15_000
+# Numbers in a block of rows: 64 MB.
+BLOCK = 2**23
 # Candidates on the short list, and the most choices made ahead on it.
 SHORT_LIST = 1024
 MAX_AHEAD = 32
@@ -480,18 +483,20 @@ def exchange(groups, indices, *, max_sweeps=10, tol=1e-4):
     return members[order], n_swaps
 
 
-def whiten(rows, features, target, alphas, resolution):
+def whiten(rows, blocks, members, alphas, resolution):
     """Coordinates of candidates for `forward_selection`, for every ridge.
 
     Parameters
     ----------
     rows : ndarray of shape (n_candidates, rank)
         Candidates in the factor's coordinates: ``rows @ rows.T`` is their kernel matrix.
-    features : ndarray of shape (n, rank)
-        Samples in the factor's coordinates, the tail projected out, times root weight.
-    target : list of ndarray of shape (n, n_outputs)
-        The same of the targets of each group.
+    blocks : callable
+        Gives an iterator over blocks of samples, each a tuple of the tail's orthonormal basis, the
+        samples in the factor's coordinates and the targets, tail projected out; times root weight.
+    members : list of ndarray
+        Outputs of each group.
     alphas : list of float
+        Ridge of each group.
     resolution : float
         Error of the kernel matrix's entries.
 
@@ -502,25 +507,31 @@ def whiten(rows, features, target, alphas, resolution):
         Trace of the smoother that uses all candidates.
     """
     rank = rows.shape[1]
-    gram = features.T @ features
+    gram, cross, along = 0.0, 0.0, 0.0
+    for basis, features, targets in blocks():
+        gram = gram + features.T @ features
+        cross = cross + features.T @ targets
+        along = along + basis.T @ features
+    gram = gram - along.T @ along
+    triangle = None
     groups, degrees = [], []
-    for alpha, t in zip(alphas, target, strict=True):
+    for alpha, of in zip(alphas, members, strict=True):
         # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
         # machine epsilon; a ridge, or a coarse factor, does not ask for more.
-        trusted = resolution
+        trusted, failed = resolution, True
         if alpha > 1e-12 * gram.diagonal().max(initial=0.0) or resolution >= 1e-9:
             trusted = max(resolution, 1e-7)
             gram[np.diag_indices(rank)] += alpha
             root, failed = lapack.dpotrf(gram, lower=1, clean=1)
             gram[np.diag_indices(rank)] -= alpha
+        if not failed:
+            projected = solve_triangular(root, cross[:, of], lower=True, check_finite=False)
         else:
-            failed = True
-        if failed:
-            ridge = np.sqrt(alpha) * np.eye(rank) if alpha else np.empty((0, rank))
-            Q, R = qr(np.vstack([features, ridge]), mode="economic", check_finite=False)
-            root, projected = R.T, Q[: len(features)].T @ t
-        else:
-            projected = solve_triangular(root, features.T @ t, lower=True, check_finite=False)
+            if triangle is None:
+                triangle, rotated = _projected_triangle(blocks(), len(along), rank)
+            ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
+            Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
+            root, projected = R.T, Q[:rank].T @ rotated[:, of]
         coordinates = blas.dtrmm(1.0, root, rows.T, trans_a=1, lower=1).T
         groups.append(WhitenedCandidates(coordinates, projected, trusted))
         inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
@@ -528,7 +539,18 @@ def whiten(rows, features, target, alphas, resolution):
     return groups, degrees
 
 
-def candidate_groups(Z, rows, root, basis, targets, kernel, alphas, n_select, *, whitened=False):
+def _projected_triangle(blocks, p, rank):
+    """R of the features with the tail projected out, and the targets in Q's coordinates."""
+    R = triangular_factor(np.hstack(block) for block in blocks)
+    padded = np.zeros((R.shape[1], R.shape[1]))
+    padded[: len(R)] = R
+    inner = slice(p, p + rank)
+    return padded[inner, inner], padded[inner, p + rank :]
+
+
+def candidate_groups(
+    Z, rows, root, basis, targets, members, kernel, alphas, n_select, *, whitened=False
+):
     """The representation of the candidates that makes a step of the selection cheapest.
 
     A smooth kernel has a factor of low rank: a step costs the number of candidates times the rank.
@@ -545,8 +567,10 @@ def candidate_groups(Z, rows, root, basis, targets, kernel, alphas, n_select, *,
         Root of the weights.
     basis : ndarray of shape (n, p)
         Orthonormal basis of the tail times root.
-    targets : list of ndarray of shape (n, q)
-        Targets of each group with the tail projected out, times root.
+    targets : ndarray of shape (n, q)
+        Targets with the tail projected out, times root.
+    members : list of ndarray
+        Outputs of each group.
     kernel : str
     alphas : list of float
         Ridge of each group.
@@ -561,12 +585,22 @@ def candidate_groups(Z, rows, root, basis, targets, kernel, alphas, n_select, *,
     degrees_of_freedom : list of float or None
         Trace of the smoother that uses all candidates, without the tail, where it is known.
     """
-    n = len(Z)
+    n, p = basis.shape
+
+    def blocks(features, width):
+        size = max(1, BLOCK // width)
+        for start in range(0, n, size):
+            part = slice(start, start + size)
+            yield basis[part], features(part), targets[part]
+
     if not KERNELS[kernel].positive_definite:
         # The ridge on the weights of such kernels is left to the last fit.
-        columns = root * kernel_matrix(Z, Z[rows], kernel)
-        columns -= basis @ (basis.T @ columns)
-        return [WhitenedCandidates(columns.T, np.hstack(targets))], None
+        def columns(part):
+            return root[part] * kernel_matrix(Z[part], Z[rows], kernel)
+
+        triangle, rotated = _projected_triangle(blocks(columns, len(rows)), p, len(rows))
+        return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
+
     least = min(alphas)
     tol = 1e-8 if least == 0 else min(max(1e-3 * least, 1e-10), 1e-6)
     may_be_symmetric = n_select is not None and not whitened and len(rows) == n <= MAX_SYMMETRIC
@@ -576,13 +610,16 @@ def candidate_groups(Z, rows, root, basis, targets, kernel, alphas, n_select, *,
     if may_be_symmetric and not factor.complete:
         K = kernel_matrix(Z, Z, kernel).T
         weights = root[:, 0] ** 2
-        pairs = zip(targets, alphas, strict=True)
-        return [SymmetricCandidates(K, weights, basis, t, alpha) for t, alpha in pairs], None
-    if len(rows) == n:
-        features = root * factor.rows
-    else:
-        pivots = factor.pivots
-        K = kernel_matrix(Z[rows[pivots]], Z, kernel)
-        features = root * solve_triangular(factor.rows[pivots], K, lower=True, overwrite_b=True).T
-    features -= basis @ (basis.T @ features)
-    return whiten(factor.rows, features, targets, alphas, factor.residual)
+        pairs = zip(members, alphas, strict=True)
+        groups = [SymmetricCandidates(K, weights, basis, targets[:, of], a) for of, a in pairs]
+        return groups, None
+    pivot_rows, pivots = factor.rows[factor.pivots], rows[factor.pivots]
+
+    def features(part):
+        if len(rows) == n:
+            return root[part] * factor.rows[part]
+        K = kernel_matrix(Z[pivots], Z[part], kernel)
+        return root[part] * solve_triangular(pivot_rows, K, lower=True, overwrite_b=True).T
+
+    rank = len(pivots)
+    return whiten(factor.rows, lambda: blocks(features, rank), members, alphas, factor.residual)

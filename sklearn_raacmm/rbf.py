@@ -9,9 +9,10 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
-from sklearn_raacmm._path import nested_least_squares
+from sklearn_raacmm._path import leave_one_out, nested_least_squares
 from sklearn_raacmm._preparation import prepare
 from sklearn_raacmm._selection import (
+    BLOCK,
     candidate_groups,
     exchange,
     forward_selection,
@@ -297,17 +298,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.length_scale_, self.alpha_ = self._tune(problem, width, rng)
         Z = (problem.X - problem.X.mean(axis=0)) / self.length_scale_
         order, self.stop_reason_ = self._select(problem, Z, rng)
-        columns = kernel_matrix(Z, Z[order], self.kernel)
         definite = KERNELS[self.kernel].positive_definite
-        path = nested_least_squares(
-            problem.tail,
-            problem.root * columns,
-            psd_root(columns[order]) if definite else np.eye(len(order)),
-            self.alpha_,
-            problem.targets,
-            problem.within,
+        root = (
+            psd_root(kernel_matrix(Z[order], Z[order], self.kernel))
+            if definite
+            else np.eye(len(order))
         )
-        k, self.criterion_path_ = self._size(problem, path)
+        p = problem.tail.shape[1]
+        path = nested_least_squares(
+            self._blocks(problem, Z, order), p, root, self.alpha_, problem.within
+        )
+        k, self.criterion_path_ = self._size(problem, Z, order, path)
 
         self.n_iter_ = len(order)
         self.centers_ = problem.X[order[:k]]
@@ -315,7 +316,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         varying = problem.spread > 0
         share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
         self.error_reduction_ = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
-        p = problem.tail.shape[1]
         solution = path.coefficients(k)
         polynomial = problem.tail_map.T @ solution[:p]
         self.coef_, self.intercept_, self.linear_coef_ = (
@@ -336,6 +336,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             for name in _PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
         return self
+
+    def _blocks(self, problem, Z, order):
+        """Rows of the tail, the centres' columns and the targets, times root weight, in blocks."""
+        size = max(1, BLOCK // max(1, len(order)))
+        for start in range(0, len(Z), size):
+            part = slice(start, start + size)
+            columns = problem.root[part] * kernel_matrix(Z[part], Z[order], self.kernel)
+            yield np.hstack([problem.tail[part], columns, problem.targets[part]])
 
     def _tune(self, problem, width, rng):
         """Widths, and the ridge of every output, found where they are not given."""
@@ -403,7 +411,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             rows,
             problem.root,
             basis,
-            [targets[:, of] for of in members],
+            targets,
+            members,
             self.kernel,
             alphas,
             n_select if criterion is None else None,
@@ -429,7 +438,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         }
         return rows[indices], stop.get(found.stop, found.stop)
 
-    def _size(self, problem, path):
+    def _size(self, problem, Z, order, path):
         """Number of centres to keep, and the criterion along the path."""
         criterion = self._criterion()
         tried = len(path.dof) - 1
@@ -443,10 +452,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 # The forward pass has stopped by it; what is shown is the objective it lowers.
                 return tried, (path.objective[1:, varying] / scale).mean(axis=1) / n
             if criterion == "gcv":
-                free = np.maximum(n - 1.5 * dof, 0.0)
-                score = (np.log(rss) + np.log(n) - 2 * np.log(free)).mean(axis=1)
+                free = n - 1.5 * dof
+                usable = np.all(free > 0, axis=1)
+                score = np.full(tried, np.inf)
+                score[usable] = np.log(n * rss[usable] / free[usable] ** 2).mean(axis=1)
             elif criterion == "loo":
-                score = np.log(path.press[1:, varying] / scale / n).mean(axis=1)
+                columns = problem.root * kernel_matrix(Z, Z[order], self.kernel)
+                press = leave_one_out(problem.tail, columns, problem.targets, path, problem.within)
+                score = np.log(press[1:, varying] / scale / n).mean(axis=1)
             elif criterion == "bic":
                 score = (n * np.log(rss / n) + np.log(n) * dof).mean(axis=1)
             elif criterion == "mse":

@@ -8,7 +8,7 @@ from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, pivoted_cholesky, squared_distances
-from sklearn_raacmm._path import nested_least_squares
+from sklearn_raacmm._path import leave_one_out, nested_least_squares
 from sklearn_raacmm._selection import candidate_groups, exchange, forward_selection
 
 
@@ -82,7 +82,8 @@ def test_both_representations_choose_alike(alpha):
     root = np.sqrt(weights)[:, None]
     basis = root / np.linalg.norm(root)
     targets = root * Y - basis @ (basis.T @ (root * Y))
-    args = (X / 0.5, np.arange(200), root, basis, [targets], "gaussian", [alpha])
+    members = [np.arange(2)]
+    args = (X / 0.5, np.arange(200), root, basis, targets, members, "gaussian", [alpha])
     # One step is cheapest on the matrix itself; many steps on the factor.
     symmetric, _ = candidate_groups(*args, 1)
     whitened, _ = candidate_groups(*args, None)
@@ -201,7 +202,11 @@ def test_path_is_that_of_separate_fits(alphas):
     K = np.exp(-0.5 * cdist(X, X[:9], "sqeuclidean") / 0.4**2)
     U = np.linalg.cholesky(K[:9]).T
     within = np.array([0.5, 0.25])
-    path = nested_least_squares(tail, root * K, U, np.array(alphas), root * Y, within)
+    rows = np.hstack([tail, root * K, root * Y])
+    # In blocks, some shorter than wide.
+    parts = [rows[:5], rows[5:40], rows[40:]]
+    path = nested_least_squares(parts, 1, U, np.array(alphas), within)
+    press = leave_one_out(tail, root * K, root * Y, path, within)
     for m in (0, 1, 4, 9):
         A = np.hstack([tail, root * K[:, :m]])
         for i in range(2):
@@ -221,7 +226,7 @@ def test_path_is_that_of_separate_fits(alphas):
                 keep = np.arange(60) != row
                 part = A[keep]
                 loo += (b[row] - A[row] @ np.linalg.solve(part.T @ part + R, part.T @ b[keep])) ** 2
-            assert path.press[m, i] == pytest.approx(loo + within[i], rel=1e-7)
+            assert press[m, i] == pytest.approx(loo + within[i], rel=1e-7)
 
 
 def test_exchange_reaches_a_local_optimum_never_worse_than_the_forward_pass():
@@ -229,7 +234,8 @@ def test_exchange_reaches_a_local_optimum_never_worse_than_the_forward_pass():
     root = np.ones((120, 1))
     basis = root / np.linalg.norm(root)
     targets = Y - Y.mean(axis=0)
-    args = (X / 0.4, np.arange(120), root, basis, [targets], "gaussian", [0.0], None)
+    members = [np.arange(1)]
+    args = (X / 0.4, np.arange(120), root, basis, targets, members, "gaussian", [0.0], None)
     candidates, _ = candidate_groups(*args)
     forward = forward_selection(candidates, 6).indices
     better, n_swaps = exchange(candidates, forward, tol=0)
