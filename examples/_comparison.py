@@ -1,11 +1,14 @@
 """What the examples share: the models that they compare, and tables for the terminal."""
 
+import argparse
 import sys
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
+from matplotlib.backend_bases import FigureCanvasBase
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import Ridge
@@ -103,6 +106,19 @@ def _progress(text):
     """Overwrite the line on a terminal; leave files and logs alone."""
     if sys.stderr.isatty():
         print(f"\r{text:<70}\r", end="", file=sys.stderr, flush=True)
+
+
+def figure_file(text):
+    """Check the name of the figure before the work, not after it; for argparse."""
+    path = Path(text)
+    if not path.resolve().parent.is_dir():
+        raise argparse.ArgumentTypeError(f"no such folder: {path.resolve().parent}")
+    kinds = FigureCanvasBase.get_supported_filetypes()
+    if path.suffix[1:].lower() not in kinds:
+        raise argparse.ArgumentTypeError(
+            f"{text} must end in one of {', '.join(f'.{kind}' for kind in sorted(kinds))}"
+        )
+    return path
 
 
 class Table:

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import joblib
 import matplotlib.pyplot as plt
 import numpy as np
-from _comparison import Table
+from _comparison import Table, figure_file
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, GroupShuffleSplit
@@ -128,12 +128,17 @@ def main(argv=None):
     parser.add_argument("--positions", type=int, default=12, help="of the cone (default: 12)")
     parser.add_argument("--poses", type=int, default=40, help="at each position (default: 40)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
-    parser.add_argument("--output", default="grid_search.png", help="file of the figure")
+    parser.add_argument(
+        "--output", type=figure_file, default="grid_search.png", help="file of the figure"
+    )
     args = parser.parse_args(argv)
     if args.positions < 6:
         parser.error(f"--positions must be at least 6 to split them, got {args.positions}.")
 
-    data = make_single_point(args.positions, args.poses)
+    try:
+        data = make_single_point(args.positions, args.poses)
+    except ValueError as error:
+        parser.error(str(error))
     holdout = GroupShuffleSplit(1, test_size=0.25, random_state=0)
     train, test = next(holdout.split(data.data, groups=data.groups))
     angles, residuals, groups = data.data[train], data.target[train], data.groups[train]

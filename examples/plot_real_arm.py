@@ -24,6 +24,7 @@ from _comparison import (
     PAPER,
     UNCORRECTED,
     Table,
+    figure_file,
     fit,
     in_parallel,
     models_to_compare,
@@ -39,16 +40,38 @@ Give the folder of the data with --data. To get them:
   git -C kinematics_calibration checkout 05a05ab4cbbe328c8f5bfcc76479c752ed07b82e
   python examples/plot_real_arm.py --data kinematics_calibration/data
 """
+N_JOINTS = 7
 HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement
 THREE, SEVEN = (PAPER, "RBF network"), (ALL, "RBF network")
 
 
-def read(folder):
+def read_angles(path, unit):
+    """Read the joint angles of one file, in rad."""
+    try:
+        angles = np.loadtxt(path, delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise SystemExit(f"{path} cannot be read: {error}") from None
+    if not np.isfinite(angles).all():
+        row = np.argwhere(~np.isfinite(angles))[0, 0]
+        raise SystemExit(f"{path} holds NaN or infinity, first in line {row + 1}.")
+    if angles.shape[1] != N_JOINTS:
+        raise SystemExit(f"{path} has {angles.shape[1]} columns; {N_JOINTS} joint angles needed.")
+    if unit == "deg":
+        return np.deg2rad(angles)
+    if np.abs(angles).max() > 2 * np.pi:  # no joint of this arm turns once around
+        raise SystemExit(
+            f"{path} holds angles of up to {np.abs(angles).max():.1f} rad, more than a turn: "
+            "if they are degrees, say --angle-unit deg."
+        )
+    return angles
+
+
+def read(folder, unit="rad"):
     """Read angles (rad), sockets and placements; points of one socket should coincide."""
     paths = sorted(folder.glob("*/hole_[01].csv"))
     if not paths:
         raise SystemExit(f"No file like <placement>/hole_0.csv in {folder}.\n\n{WHERE}")
-    tables = [np.loadtxt(path, delimiter=",", ndmin=2) for path in paths]
+    tables = [read_angles(path, unit) for path in paths]
     counts = [len(table) for table in tables]
     return SimpleNamespace(
         angles=np.concatenate(tables),
@@ -173,20 +196,25 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description="A real arm, before and after the correction.")
     parser.add_argument("--data", type=Path, help="folder of panda_2 and panda_3")
     parser.add_argument("--arm", default="panda_3", help="panda_3 (default) or panda_2")
+    parser.add_argument("--angle-unit", choices=["rad", "deg"], default="rad", help="of the files")
     parser.add_argument(
         "--keep-outliers",
         action="store_true",
         help="let the models learn from the rows that calibration names as outliers, too",
     )
     parser.add_argument("--jobs", type=int, default=-1, help="processes (default: one per core)")
-    parser.add_argument("--output", default="real_arm.png", help="file of the figure")
+    parser.add_argument(
+        "--output", type=figure_file, default="real_arm.png", help="file of the figure"
+    )
     args = parser.parse_args(argv)
     if args.data is None:
         print(WHERE, file=sys.stderr, end="")
         raise SystemExit(2)
 
-    data = read(args.data / args.arm)
+    data = read(args.data / args.arm, args.angle_unit)
     names = np.unique(data.placements)
+    if len(names) < 3:
+        raise SystemExit(f"{len(names)} placements in {args.data / args.arm}; 3 or more needed.")
     folds = [without(data, placement, args.keep_outliers) for placement in names]
     print(
         f"{args.arm}, real data: {len(data.angles)} poses in {len(np.unique(data.sockets))} "

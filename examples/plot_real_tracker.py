@@ -23,7 +23,16 @@ from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _comparison import ALL, PAPER, UNCORRECTED, Table, fit, in_parallel, models_to_compare
+from _comparison import (
+    ALL,
+    PAPER,
+    UNCORRECTED,
+    Table,
+    figure_file,
+    fit,
+    in_parallel,
+    models_to_compare,
+)
 from sklearn.model_selection import GroupKFold
 
 from sklearn_raacmm import Arm, calibrate
@@ -47,6 +56,8 @@ def read(path):
         lines = path.read_text(encoding="utf-8-sig").splitlines()[1:]
         # Semicolons between fields, decimal commas.
         rows = np.array([[float(f.replace(",", ".")) for f in line.split(";")] for line in lines])
+        if rows.ndim != 2 or rows.shape[1] < POINT.stop:
+            raise ValueError(f"expected {POINT.stop} columns or more, separated by semicolons")
     except (OSError, ValueError) as error:
         raise SystemExit(f"{path} cannot be read: {error}.\n\n{WHERE}") from None
     goals = np.unique(rows[:, GOAL].round(6), axis=0, return_inverse=True)[1].ravel()
@@ -152,10 +163,12 @@ def main(argv=None):
     parser.add_argument("--rows", type=int, help="use about so many rows only, of random goals")
     parser.add_argument("--folds", type=int, default=3, help="of goal positions (default: 3)")
     parser.add_argument(
-        "--gp-rows", type=int, default=3000, help="to train a Gaussian process (default: 3000)"
+        "--gp-rows", type=int, default=1500, help="to train a Gaussian process (default: 1500)"
     )
     parser.add_argument("--jobs", type=int, default=-1, help="processes (default: one per core)")
-    parser.add_argument("--output", default="real_tracker.png", help="file of the figure")
+    parser.add_argument(
+        "--output", type=figure_file, default="real_tracker.png", help="file of the figure"
+    )
     args = parser.parse_args(argv)
     if args.data is None:
         print(WHERE, file=sys.stderr, end="")

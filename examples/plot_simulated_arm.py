@@ -22,6 +22,7 @@ from _comparison import (
     PAPER,
     UNCORRECTED,
     Table,
+    figure_file,
     fit,
     in_parallel,
     models_to_compare,
@@ -171,14 +172,19 @@ def main(argv=None):
         "--machine", default="typical", choices=["typical", "gravity", "eccentricity"]
     )
     parser.add_argument("--jobs", type=int, default=-1, help="processes (default: one per core)")
-    parser.add_argument("--output", default="simulated_arm.png", help="file of the figure")
+    parser.add_argument(
+        "--output", type=figure_file, default="simulated_arm.png", help="file of the figure"
+    )
     args = parser.parse_args(argv)
     if args.positions < 3:
         parser.error(f"--positions must be at least 3 to hold one out, got {args.positions}.")
 
     settings = {"machine": args.machine, "random_state": args.seed}
-    cone = make_single_point(args.positions, args.poses, **settings)
-    gauge = make_gauge(**settings)
+    try:
+        cone = make_single_point(args.positions, args.poses, **settings)
+        gauge = make_gauge(**settings)
+    except ValueError as error:
+        parser.error(str(error))
 
     print(f"Simulated measuring arm, calibrated: {cone.arm!r}")
     print(f"Simulated cone-hole test: {args.positions} positions, {args.poses} poses at each.")

@@ -60,10 +60,19 @@ def test_simulated_arm(example, capsys):
     assert Path("simulated_arm.png").read_bytes().startswith(PNG)
 
 
-def test_simulated_arm_refuses_too_few_positions(example, capsys):
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--positions 2", "at least 3 to hold one out, got 2"),
+        ("--poses 1", "n_poses must be a whole number of at least 2, got 1"),
+        ("--output nowhere/figure.png", "no such folder"),
+        ("--output figure.pngg", "figure.pngg must end in one of"),
+    ],
+)
+def test_simulated_arm_refuses_before_the_work(example, capsys, arguments, message):
     with pytest.raises(SystemExit, match="2"):
-        example("plot_simulated_arm").main(["--positions", "2"])
-    assert "at least 3 to hold one out, got 2" in capsys.readouterr().err
+        example("plot_simulated_arm").main(arguments.split())
+    assert message in capsys.readouterr().err
 
 
 def test_grid_search(example, capsys):
@@ -146,10 +155,33 @@ def test_real_arm(example, capsys, few_rows):
 
 def test_real_arm_names_what_is_wrong_with_a_file(example, few_rows):
     path = few_rows / "panda_3" / "backleft" / "hole_1.csv"
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines[:-1], lines[-1].replace(lines[-1].split(",")[2], "nan")]))
-    with pytest.raises(ValueError, match="NaN"):
-        example("plot_real_arm").main(["--data", str(few_rows), "--jobs", "1"])
+    run = example("plot_real_arm").main
+    rows = np.loadtxt(path, delimiter=",")
+
+    def message(wrong):
+        np.savetxt(path, wrong, delimiter=",")
+        with pytest.raises(SystemExit) as stop:
+            run(["--data", str(few_rows), "--jobs", "1"])
+        assert str(path) in str(stop.value)
+        return str(stop.value)
+
+    holed = rows.copy()
+    holed[4, 2] = np.nan
+    assert "NaN or infinity, first in line 5" in message(holed)
+    assert "has 6 columns; 7 joint angles needed" in message(rows[:, :6])
+    assert f"up to {np.abs(np.rad2deg(rows)).max():.1f} rad" in message(np.rad2deg(rows))
+    path.write_text("q1,q2\n")
+    with pytest.raises(SystemExit, match="cannot be read"):
+        run(["--data", str(few_rows)])
+
+
+def test_real_arm_in_degrees(example, few_rows):
+    module = example("plot_real_arm")
+    folder = few_rows / "panda_3"
+    rad = module.read(folder).angles
+    for path in folder.glob("*/hole_?.csv"):
+        np.savetxt(path, np.rad2deg(np.loadtxt(path, delimiter=",")), delimiter=",")
+    np.testing.assert_allclose(module.read(folder, "deg").angles, rad, atol=1e-12)
 
 
 def test_real_tracker(example, capsys, ur10, monkeypatch):
