@@ -2,6 +2,7 @@
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
+from sklearn_raacmm.harmonics import JointHarmonicRegressor
 from sklearn_raacmm.pose import PoseFeatures
 from sklearn_raacmm.rbf import RBFNetRegressor
 from sklearn_raacmm.target import (
@@ -17,6 +18,7 @@ __all__ = [
     "Arm",
     "CalibrationResult",
     "CylindricalResidualTarget",
+    "JointHarmonicRegressor",
     "PoseFeatures",
     "RBFNetRegressor",
     "calibrate",

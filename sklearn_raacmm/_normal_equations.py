@@ -1,0 +1,107 @@
+"""Normal equations of the linear error model: sums over poses, without holding the columns."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from sklearn_raacmm._arm_terms import term_columns
+
+# Poses whose columns are held at a time: 12 MB for 1000 columns.
+_CHUNK = 512
+
+
+class Smooth(NamedTuple):
+    """A smooth error beside the linear model, in the cylindrical frame of the probe's azimuth.
+
+    basis : callable
+        From angles (n, n_joints) to an orthonormal basis of its prior (n, k): each component is
+        ``basis @ u`` with u normal of variance 1 / alpha, in units of the noise.
+    alpha : ndarray of shape (3,)
+    """
+
+    basis: object
+    alpha: np.ndarray
+
+
+class NormalEquations(NamedTuple):
+    gram: np.ndarray  # (p, p)
+    moment: np.ndarray  # (p,)
+    square: float
+    n_observations: float  # coordinates, less those that offsets spent
+
+
+def normal_equations(arm, angles, y, weights, codes, terms, smooth=None):
+    """Sum up ``A.T @ C @ A`` and ``A.T @ C @ y`` for the columns A of the model.
+
+    C weighs the rows, takes the mean out of every group (one free offset per position: exact for
+    a linear model, by the Frisch-Waugh theorem) and, with `smooth`, is the inverse covariance of
+    noise and smooth error together (generalised least squares).
+
+    Parameters
+    ----------
+    arm : Arm
+    angles : ndarray of shape (n, n_joints)
+    y : ndarray of shape (n, 3)
+    weights : ndarray of shape (n,)
+    codes : ndarray of shape (n,) or None
+        Group of each row, from 0; None for no offsets.
+    terms : Terms
+    smooth : Smooth, optional
+
+    Returns
+    -------
+    NormalEquations
+    """
+    n_groups = 0 if codes is None else codes.max() + 1
+    sums, squares, shared, own = None, 0.0, None, None
+    for start in range(0, len(angles), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        vectors = term_columns(arm, angles[rows], terms)
+        vectors = np.concatenate([vectors, y[rows, :, None]], axis=2)
+        if smooth is not None:
+            azimuth = arm.azimuth(angles[rows])
+            vectors = _turned(vectors, azimuth)
+            basis = smooth.basis(angles[rows])
+        weight = weights[rows]
+        rooted = (np.sqrt(weight)[:, None, None] * vectors).reshape(-1, vectors.shape[2])
+        squares = squares + rooted.T @ rooted
+        if smooth is not None:
+            weighted = weight[:, None] * basis
+            cross_part = np.einsum("nk,ncp->ckp", weighted, vectors, optimize=True)
+            shared = cross_part if shared is None else shared + cross_part
+            own = basis.T @ weighted if own is None else own + basis.T @ weighted
+        if n_groups:
+            if sums is None:
+                sums = np.zeros((n_groups, 3, vectors.shape[2]))
+                basis_sums = None if smooth is None else np.zeros((n_groups, basis.shape[1]))
+            np.add.at(sums, codes[rows], weight[:, None, None] * vectors)
+            if smooth is not None:
+                np.add.at(basis_sums, codes[rows], weighted)
+    if n_groups:
+        total = np.bincount(codes, weights=weights, minlength=n_groups)
+        rooted = (sums / np.sqrt(total)[:, None, None]).reshape(-1, sums.shape[2])
+        squares -= rooted.T @ rooted
+        if smooth is not None:
+            mean = basis_sums / total[:, None]
+            shared -= np.einsum("gk,gcp->ckp", mean, sums, optimize=True)
+            own -= mean.T @ basis_sums
+    if smooth is not None:
+        for component, alpha in enumerate(smooth.alpha):
+            if not np.isfinite(alpha):
+                continue  # a component without a smooth part
+            factor = cho_factor(own + alpha * np.eye(len(own)), lower=True)
+            squares -= shared[component].T @ cho_solve(factor, shared[component])
+    return NormalEquations(
+        squares[:-1, :-1],
+        squares[:-1, -1],
+        float(max(squares[-1, -1], 0.0)),
+        3.0 * (weights.sum() - n_groups),
+    )
+
+
+def _turned(vectors, azimuth):
+    """Columns (n, 3, p) in the cylindrical frame."""
+    cos, sin = np.cos(azimuth)[:, None], np.sin(azimuth)[:, None]
+    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+    return np.stack([x * cos + y * sin, y * cos - x * sin, z], axis=1)

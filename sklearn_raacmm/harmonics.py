@@ -1,0 +1,413 @@
+"""Errors of encoders, bearings and loads, found as a linear model through the arm's Jacobian."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+from numbers import Integral, Real
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_raacmm._arm_terms import FAMILIES, HARMONIC, Terms, term_columns, term_names
+from sklearn_raacmm._evidence import select_blocks
+from sklearn_raacmm._normal_equations import normal_equations
+from sklearn_raacmm._residuals import _encode_groups
+from sklearn_raacmm._sklearn import (
+    Interval,
+    StrOptions,
+    _check_sample_weight,
+    _fit_context,
+    one_blas_thread,
+)
+from sklearn_raacmm.arm import Arm
+
+__all__ = ["JointHarmonicRegressor"]
+
+# Poses predicted at a time.
+_CHUNK = 2048
+# Share of the residuals' size below which a position's mean residual counts as zero: residuals of a
+# single-point test have such means by construction, to rounding (or to the digits of a file).
+_CENTRED = 1e-3
+
+_HARMONIC_DTYPE = np.dtype(
+    [
+        ("joint", "i4"),
+        ("order", "i4"),
+        ("amplitude_arcsec", "f8"),
+        ("phase_deg", "f8"),
+        ("cos_arcsec", "f8"),
+        ("sin_arcsec", "f8"),
+        ("cos_sd_arcsec", "f8"),
+        ("sin_sd_arcsec", "f8"),
+        ("log_bayes_factor", "f8"),
+    ]
+)
+
+
+class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+    r"""Linear model of what the arm itself does to its probe, joint by joint.
+
+    An encoder's error is a periodic function of its own angle,
+
+    .. math:: \delta\theta_j = \sum_k a_{jk} \cos k\theta_j + b_{jk} \sin k\theta_j,
+
+    and reaches the probe through the arm's Jacobian: one pair of numbers serves x, y and z, at
+    every pose. Which orders k are there (an eccentric disc gives 1 and 2, gears give others) is
+    found, not assumed. Beside the harmonics the model holds, each optional,
+
+    - gravity: every link and joint yields about its three axes in proportion to the torque of each
+      load beyond it, from the arm's geometry;
+    - kinematics: small changes of the arm's static parameters, which calibration had to guess while
+      it took the other errors for noise;
+    - wobble: every axis tilts once and twice a turn about the two directions across it.
+
+    Subtract what `predict` returns from the measured point to correct it.
+
+    Parameters
+    ----------
+    arm : Arm, default=None
+        The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
+
+    n_harmonics : int, default=72
+        Highest order offered, for every joint. A higher one costs time, hardly accuracy: what a
+        harmonic has to explain to be taken grows with the number offered.
+
+    gravity, kinematics, wobble : bool, default=True
+        Which of the other causes are in the model.
+
+    prior_sd : float or "auto", default="auto"
+        Standard deviation that the cosine and sine of a harmonic have before any data are seen, in
+        arc seconds. "auto" lets the data decide, as always for the other causes.
+
+    offsets : bool or "auto", default="auto"
+        Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
+        are deviations from the position's own mean, as in a single-point test; it has not where
+        `y` was measured against a tracker. "auto" finds out: the positions' mean residuals are
+        zero, or not.
+
+    Attributes
+    ----------
+    harmonics_ : structured ndarray of shape (n_chosen,)
+        The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
+        `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
+        and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
+        raised the log evidence when it joined.
+
+    terms_ : structured ndarray of shape (n_terms,)
+        The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
+        that one arc second spans at the stretched arm's reach; for loads in arc seconds under the
+        torque of the load at that reach.
+
+    prior_sd_ : dict
+        Standard deviation of the coefficients of each family in these units.
+
+    noise_sd_ : float
+        Standard deviation of a coordinate about the model, mm.
+
+    offsets_ : bool
+        Whether offsets were fitted.
+
+    n_determined_ : float
+        Effective number of coefficients that the data determine.
+
+    coef_ : ndarray of shape (n_columns,)
+        Coefficients in the order of the model's columns: cosine and sine of each of
+        `column_harmonics_`, then those of `terms_`.
+
+    column_harmonics_ : ndarray of shape (n_chosen, 2)
+        Joint from 1 and order of the harmonics in that order.
+
+    arm_ : Arm
+        The arm in use.
+
+    n_features_in_ : int
+        Number of joints.
+
+    feature_names_in_ : ndarray of shape (n_features_in_,)
+        Names of the columns of `X`, where they are all text.
+
+    See Also
+    --------
+    RBFNetRegressor : For what is smooth in the pose and not in this model.
+
+    Notes
+    -----
+    Coefficients have normal priors of mean zero, one variance a family, found with the noise by
+    maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
+    least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
+    the rise is more than the logarithm of the number of candidates. The model has no memory of the
+    number of poses but their normal equations.
+
+    Offsets are exact fixed effects: means over the position are taken out of the columns, too.
+
+    Standard deviations suppose independent noise. Where a smooth error is left they are too small.
+
+    The harmonic form is that of encoder eccentricity; the composition of the model is our own.
+
+    Examples
+    --------
+    An eccentric encoder at joint 2, 6 arc seconds, and gear teeth at joint 4, 17 to the turn:
+
+    >>> import numpy as np
+    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor
+    >>> arm = Arm.from_name("aacmm6")
+    >>> rng = np.random.default_rng(0)
+    >>> theta = rng.uniform(-2, 2, (300, 6))
+    >>> error = np.zeros_like(theta)
+    >>> error[:, 1] = 6 * np.cos(theta[:, 1] - 0.5)
+    >>> error[:, 3] = 4 * np.sin(17 * theta[:, 3])
+    >>> error *= np.pi / 180 / 3600
+    >>> y = np.einsum("nij,nj->ni", arm.jacobian(theta), error)
+    >>> y += rng.normal(scale=0.003, size=y.shape)
+    >>> model = JointHarmonicRegressor(arm, gravity=False, kinematics=False, wobble=False)
+    >>> model.fit(theta, y).harmonics_[["joint", "order"]].tolist()
+    [(2, 1), (4, 17)]
+    >>> model.harmonics_["amplitude_arcsec"].round(1).tolist()
+    [6.1, 4.0]
+    """
+
+    _parameter_constraints: dict = {
+        "arm": [Arm, None],
+        "n_harmonics": [Interval(Integral, 0, 1000, closed="both")],
+        "gravity": ["boolean"],
+        "kinematics": ["boolean"],
+        "wobble": ["boolean"],
+        "prior_sd": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"})],
+        "offsets": ["boolean", StrOptions({"auto"})],
+    }
+
+    def __init__(
+        self,
+        arm=None,
+        *,
+        n_harmonics=72,
+        gravity=True,
+        kinematics=True,
+        wobble=True,
+        prior_sd="auto",
+        offsets="auto",
+    ):
+        self.arm = arm
+        self.n_harmonics = n_harmonics
+        self.gravity = gravity
+        self.kinematics = kinematics
+        self.wobble = wobble
+        self.prior_sd = prior_sd
+        self.offsets = offsets
+
+    @one_blas_thread
+    @_fit_context(prefer_skip_nested_validation=True)
+    def fit(self, X, y, sample_weight=None, groups=None):
+        """Choose the harmonics and fit all coefficients.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints)
+            Joint angles in rad.
+
+        y : array-like of shape (n_samples, 3)
+            Cartesian residuals in mm, measured minus reference, in the arm's base frame.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights; an integer weight is worth that many repeats of the row.
+
+        groups : array-like of shape (n_samples,), default=None
+            Label of the position of each sample, for the offsets.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If X has not one column per joint or y not three, something is NaN or infinite, a weight
+            is negative or all are 0, the model has no columns at all, or ``offsets=True`` comes
+            without `groups`.
+
+        Warns
+        -----
+        UserWarning
+            If angles are larger than two turns: most likely degrees.
+        """
+        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        self.arm_ = check_arm(self.arm, X.shape[1])
+        y = check_residuals(y)
+        weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        self._fit(X, y, weights, check_offsets(self.offsets, y, weights, groups), None)
+        return self
+
+    def _fit(self, X, y, weights, codes, smooth):
+        kept = weights > 0
+        X, y, weights = X[kept], y[kept], weights[kept]
+        self.offsets_ = codes is not None
+        if codes is not None:
+            codes = np.unique(codes[kept], return_inverse=True)[1].ravel()
+        n_joints = self.arm_.n_joints
+        self.arm_.forward(X[np.argmax(np.abs(X).max(axis=1))][None])  # warns of degrees
+        offered = np.array(
+            [(j, k) for j in range(n_joints) for k in range(1, self.n_harmonics + 1)], dtype=int
+        ).reshape(-1, 2)
+        terms = Terms(offered, self.gravity, self.kinematics, self.wobble)
+        names, of_term = term_names(self.arm_, terms)
+        if not len(offered) and not names:
+            raise ValueError(
+                "The model has no columns: n_harmonics is 0 and gravity, kinematics and wobble are "
+                "all False."
+            )
+        equations = normal_equations(self.arm_, X, y, weights, codes, terms, smooth)
+        n_pairs = len(offered)
+        blocks = [np.array([2 * i, 2 * i + 1]) for i in range(n_pairs)]
+        families = np.unique(of_term)
+        blocks += [2 * n_pairs + np.flatnonzero(of_term == f) for f in families]
+        family = np.r_[np.full(n_pairs, HARMONIC), families]
+        prior_variance = np.full(len(FAMILIES), np.nan)
+        if not isinstance(self.prior_sd, str):
+            prior_variance[HARMONIC] = self.prior_sd**2
+        found = select_blocks(
+            equations.gram,
+            equations.moment,
+            equations.square,
+            equations.n_observations,
+            blocks,
+            family,
+            np.arange(len(blocks)) >= n_pairs,
+            prior_variance,
+        )
+        self._unpack(found, offered, names, of_term)
+
+    def _unpack(self, found, offered, names, of_term):
+        """Give the posterior its readable form; columns in the order harmonics, other terms."""
+        order = np.argsort(found.columns, kind="stable")
+        chosen = np.array(found.blocks, dtype=int)
+        chosen = chosen[chosen < len(offered)]
+        sorted_pairs = np.sort(chosen)
+        self.coef_ = found.coef[order]
+        self.column_harmonics_ = offered[sorted_pairs] + [1, 0]
+        identity = np.eye(len(order))
+        # covariance = half @ half.T, rows in the order of coef_
+        self._half = solve_triangular(found.root, identity, check_finite=False)[order]
+        self.covariance_sd_ = np.sqrt(np.square(self._half).sum(axis=1))
+        self.noise_sd_ = float(np.sqrt(found.noise_variance))
+        self.n_determined_ = float(found.n_determined)
+        present = {HARMONIC, *of_term.tolist()} if len(offered) else set(of_term.tolist())
+        self.prior_sd_ = {
+            FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(present)
+        }
+        n = 2 * len(chosen)
+        pairs, sds = self.coef_[:n].reshape(-1, 2), self.covariance_sd_[:n].reshape(-1, 2)
+        gain_of = dict(zip(chosen.tolist(), found.gains, strict=True))
+        table = np.empty(len(chosen), dtype=_HARMONIC_DTYPE)
+        table["joint"], table["order"] = self.column_harmonics_.T
+        table["amplitude_arcsec"] = np.hypot(pairs[:, 0], pairs[:, 1])
+        table["phase_deg"] = np.rad2deg(np.arctan2(pairs[:, 1], pairs[:, 0]))
+        table["cos_arcsec"], table["sin_arcsec"] = pairs.T
+        table["cos_sd_arcsec"], table["sin_sd_arcsec"] = sds.T
+        table["log_bayes_factor"] = [gain_of[b] for b in sorted_pairs.tolist()]
+        self.harmonics_ = table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
+        width = max([len(name) for name in names], default=1)
+        others = [("family", "U10"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
+        self.terms_ = np.empty(len(names), dtype=others)
+        self.terms_["family"] = [FAMILIES[f] for f in of_term]
+        self.terms_["name"] = names
+        self.terms_["value"], self.terms_["sd"] = self.coef_[n:], self.covariance_sd_[n:]
+
+    def _terms(self):
+        pairs = self.column_harmonics_ - [1, 0]
+        return Terms(pairs, self.gravity, self.kinematics, self.wobble)
+
+    def predict(self, X, return_std=False):
+        """Predict residuals.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints)
+            Joint angles in rad.
+
+        return_std : bool, default=False
+            Also return the standard deviation of the prediction, without noise.
+
+        Returns
+        -------
+        residuals : ndarray of shape (n_samples, 3)
+            dx, dy and dz in mm: subtract them from the measured points.
+
+        std : ndarray of shape (n_samples, 3)
+            Their posterior standard deviations in mm, where asked for. Far from the training poses
+            they grow, to at most those of the priors.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If X has another number of columns than the arm has joints, or holds NaN or infinity.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        terms = self._terms()
+        mean, std = np.empty((len(X), 3)), np.empty((len(X), 3))
+        for start in range(0, len(X), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            columns = term_columns(self.arm_, X[rows], terms)
+            mean[rows] = columns @ self.coef_
+            if return_std:
+                std[rows] = np.sqrt(np.square(columns @ self._half).sum(axis=2))
+        return (mean, std) if return_std else mean
+
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.target_tags.single_output = False
+        tags.regressor_tags.poor_score = True
+        return tags
+
+
+def check_arm(arm, n_columns):
+    """The arm, or the built-in one; refuses angles that are not its own."""
+    arm = Arm.from_name("aacmm6") if arm is None else arm
+    if n_columns != arm.n_joints:
+        raise ValueError(
+            f"X has {n_columns} columns, but the arm {arm!r} has {arm.n_joints} joints: one column "
+            "of joint angles each is needed."
+        )
+    return arm
+
+
+def check_residuals(y):
+    """Residuals (n, 3) as float64."""
+    if y.ndim != 2 or y.shape[1] != 3:
+        raise ValueError(
+            f"y has shape {y.shape}; Cartesian residuals (n_samples, 3) in mm are needed."
+        )
+    return y.astype(np.float64, copy=False)
+
+
+def check_offsets(offsets, y, weights, groups):
+    """Index of each row's position where offsets are to be fitted, else None."""
+    if groups is None:
+        if offsets is True:
+            raise ValueError("offsets=True needs groups: the position of each sample.")
+        return None
+    _, codes = _encode_groups(groups)
+    if len(codes) != len(y):
+        raise ValueError(f"groups names {len(codes)} samples, but X and y have {len(y)}.")
+    if offsets == "auto":
+        total = np.bincount(codes, weights=weights)
+        used = total > 0
+        sums = np.stack([np.bincount(codes, weights=weights * part) for part in y.T])[:, used]
+        means = sums / total[used]
+        size = np.sqrt(weights @ np.square(y).mean(axis=1) / max(total.sum(), 1e-300))
+        offsets = bool(size > 0 and np.abs(means).max() <= _CENTRED * size)
+        if not offsets and size > 0 and np.median(np.abs(means)) <= _CENTRED * size:
+            warnings.warn(
+                "Most positions' mean residuals are zero, but not all: y looks like deviations "
+                "from means of other rows than these. No offsets are fitted; set offsets to True "
+                "or False.",
+                UserWarning,
+                stacklevel=3,
+            )
+    return codes if offsets else None
