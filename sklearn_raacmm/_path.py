@@ -12,7 +12,8 @@ class Path(NamedTuple):
     rss: np.ndarray  # (k + 1, n_outputs) sum of squared residuals
     objective: np.ndarray  # (k + 1, n_outputs) the same with the penalty
     dof: np.ndarray  # (k + 1, n_outputs) trace of the smoother, tail included
-    triangles: list  # of (p + k, p + k) for each output, tail columns first
+    rows: np.ndarray  # (<= p + k, p + k) triangular factor of the rows alone, tail columns first
+    triangles: list  # of (p + k, p + k) for each output, with its penalty
     rotated: np.ndarray  # (p + k, n_outputs) targets in their coordinates
 
     def coefficients(self, m):
@@ -74,10 +75,7 @@ def nested_least_squares(parts, n_tail, penalty_root, alphas, within):
     triangles, rotated = [None] * q, np.zeros((p + k, q))
     for alpha in np.unique(alphas):
         of = np.flatnonzero(alphas == alpha)
-        penalty = np.sqrt(alpha) * penalty_root if alpha > 0 else penalty_root[:0]
-        stacked = np.zeros((len(columns) + len(penalty), p + k))
-        stacked[: len(columns)], stacked[len(columns) :, p:] = columns, penalty
-        Q, triangle = qr(stacked, mode="economic", check_finite=False) if p + k else (stacked,) * 2
+        Q, triangle = penalise(columns, p, penalty_root, alpha)
         Q = Q[: len(columns)]
         size = Q.shape[1]
         rotated[:size, of] = Q.T @ targets[:, of]
@@ -96,7 +94,23 @@ def nested_least_squares(parts, n_tail, penalty_root, alphas, within):
             triangles[i] = triangle
     # A difference of large numbers: the objective is never below its own first part.
     objective = np.maximum(objective, rss)
-    return Path(rss + within, objective + within, dof, triangles, rotated)
+    return Path(rss + within, objective + within, dof, columns, triangles, rotated)
+
+
+def penalise(rows, n_tail, penalty_root, alpha):
+    """QR of the rows' triangle with the penalty of all but the tail's columns below it.
+
+    Returns
+    -------
+    Q : ndarray of shape (len(rows) + m, p + k)
+    R : ndarray of shape (p + k, p + k)
+    """
+    penalty = np.sqrt(alpha) * penalty_root if alpha > 0 else penalty_root[:0]
+    stacked = np.zeros((len(rows) + len(penalty), rows.shape[1]))
+    stacked[: len(rows)], stacked[len(rows) :, n_tail:] = rows, penalty
+    if not rows.shape[1]:
+        return stacked, stacked[:0]
+    return qr(stacked, mode="economic", check_finite=False)
 
 
 def leave_one_out(tail, columns, targets, path, within):

@@ -34,7 +34,13 @@ from scipy.linalg import (
     solve_triangular,
 )
 
-from sklearn_raacmm._kernels import KERNELS, kernel_matrix, largest, pivoted_cholesky
+from sklearn_raacmm._kernels import (
+    KERNELS,
+    ROUNDING,
+    kernel_matrix,
+    largest,
+    pivoted_cholesky,
+)
 from sklearn_raacmm._path import triangular_factor
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
@@ -519,7 +525,8 @@ def whiten(rows, blocks, members, alphas, resolution):
         # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
         # machine epsilon; a ridge, or a coarse factor, does not ask for more.
         trusted, failed = resolution, True
-        if alpha > 1e-12 * gram.diagonal().max(initial=0.0) or resolution >= 1e-9:
+        strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
+        if strong or (alpha == 0 and resolution >= 1e-9):
             trusted = max(resolution, 1e-7)
             gram[np.diag_indices(rank)] += alpha
             root, failed = lapack.dpotrf(gram, lower=1, clean=1)
@@ -602,7 +609,7 @@ def candidate_groups(
         return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
 
     least = min(alphas)
-    tol = 1e-8 if least == 0 else min(max(1e-3 * least, 1e-10), 1e-6)
+    tol = 1e-8 if least == 0 else min(max(1e-3 * least, ROUNDING), 1e-6)
     may_be_symmetric = n_select is not None and not whitened and len(rows) == n <= MAX_SYMMETRIC
     max_rank = MAX_RANK if not may_be_symmetric else max(64, int(2 * np.sqrt(n * n_select)))
     resolve = n_select if least == 0 else None

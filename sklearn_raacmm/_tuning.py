@@ -15,12 +15,16 @@ References
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, blas, cholesky, lapack
+from scipy.linalg import LinAlgError, blas, cholesky, eigh, lapack
 from scipy.optimize import minimize
 
-from sklearn_raacmm._kernels import KERNELS, pivoted_cholesky, squared_distances
+from sklearn_raacmm._kernels import KERNELS, ROUNDING, pivoted_cholesky, squared_distances
 
-ALPHA_BOUNDS = (1e-9, 1e3)
+ALPHA_BOUNDS = (1e-12, 1e3)
+# Below it inverses lose too many digits, and eigenvectors take their place.
+SMALL_ALPHA = 1e-5
+# Added to the inducing rows' kernel matrix for its Cholesky factor to exist: the first that does.
+JITTER = (1e-10, 1e-8, 1e-6)
 # In standard deviations of a feature: below, every sample is alone; above, the feature is ignored.
 WIDTH_BOUNDS = (1e-2, 1e3)
 # Rows of the first stage; rows and iterations of those that follow, and their inducing rows.
@@ -76,65 +80,117 @@ def negative_log_likelihood(Z, X, Y, weights, n_total, within, kernel, log_width
     if definite:
         s_mm = squared_distances(Zs, Zs)
         slope_mm = slope(s_mm)
-        Kmm = function(s_mm)
-        Kmm[np.diag_indices(m)] += 1e-8
-        L = cholesky(Kmm, lower=True, check_finite=False)
+        L = _root(function(s_mm))
         L_inverse = lapack.dtrtri(L, lower=1)[0]
         # A = L^-1 Kw, as its transpose, which is in the order that BLAS wants.
         A = blas.dtrsm(1.0, L, Kw.T, side=1, lower=1, trans_a=1).T
     else:
         A = Kw
-    AA, AY = A @ A.T, A @ Yw
-    total = np.square(Yw).sum(axis=0) + within
-
-    # Derivatives of the log determinant and of the quadratic form (the reference's section 5.4.1)
-    # through S = alpha Kmm + Kw Kw', whose inverse is L^-T B^-1 L^-1, B = A A' + alpha I.
-    value, d_log_alpha = 0.0, np.empty(q)
-    solved, scale = np.empty((m, q)), np.empty(q)
-    B_sum, B_weighted = np.zeros((m, m)), np.zeros((m, m))
-    for i, alpha in enumerate(alphas):
-        B_inverse, log_det = _inverse(AA, alpha)
-        solved[:, i] = B_inverse @ AY[:, i]
-        quadratic = max(total[i] - AY[:, i] @ solved[:, i], 1e-14 * total[i]) / alpha
-        scale[i] = n_total / quadratic
-        value += 0.5 * (log_det + (n_total - m) * log_alpha[i] + n_total * np.log(quadratic))
-        d_log_alpha[i] = 0.5 * (
-            alpha * np.trace(B_inverse)
-            + n_total
-            - m
-            + scale[i] * (solved[:, i] @ solved[:, i] - quadratic)
-        )
-        B_sum += B_inverse
-        B_weighted += alpha * B_inverse
-    if definite:
-        beta = L_inverse.T @ solved
-        B_sum = L_inverse.T @ B_sum @ L_inverse
-    else:
-        beta = solved
+    # The derivatives (the reference's section 5.4.1) go through S = alpha Kmm + Kw Kw', whose
+    # inverse is L^-T B^-1 L^-1 with B = A A' + alpha I.
+    shrunk = _shrink_stably if alphas.min() < SMALL_ALPHA else _shrink
+    solved, log_det, trace, left, right, weighted = shrunk(A, Yw, alphas)
+    beta = L_inverse.T @ solved if definite else solved
     residual = Yw - Kw.T @ beta
-    G = B_sum @ Kw
+    prior = np.square(solved).sum(axis=0)
+    # As a sum of squares, not as a difference: right to second order in what beta is off.
+    unexplained = np.square(residual).sum(axis=0) + within
+    quadratic = np.maximum(unexplained / alphas + prior, np.finfo(float).tiny)
+    scale = n_total / quadratic
+    value = 0.5 * np.sum(log_det + (n_total - m) * log_alpha + n_total * np.log(quadratic))
+    d_log_alpha = 0.5 * (alphas * trace + n_total - m + scale * (prior - quadratic))
+    G = (L_inverse.T @ left if definite else left) @ right
     G -= (beta * (scale / alphas)) @ residual.T
     G *= root
     G *= slope_mn
     gradient = _width_gradient(G, Zs, Xs)
     if definite:
-        B_weighted[np.diag_indices(m)] -= q
-        H = L_inverse.T @ B_weighted @ L_inverse
+        weighted[np.diag_indices(m)] -= q
+        H = L_inverse.T @ weighted @ L_inverse
         H += (beta * scale) @ beta.T
         H *= 0.5 * slope_mm
         gradient += _width_gradient(H, Zs, Zs)
     return value, np.append(gradient, d_log_alpha)
 
 
-def _inverse(AA, alpha):
-    """Inverse of AA + alpha I, and the logarithm of its determinant."""
-    B = np.array(AA, order="F")
-    B[np.diag_indices(len(B))] += alpha
-    root = cholesky(B, lower=True, overwrite_a=True, check_finite=False)
-    log_det = 2 * np.log(root.diagonal()).sum()
-    inverse = lapack.dpotri(root, lower=1, overwrite_c=1)[0]
-    lower = np.tril(inverse, -1)
-    return lower + lower.T + np.diag(inverse.diagonal()), log_det
+def leave_one_out_error(X, Y, weights, kernel, log_width, log_alpha):
+    """Mean squared leave-one-out residual of the process with every row inducing.
+
+    The arguments are as for `negative_log_likelihood`.
+    """
+    root = np.sqrt(weights)
+    Xs = X * np.exp(-log_width)
+    K = KERNELS[kernel].function(squared_distances(Xs, Xs))
+    A = (root[:, None] * K).T
+    if KERNELS[kernel].positive_definite:
+        A = blas.dtrsm(1.0, _root(K), A.T, side=1, lower=1, trans_a=1).T
+    Yw = root[:, None] * Y
+    values, vectors = eigh(A @ A.T, check_finite=False, driver="evd")
+    rotated = vectors.T @ A
+    error = 0.0
+    for i, alpha in enumerate(np.exp(log_alpha)):
+        inverse = 1 / (np.maximum(values, 0.0) + alpha)
+        residual = Yw[:, i] - rotated.T @ (inverse * (rotated @ Yw[:, i]))
+        leverage = inverse @ np.square(rotated)
+        error += np.sum(np.square(residual / np.maximum(1 - leverage, 1e-10)))
+    return error
+
+
+def _root(K):
+    """Lower Cholesky factor of a kernel matrix that may be singular to working precision."""
+    for jitter in JITTER:
+        jittered = np.array(K, order="F")
+        jittered[np.diag_indices(len(K))] += jitter
+        root, failed = lapack.dpotrf(jittered, lower=1, clean=1, overwrite_a=1)
+        if not failed:
+            return root
+    raise LinAlgError("kernel matrix of the inducing rows is not positive definite")
+
+
+def _shrink(A, Y, alphas):
+    """What the likelihood needs of B_i = A A' + alpha_i I, by Cholesky.
+
+    Returns
+    -------
+    solved : ndarray of shape (m, q)
+        B_i^-1 A Y_i.
+    log_det, trace : ndarray of shape (q,)
+        Of B_i, and of its inverse.
+    left, right : ndarray of shape (m, m) and (m, n)
+        The product is the sum of B_i^-1 A.
+    weighted : ndarray of shape (m, m)
+        Sum of alpha_i B_i^-1.
+    """
+    m, q = len(A), len(alphas)
+    AA, AY = A @ A.T, A @ Y
+    solved, log_det, trace = np.empty((m, q)), np.empty(q), np.empty(q)
+    summed, weighted = np.zeros((m, m)), np.zeros((m, m))
+    for i, alpha in enumerate(alphas):
+        B = np.array(AA, order="F")
+        B[np.diag_indices(m)] += alpha
+        root = cholesky(B, lower=True, overwrite_a=True, check_finite=False)
+        log_det[i] = 2 * np.log(root.diagonal()).sum()
+        solved[:, i] = lapack.dpotrs(root, AY[:, i], lower=1)[0]
+        inverse = lapack.dpotri(root, lower=1, overwrite_c=1)[0]
+        lower = np.tril(inverse, -1)
+        inverse = lower + lower.T + np.diag(inverse.diagonal())
+        trace[i] = np.trace(inverse)
+        summed += inverse
+        weighted += alpha * inverse
+    return solved, log_det, trace, summed, A, weighted
+
+
+def _shrink_stably(A, Y, alphas):
+    """The same by eigenvectors, which lose nothing where alpha is small beside A A'."""
+    values, vectors = eigh(A @ A.T, check_finite=False, driver="evd")
+    values = np.maximum(values, 0.0)
+    rotated = vectors.T @ A
+    inverse = 1 / (values[:, None] + alphas)
+    solved = vectors @ (inverse * (rotated @ Y))
+    weighted = (vectors * (inverse @ alphas)) @ vectors.T
+    log_det = -np.log(inverse).sum(axis=0)
+    left = vectors * inverse.sum(axis=1)
+    return solved, log_det, inverse.sum(axis=0), left, rotated, weighted
 
 
 def _width_gradient(G, A, B):
@@ -184,12 +240,31 @@ def tune(
     (n, d), q = X.shape, Y.shape[1]
     mean = np.average(X, axis=0, weights=weights)
     spread = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weights))
-    log_spread = np.log(np.where(spread > 1e-13 * np.abs(mean), spread, 1.0))
-    n_widths = 0 if length_scale is not None else 1 if isotropic else d
+    varying = spread > 1e-13 * np.abs(mean)
+    if length_scale is None and not np.all(varying):
+        # Of a feature that does not vary nothing can be learnt: it is ignored.
+        found = tune(
+            X[:, varying],
+            Y,
+            weights,
+            within,
+            kernel,
+            isotropic=isotropic,
+            alpha=alpha,
+            random_state=random_state,
+        )
+        length_scale = np.full(d, np.inf)
+        length_scale[varying] = found.length_scale
+        return found._replace(length_scale=length_scale)
+    X = X - mean
+    log_spread = np.log(np.where(varying, spread, 1.0))
+    n_widths = 0 if length_scale is not None or not d else 1 if isotropic else d
     n_alphas = q if alpha is None else 0
     if not q:
         # Nothing varies, nothing can be learnt of the widths.
         return Tuned(np.exp(log_spread) * np.sqrt(d), np.empty(0), 0.0, 0.0)
+    if not d:
+        return Tuned(np.empty(0), np.full(q, 1.0 if alpha is None else alpha), 0.0, 0.0)
 
     def unpack(theta):
         log_width = log_spread + theta[:n_widths] if n_widths else np.log(length_scale)
@@ -233,17 +308,27 @@ def tune(
     rows = draw(COARSE_ROWS)
     starts = [
         np.append(np.full(n_widths, np.log(c * np.sqrt(d))), np.full(n_alphas, np.log(a)))
-        for c in (0.2, 0.5, 1.0, 2.5)
+        for c in (0.05, 0.2, 0.5, 1.0, 2.5)
         for a in (1e-3, 1e-1)
     ]
-    theta = min(starts, key=lambda theta: objective(theta, rows, rows)[0])
-    theta, value, start = minimise(theta, rows, rows, 60)
+    # The likelihood may have several peaks: from the two best starts that differ in width.
+    starts.sort(key=lambda theta: objective(theta, rows, rows)[0])
+    second = [theta for theta in starts if n_widths and theta[0] != starts[0][0]][:1]
+    ends = [minimise(theta, rows, rows, 60) for theta in [starts[0], *second]]
+    if q > 1 and len(ends) > 1:
+        # The likelihood may give up one output for the others' sake; the error of prediction,
+        # averaged over outputs, does not.
+        data = X[rows], Y[rows], weights[rows], kernel
+        ends.sort(key=lambda end: leave_one_out_error(*data, *unpack(end[0])))
+    else:
+        ends.sort(key=lambda end: end[1])
+    theta, value, start = ends[0]
     for size, max_iter in FINE if n > len(rows) else ():
         before, rows = theta, draw(size)
         # Rows that would do for narrower widths too, lest the widths be held where they are, and
         # so many that what they leave unexplained is small beside the noise.
         log_width, log_alpha = unpack(theta)
-        tol = np.clip(0.03 * np.exp(log_alpha.min()), 1e-8, 1e-2)
+        tol = np.clip(0.03 * np.exp(log_alpha.min()), ROUNDING, 1e-2)
         inducing = _inducing(X, rows, 0.7 * np.exp(log_width), kernel, tol)
         theta, value, start = minimise(theta, rows, inducing, max_iter)
         # Widths of ignored features drift without effect.

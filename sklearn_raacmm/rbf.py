@@ -9,7 +9,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
-from sklearn_raacmm._path import leave_one_out, nested_least_squares
+from sklearn_raacmm._path import leave_one_out, nested_least_squares, penalise
 from sklearn_raacmm._preparation import prepare
 from sklearn_raacmm._selection import (
     BLOCK,
@@ -146,7 +146,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Linear term; zero unless `degree` is 1.
 
     length_scale_ : ndarray of shape (n_features,)
-        Width of every feature.
+        Width of every feature; infinite for a feature that did not vary and so is ignored.
 
     alpha_ : float or ndarray of shape (n_outputs,)
         Ridge of every output. Outputs share widths and centres, but not their noise.
@@ -295,6 +295,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         rng = check_random_state(self.random_state)
         problem = prepare(X, y.reshape(len(y), -1).astype(np.float64), weights, self.degree)
 
+        vars(self).pop("_posterior_", None)
         self.length_scale_, self.alpha_ = self._tune(problem, width, rng)
         Z = (problem.X - problem.X.mean(axis=0)) / self.length_scale_
         order, self.stop_reason_ = self._select(problem, Z, rng)
@@ -331,7 +332,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.noise_variance_ = noise
         self.signal_variance_ = np.where(ridged, signal, problem.spread**2)
         self._tail_map = problem.tail_map
-        self._triangles = [R[: p + k, : p + k] for R in path.triangles]
+        # One triangle, packed, from which those of all outputs follow.
+        size = min(len(path.rows), p + k)
+        self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
         if y.ndim == 1:
             for name in _PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
@@ -514,29 +517,46 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if np.any(self.linear_coef_):
             mean += X @ np.atleast_2d(self.linear_coef_).T
         variance = np.zeros((n, mean.shape[1]))
-        prior_root = None
+        posterior = self._posterior(centers) if return_std else None
         step = max(1, _CHUNK // max(k, 1))
         for start in range(0, n, step):
             part = slice(start, start + step)
             K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel)
             mean[part] += K @ coef
             if return_std:
-                if prior_root is None:
-                    prior_root = self._prior_root(centers)
-                variance[part] = self._variance(X[part], K, prior_root, with_noise)
+                variance[part] = self._variance(X[part], K, posterior, with_noise)
         flat = np.ndim(self.intercept_) == 0
         if flat:
             mean, variance = mean[:, 0], variance[:, 0]
         return (mean, np.sqrt(variance)) if return_std else mean
 
-    def _prior_root(self, centers):
-        """Inverse root of the centres' kernel matrix, for a positive definite kernel."""
-        if not KERNELS[self.kernel].positive_definite:
-            return np.empty((0, len(centers)))
-        return psd_inverse_root(kernel_matrix(centers, centers, self.kernel))
+    def _posterior(self, centers):
+        """What variances are made of, kept from one call to the next but not in a file."""
+        if "_posterior_" not in self.__dict__:
+            p, k = len(self._tail_map), len(centers)
+            definite = KERNELS[self.kernel].positive_definite
+            K = kernel_matrix(centers, centers, self.kernel)
+            root = psd_root(K) if definite else np.eye(k)
+            outside = psd_inverse_root(K) if definite else np.empty((0, k))
+            # The packed triangle is trapezoidal where there were fewer rows than columns.
+            size = next(
+                m for m in range(p + k + 1) if m * (p + k) - m * (m - 1) // 2 == len(self._rows)
+            )
+            rows = np.zeros((size, p + k))
+            rows[np.triu_indices(size, m=p + k)] = self._rows
+            alphas = np.atleast_1d(self.alpha_)
+            triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(alphas)}
+            self._posterior_ = outside, [triangles[a] for a in alphas]
+        return self._posterior_
 
-    def _variance(self, X, K, prior_root, with_noise):
+    def __getstate__(self):
+        state = super().__getstate__().copy()
+        state.pop("_posterior_", None)
+        return state
+
+    def _variance(self, X, K, posterior, with_noise):
         """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
+        prior_root, triangles = posterior
         tail = np.column_stack([np.ones(len(X)), X]) @ self._tail_map.T
         rows = np.hstack([tail, K]).T
         outside = np.zeros(len(X))
@@ -545,7 +565,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         noise, signal = np.atleast_1d(self.noise_variance_), np.atleast_1d(self.signal_variance_)
         variance = np.outer(outside, signal)
         of_weights = {}
-        for i, R in enumerate(self._triangles):
+        for i, R in enumerate(triangles):
             if id(R) not in of_weights:
                 solved = solve_triangular(R, rows, trans="T", check_finite=False)
                 of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)

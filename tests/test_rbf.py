@@ -22,8 +22,8 @@ from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm._kernels import KERNELS
-from sklearn_raacmm._tuning import negative_log_likelihood, tune
+from sklearn_raacmm._kernels import KERNELS, kernel_matrix
+from sklearn_raacmm._tuning import leave_one_out_error, negative_log_likelihood, tune
 
 AUTO_KERNELS = sorted(KERNELS)
 
@@ -407,3 +407,69 @@ def test_all_weights_zero():
     X, y, _ = smooth(30)
     with pytest.raises(ValueError, match="weights must contain at least one non-zero"):
         RBFNetRegressor().fit(X, y, sample_weight=np.zeros(30))
+
+
+def test_offset_of_the_features_does_not_matter():
+    X, y, _ = smooth(150)
+    shifted = X + 2.0**20  # exact in floating point for these, up to the last digits
+    X = shifted - 2.0**20
+    one, two = (RBFNetRegressor(random_state=0).fit(data, y) for data in (X, shifted))
+    np.testing.assert_allclose(one.length_scale_, two.length_scale_, rtol=1e-3)
+    np.testing.assert_allclose(one.predict(X), two.predict(shifted), atol=1e-3)
+
+
+def test_feature_that_never_varied_is_ignored():
+    X, y, _ = smooth(100)
+    still = np.column_stack([X, np.full(100, 3.0)])
+    model = RBFNetRegressor(random_state=0).fit(still, y)
+    assert model.length_scale_[2] == np.inf
+    moved = np.column_stack([X, np.linspace(-5, 5, 100)])
+    np.testing.assert_array_equal(model.predict(moved), model.predict(still))
+    np.testing.assert_allclose(
+        model.predict(still), RBFNetRegressor(random_state=0).fit(X, y).predict(X), atol=1e-6
+    )
+
+
+def test_nearly_noise_free_data_are_fitted_down_to_their_noise():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (700, 3))
+    f = np.sin(3 * X[:, 0]) + X[:, 1] ** 2 + 0.5 * X[:, 0] * X[:, 2]
+    y = f + 1e-4 * rng.standard_normal(700)
+    model = RBFNetRegressor(random_state=0).fit(X[:500], y[:500])
+    assert np.sqrt(np.mean((model.predict(X[500:]) - f[500:]) ** 2)) < 1e-4
+    assert np.sqrt(model.noise_variance_) == pytest.approx(1e-4, rel=0.3)
+
+
+def test_deviations_survive_a_file_that_holds_little():
+    X, y, _ = smooth(200)
+    Y = np.column_stack([y, y**2, np.sin(y)])
+    model = RBFNetRegressor(random_state=0).fit(X, Y)
+    expected = model.predict(X, return_std=True)
+    stored = pickle.dumps(model)
+    k = len(model.centers_)
+    # Half a square matrix, whatever the number of outputs, and little else.
+    assert len(stored) < 8 * (k * k + 20 * k) + 8000
+    np.testing.assert_array_equal(pickle.loads(stored).predict(X, return_std=True), expected)
+
+
+@pytest.mark.parametrize("name", ["matern52", "multiquadric"])
+def test_leave_one_out_error_by_leaving_one_out(name):
+    rng = np.random.default_rng(0)
+    X, Y, weights = rng.standard_normal((25, 2)), rng.standard_normal((25, 2)), np.ones(25)
+    weights[:5] = 2.0
+    alphas = np.array([0.1, 0.5])
+    K = kernel_matrix(X, X, name)
+    expected = 0.0
+    for output, alpha in enumerate(alphas):
+        for row in range(25):
+            keep = np.arange(25) != row
+            if KERNELS[name].positive_definite:
+                inner = K[np.ix_(keep, keep)] + np.diag(alpha / weights[keep])
+                fitted = K[row, keep] @ np.linalg.solve(inner, Y[keep, output])
+            else:  # weights of the functions have the prior, those of the row left out too
+                A = np.sqrt(weights[keep])[:, None] * K[keep]
+                b = np.sqrt(weights[keep]) * Y[keep, output]
+                fitted = K[row] @ np.linalg.solve(A.T @ A + alpha * np.eye(25), A.T @ b)
+            expected += weights[row] * (Y[row, output] - fitted) ** 2
+    error = leave_one_out_error(X, Y, weights, name, np.zeros(2), np.log(alphas))
+    assert error == pytest.approx(expected, rel=1e-6)
