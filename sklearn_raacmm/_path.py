@@ -139,3 +139,50 @@ def leave_one_out(tail, columns, targets, path, within):
                 leverage = leverage + direction * direction
             press[m, i] = np.square(residual / np.maximum(1 - leverage, 1e-10)).sum()
     return press + within
+
+
+def size_scores(path, criterion, spread, n_total, press=None):
+    """What a criterion for the number of members has to say after 1, 2, ... k of them.
+
+    Parameters
+    ----------
+    path : Path
+    criterion : {"posterior", "gcv", "loo", "bic", "error_reduction", "mse"}
+        For "posterior" the objective is given, which the forward pass has stopped by.
+    spread : ndarray of shape (n_outputs,)
+        Scale of each output, in which the others are compared; those of scale 0 are left out.
+    n_total : float
+        Number of observations.
+    press : ndarray of shape (k + 1, n_outputs), optional
+        From `leave_one_out`, for "loo".
+
+    Returns
+    -------
+    ndarray of shape (k,)
+    """
+    varying = spread > 0
+    square = spread[varying] ** 2
+
+    def scaled(figure):
+        return figure[1:, varying] / square / n_total
+
+    if criterion == "mse":
+        return path.rss[1:].mean(axis=1) / n_total
+    if criterion == "error_reduction":
+        return scaled(path.rss).mean(axis=1)
+    if criterion == "posterior":
+        return scaled(path.objective).mean(axis=1)
+    dof = path.dof[1:, varying]
+    # Means of logarithms: each output counts by the ratio in which its error changes.
+    with np.errstate(divide="ignore"):
+        if criterion == "loo":
+            return np.log(scaled(press)).mean(axis=1)
+        if criterion == "bic":
+            return (n_total * np.log(scaled(path.rss)) + np.log(n_total) * dof).mean(axis=1)
+        # Generalised cross-validation, each parameter counted as one and a half: the plain score
+        # falls for too many.
+        free = 1 - 1.5 * dof / n_total
+        usable = np.all(free > 0, axis=1)
+        scores = np.full(len(dof), np.inf)
+        scores[usable] = np.log(scaled(path.rss)[usable] / free[usable] ** 2).mean(axis=1)
+        return scores

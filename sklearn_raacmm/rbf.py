@@ -8,12 +8,11 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_raacmm._candidates import BLOCK, candidate_groups
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
-from sklearn_raacmm._path import leave_one_out, nested_least_squares, penalise
+from sklearn_raacmm._path import leave_one_out, nested_least_squares, penalise, size_scores
 from sklearn_raacmm._preparation import prepare
 from sklearn_raacmm._selection import (
-    BLOCK,
-    candidate_groups,
     exchange,
     forward_selection,
     squared_ratio_score,
@@ -447,34 +446,20 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         tried = len(path.dof) - 1
         if criterion is None or tried == 0:
             return tried, np.empty(0)
-        varying = problem.spread > 0
-        scale = problem.spread[varying] ** 2
-        rss, dof, n = path.rss[1:, varying] / scale, path.dof[1:, varying], problem.n_total
-        with np.errstate(divide="ignore"):
-            if criterion == "posterior":
-                # The forward pass has stopped by it; what is shown is the objective it lowers.
-                return tried, (path.objective[1:, varying] / scale).mean(axis=1) / n
-            if criterion == "gcv":
-                free = n - 1.5 * dof
-                usable = np.all(free > 0, axis=1)
-                score = np.full(tried, np.inf)
-                score[usable] = np.log(n * rss[usable] / free[usable] ** 2).mean(axis=1)
-            elif criterion == "loo":
-                columns = problem.root * kernel_matrix(Z, Z[order], self.kernel)
-                press = leave_one_out(problem.tail, columns, problem.targets, path, problem.within)
-                score = np.log(press[1:, varying] / scale / n).mean(axis=1)
-            elif criterion == "bic":
-                score = (n * np.log(rss / n) + np.log(n) * dof).mean(axis=1)
-            elif criterion == "mse":
-                score = path.rss[1:].mean(axis=1) / n
-            else:
-                score = rss.mean(axis=1) / n
-        if criterion in ("mse", "error_reduction"):
-            reached = np.flatnonzero(score <= self.tol)
-            if len(reached):
-                self.stop_reason_ = "criterion"
-            return (int(reached[0]) + 1 if len(reached) else tried), score
-        return int(np.argmin(score)) + 1, score
+        press = None
+        if criterion == "loo":
+            columns = problem.root * kernel_matrix(Z, Z[order], self.kernel)
+            press = leave_one_out(problem.tail, columns, problem.targets, path, problem.within)
+        scores = size_scores(path, criterion, problem.spread, problem.n_total, press)
+        if criterion == "posterior":
+            # The forward pass has stopped by it; what is shown is the objective it lowers.
+            return tried, scores
+        if criterion not in ("mse", "error_reduction"):
+            return int(np.argmin(scores)) + 1, scores
+        reached = np.flatnonzero(scores <= self.tol)
+        if len(reached) > 0:
+            self.stop_reason_ = "criterion"
+        return int(reached[0]) + 1 if len(reached) > 0 else tried, scores
 
     def predict(self, X, return_std=False, with_noise=True):
         """Predict targets.

@@ -7,9 +7,10 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm._candidates import candidate_groups
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, pivoted_cholesky, squared_distances
 from sklearn_raacmm._path import leave_one_out, nested_least_squares
-from sklearn_raacmm._selection import candidate_groups, exchange, forward_selection
+from sklearn_raacmm._selection import exchange, forward_selection
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):

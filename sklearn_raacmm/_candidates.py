@@ -1,0 +1,264 @@
+"""Two representations of the candidates that `_selection` chooses from.
+
+`WhitenedCandidates` holds coordinates in which the inner product of the selection is the Euclidean
+one: few where the kernel is smooth. `SymmetricCandidates` holds the kernel matrix itself.
+"""
+
+import numpy as np
+from scipy.linalg import blas, lapack, qr, solve_triangular
+
+from sklearn_raacmm._kernels import KERNELS, ROUNDING, kernel_matrix, pivoted_cholesky
+from sklearn_raacmm._path import triangular_factor
+
+# A candidate that has shrunk to this part of its length is a combination of the chosen ones to
+# working precision.
+DEPENDENT = 1e-10
+# Rank at which the factor of a rough kernel is cut where the number of steps is not known.
+MAX_RANK = 3000
+# Samples whose whole kernel matrix is held: 1.8 GB.
+MAX_SYMMETRIC = 15_000
+# Numbers in a block of rows: 64 MB.
+BLOCK = 2**23
+
+
+class WhitenedCandidates:
+    """Candidates as rows of coordinates whose Euclidean inner product is the selection's.
+
+    Parameters
+    ----------
+    coordinates : ndarray of shape (n_candidates, rank)
+    target : ndarray of shape (rank, n_outputs)
+        Coordinates of the projection of the targets onto the candidates' span.
+    resolution : float
+        Part of a candidate's length below which its coordinates are not to be trusted.
+    """
+
+    def __init__(self, coordinates, target, resolution=0.0):
+        self.coordinates, self.target = coordinates, target
+        self.resolution = max(resolution, DEPENDENT)
+        self.n_candidates, self.rank = coordinates.shape
+
+    def squared_norms(self):
+        return np.einsum("ij,ij->i", self.coordinates, self.coordinates)
+
+    def correlations(self):
+        return self.coordinates @ self.target
+
+    def column(self, j):
+        """Candidate j, and the vector whose product with another gives their inner product."""
+        u = self.coordinates[j].copy()
+        return u, u
+
+    def inner(self, V):
+        """Inner products of every candidate with the directions whose dual vectors are V's rows."""
+        return self.coordinates @ V.T
+
+    def rows(self, indices):
+        """What gives some candidates' inner products when multiplied with a dual vector."""
+        return self.coordinates[indices]
+
+    def target_inner(self, u):
+        return u @ self.target
+
+    def without(self, U):
+        """The same candidates and target with the orthonormal rows U projected out."""
+        coordinates = self.coordinates - (self.coordinates @ U.T) @ U
+        target = self.target - U.T @ (U @ self.target)
+        return WhitenedCandidates(coordinates, target, self.resolution)
+
+
+class SymmetricCandidates:
+    """Every sample is a candidate: the kernel matrix is symmetric, one triangle is read a step.
+
+    Parameters
+    ----------
+    K : ndarray of shape (n, n), Fortran order
+        Kernel matrix; only the lower triangle is read after construction.
+    weights : ndarray of shape (n,)
+    tail : ndarray of shape (n, n_tail)
+        Orthonormal basis of the weighted polynomial tail (rows times root weight).
+    Y : ndarray of shape (n, n_outputs)
+        Targets with the tail projected out, times root weight.
+    alpha : float
+    """
+
+    def __init__(self, K, weights, tail, Y, alpha):
+        self.K, self.tail, self.alpha = K, tail, alpha
+        # Running squared lengths are all there is: they are good to the root of machine epsilon.
+        self.resolution = 1e-6
+        self.root = np.sqrt(weights)
+        self.weighted_target = self.root[:, None] * Y
+        self.n_candidates = self.rank = len(K)
+
+    def _weigh(self, u):
+        u = self.root * u
+        u -= self.tail @ (self.tail.T @ u)
+        return self.root * u
+
+    def squared_norms(self):
+        weighted = self.root[:, None] * self.K
+        norms = np.einsum("ij,ij->j", weighted, weighted)
+        if self.tail.shape[1]:
+            norms -= ((self.tail.T @ weighted) ** 2).sum(axis=0)
+        return norms + self.alpha * self.K.diagonal()
+
+    def correlations(self):
+        return self.K @ self.weighted_target
+
+    def column(self, j):
+        u = self.K[:, j].copy()
+        v = self._weigh(u)
+        v[j] += self.alpha
+        return u, v
+
+    def inner(self, V):
+        return blas.dsymm(1.0, self.K, V.T, lower=1)
+
+    def rows(self, indices):
+        return self.K[:, indices].T
+
+    def target_inner(self, u):
+        return u @ self.weighted_target
+
+
+def whiten(rows, blocks, members, alphas, resolution):
+    """Coordinates of candidates for `forward_selection`, for every ridge.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (n_candidates, rank)
+        Candidates in the factor's coordinates: ``rows @ rows.T`` is their kernel matrix.
+    blocks : callable
+        Gives an iterator over blocks of samples, each a tuple of the tail's orthonormal basis, the
+        samples in the factor's coordinates and the targets, tail projected out; times root weight.
+    members : list of ndarray
+        Outputs of each group.
+    alphas : list of float
+        Ridge of each group.
+    resolution : float
+        Error of the kernel matrix's entries.
+
+    Returns
+    -------
+    groups : list of WhitenedCandidates
+    degrees_of_freedom : list of float
+        Trace of the smoother that uses all candidates.
+    """
+    rank = rows.shape[1]
+    gram, cross, along = 0.0, 0.0, 0.0
+    for basis, features, targets in blocks():
+        gram = gram + features.T @ features
+        cross = cross + features.T @ targets
+        along = along + basis.T @ features
+    gram = gram - along.T @ along
+    triangle = None
+    groups, degrees = [], []
+    for alpha, of in zip(alphas, members, strict=True):
+        # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
+        # machine epsilon; a ridge, or a coarse factor, does not ask for more.
+        trusted, failed = resolution, True
+        strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
+        if strong or (alpha == 0 and resolution >= 1e-9):
+            trusted = max(resolution, 1e-7)
+            gram[np.diag_indices(rank)] += alpha
+            root, failed = lapack.dpotrf(gram, lower=1, clean=1)
+            gram[np.diag_indices(rank)] -= alpha
+        if not failed:
+            projected = solve_triangular(root, cross[:, of], lower=True, check_finite=False)
+        else:
+            if triangle is None:
+                triangle, rotated = _projected_triangle(blocks(), len(along), rank)
+            ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
+            Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
+            root, projected = R.T, Q[:rank].T @ rotated[:, of]
+        coordinates = blas.dtrmm(1.0, root, rows.T, trans_a=1, lower=1).T
+        groups.append(WhitenedCandidates(coordinates, projected, trusted))
+        inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
+        degrees.append(rank - alpha * float(np.sum(np.square(inverse))))
+    return groups, degrees
+
+
+def _projected_triangle(blocks, p, rank):
+    """R of the features with the tail projected out, and the targets in Q's coordinates."""
+    R = triangular_factor(np.hstack(block) for block in blocks)
+    padded = np.zeros((R.shape[1], R.shape[1]))
+    padded[: len(R)] = R
+    inner = slice(p, p + rank)
+    return padded[inner, inner], padded[inner, p + rank :]
+
+
+def candidate_groups(
+    Z, rows, root, basis, targets, members, kernel, alphas, n_select, *, whitened=False
+):
+    """The representation of the candidates that makes a step of the selection cheapest.
+
+    A smooth kernel has a factor of low rank: a step costs the number of candidates times the rank.
+    Where the rank is high, a product with the symmetric kernel matrix is cheaper for a given, small
+    number of steps.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (n, d)
+        Samples divided by the length scales.
+    rows : ndarray of shape (n_candidates,)
+        Sorted indices of the candidates.
+    root : ndarray of shape (n, 1)
+        Root of the weights.
+    basis : ndarray of shape (n, p)
+        Orthonormal basis of the tail times root.
+    targets : ndarray of shape (n, q)
+        Targets with the tail projected out, times root.
+    members : list of ndarray
+        Outputs of each group.
+    kernel : str
+    alphas : list of float
+        Ridge of each group.
+    n_select : int or None
+        Number of steps, where it is known.
+    whitened : bool
+        Ask for `WhitenedCandidates`.
+
+    Returns
+    -------
+    groups : list of WhitenedCandidates or SymmetricCandidates
+    degrees_of_freedom : list of float or None
+        Trace of the smoother that uses all candidates, without the tail, where it is known.
+    """
+    n, p = basis.shape
+
+    def blocks(features, width):
+        size = max(1, BLOCK // width)
+        for start in range(0, n, size):
+            part = slice(start, start + size)
+            yield basis[part], features(part), targets[part]
+
+    if not KERNELS[kernel].positive_definite:
+        # The ridge on the weights of such kernels is left to the last fit.
+        def columns(part):
+            return root[part] * kernel_matrix(Z[part], Z[rows], kernel)
+
+        triangle, rotated = _projected_triangle(blocks(columns, len(rows)), p, len(rows))
+        return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
+
+    least = min(alphas)
+    tol = 1e-8 if least == 0 else min(max(1e-3 * least, ROUNDING), 1e-6)
+    may_be_symmetric = n_select is not None and not whitened and len(rows) == n <= MAX_SYMMETRIC
+    max_rank = MAX_RANK if not may_be_symmetric else max(64, int(2 * np.sqrt(n * n_select)))
+    resolve = n_select if least == 0 else None
+    factor = pivoted_cholesky(Z[rows], kernel, tol=tol, max_rank=max_rank, resolve=resolve)
+    if may_be_symmetric and not factor.complete:
+        K = kernel_matrix(Z, Z, kernel).T
+        weights = root[:, 0] ** 2
+        pairs = zip(members, alphas, strict=True)
+        groups = [SymmetricCandidates(K, weights, basis, targets[:, of], a) for of, a in pairs]
+        return groups, None
+    pivot_rows, pivots = factor.rows[factor.pivots], rows[factor.pivots]
+
+    def features(part):
+        if len(rows) == n:
+            return root[part] * factor.rows[part]
+        K = kernel_matrix(Z[pivots], Z[part], kernel)
+        return root[part] * solve_triangular(pivot_rows, K, lower=True, overwrite_b=True).T
+
+    rank = len(pivots)
+    return whiten(factor.rows, lambda: blocks(features, rank), members, alphas, factor.residual)
