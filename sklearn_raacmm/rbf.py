@@ -299,11 +299,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Z = (problem.X - problem.X.mean(axis=0)) / self.length_scale_
         order, self.stop_reason_ = self._select(problem, Z, rng)
         definite = KERNELS[self.kernel].positive_definite
-        root = (
-            psd_root(kernel_matrix(Z[order], Z[order], self.kernel))
-            if definite
-            else np.eye(len(order))
-        )
+        inner = kernel_matrix(Z[order], Z[order], self.kernel)
+        root = psd_root(inner) if definite else np.eye(len(order))
         p = problem.tail.shape[1]
         path = nested_least_squares(
             self._blocks(problem, Z, order), p, root, self.alpha_, problem.within
@@ -406,8 +403,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             return (rows[:n_select], "n_centers") if criterion is None else (rows[:0], "criterion")
         if self.selection == "newrb":
             targets, basis = problem.targets[:, problem.spread > 0], problem.basis[:, :0]
-            score = squared_ratio_score(np.square(targets).sum(axis=0))
         members, alphas = group_alphas(self.alpha_[problem.spread > 0])
+        if self.selection == "newrb":
+            squared_norms = np.square(targets).sum(axis=0)
+            score = squared_ratio_score(squared_norms[np.concatenate(members)])
         groups, dof = candidate_groups(
             Z,
             rows,

@@ -6,8 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  (SciPy's BLAS has to be there to be limited)
+from threadpoolctl import threadpool_limits
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# The suite runs in parallel: two workers with two BLAS threads each on two cores wait for one
+# another most of the time.
+threadpool_limits(1, user_api="blas")
 
 
 def data_dir(name):
