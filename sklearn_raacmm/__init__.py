@@ -2,6 +2,7 @@
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
+from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.harmonics import JointHarmonicRegressor
 from sklearn_raacmm.pose import PoseFeatures
 from sklearn_raacmm.rbf import RBFNetRegressor
@@ -16,6 +17,7 @@ __version__ = "0.1.0.dev0"
 
 __all__ = [
     "Arm",
+    "ArmResidualRegressor",
     "CalibrationResult",
     "CylindricalResidualTarget",
     "JointHarmonicRegressor",

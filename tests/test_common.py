@@ -11,6 +11,7 @@ from sklearn.utils.estimator_checks import estimator_checks_generator, parametri
 import sklearn_raacmm
 from sklearn_raacmm import (
     Arm,
+    ArmResidualRegressor,
     CylindricalResidualTarget,
     JointHarmonicRegressor,
     PoseFeatures,
@@ -23,11 +24,12 @@ FLOOR = {
     "RBFNetRegressor": 60,
     "CylindricalResidualTarget": 53,
     "JointHarmonicRegressor": 53,
+    "ArmResidualRegressor": 53,
 }
 # Estimators that take joint angles: as many columns as the arm has joints.
-OF_ANGLES = (PoseFeatures, JointHarmonicRegressor)
+OF_ANGLES = (PoseFeatures, JointHarmonicRegressor, ArmResidualRegressor)
 # Those whose target is a vector in space.
-OF_VECTORS = (JointHarmonicRegressor,)
+OF_VECTORS = (JointHarmonicRegressor, ArmResidualRegressor)
 
 ESTIMATORS = [
     PoseFeatures(),
@@ -35,6 +37,7 @@ ESTIMATORS = [
     PoseFeatures(Arm.from_name("ur10"), joints="all", angle_unit="deg"),
     CylindricalResidualTarget(),
     JointHarmonicRegressor(n_harmonics=3),
+    ArmResidualRegressor(harmonics=JointHarmonicRegressor(n_harmonics=2, gravity=False)),
 ]
 if hasattr(sklearn_raacmm, "RBFNetRegressor"):
     ESTIMATORS += [
