@@ -1,0 +1,260 @@
+"""What the displays draw is what the measures say, on the axes they were given."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import LinearRegression
+
+from sklearn_raacmm import Arm
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.display import LengthErrorDisplay, RepeatabilityDisplay, ResidualDisplay
+
+matplotlib = pytest.importorskip("matplotlib")
+
+
+@pytest.fixture(autouse=True)
+def plt():
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    yield plt
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def cone():
+    return make_single_point(3, 8)
+
+
+@pytest.fixture(scope="module")
+def gauge():
+    return make_gauge((500, 300), n_placements=2, n_poses=3)
+
+
+@pytest.fixture(scope="module")
+def model(cone):
+    return LinearRegression().fit(cone.data, cone.target)
+
+
+def two_s(points):
+    """2S by its definition, for one position."""
+    delta = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    return 2 * np.sqrt(np.sum(delta**2) / (len(points) - 1))
+
+
+def drawn(ax):
+    """Ordinates of the lines of an axes by the name in the legend."""
+    return {line.get_label().split(":")[0]: line.get_ydata() for line in ax.get_lines()}
+
+
+def test_repeatability_draws_2s_of_every_position(cone, model):
+    display = RepeatabilityDisplay.from_estimator(
+        model,
+        cone.data,
+        cone.points,
+        groups=cone.groups,
+        perfect=cone.simulation.perfect_correction,
+        name="linear",
+    )
+    lines = drawn(display.ax_)
+    after = cone.points - model.predict(cone.data)
+    for name, points in {
+        "before": cone.points,
+        "linear": after,
+        "noise floor": cone.points - cone.simulation.perfect_correction,
+    }.items():
+        expected = [two_s(points[cone.groups == g]) for g in range(3)]
+        np.testing.assert_allclose(lines[name], expected, rtol=1e-9)
+    assert display.figure_ is display.ax_.figure
+    assert display.ax_.get_ylim()[0] == 0
+    # Residuals lie about zero as points about their mean.
+    again = RepeatabilityDisplay.from_predictions(
+        cone.target, model.predict(cone.data), groups=cone.groups
+    )
+    np.testing.assert_allclose(again.after, display.after, rtol=1e-6)
+    assert again.floor is None
+    assert list(drawn(again.ax_)) == ["before", "after"]
+
+
+def test_repeatability_names_positions_in_their_order(cone):
+    names = np.array(["near", "middle", "far"])[cone.groups]
+    correction = np.zeros_like(cone.points)
+    display = RepeatabilityDisplay.from_predictions(
+        cone.points, correction, groups=names, statistic="max"
+    )
+    shown = [label.get_text() for label in display.ax_.get_xticklabels()]
+    assert shown == ["far", "middle", "near"]
+    far = cone.points[names == "far"]
+    largest = np.linalg.norm(far - far.mean(axis=0), axis=1).max()
+    assert display.before[0] == pytest.approx(largest)
+    assert "largest deviation (mm)" in display.ax_.get_ylabel()
+
+
+def test_length_errors_each_length_on_its_axes(gauge, model):
+    display = LengthErrorDisplay.from_estimator(
+        model,
+        gauge.data,
+        gauge.points,
+        groups=gauge.groups,
+        pairs=gauge.pairs,
+        lengths=gauge.lengths,
+        perfect=gauge.simulation.perfect_correction,
+    )
+    assert [ax.get_title() for ax in display.axes_] == ["300 mm", "500 mm"]
+    corrected = gauge.points - model.predict(gauge.data)
+    for ax, size in zip(display.axes_, (300, 500), strict=True):
+        for name, points in {"before": gauge.points, "after": corrected}.items():
+            errors = []
+            for pair, length in zip(gauge.pairs, gauge.lengths, strict=True):
+                if length == size:
+                    a, b = (points[gauge.groups == end].mean(axis=0) for end in pair)
+                    errors.append(np.linalg.norm(b - a) - size)
+            np.testing.assert_allclose(drawn(ax)[name], errors, atol=1e-9)
+        assert np.abs(drawn(ax)["noise floor"]).max() < 0.02
+    # One length for all.
+    some = gauge.lengths == 500
+    one = LengthErrorDisplay.from_predictions(
+        gauge.points, corrected * 0, groups=gauge.groups, pairs=gauge.pairs[some], lengths=500.0
+    )
+    np.testing.assert_allclose(one.before, display.before[some])
+    assert one.axes_.shape == (1,)
+
+
+def test_length_errors_refuse_residuals(gauge):
+    with pytest.raises(ValueError, match=r"4 of 4 measured lengths .* not residuals"):
+        LengthErrorDisplay.from_predictions(
+            gauge.target,
+            0 * gauge.target,
+            groups=gauge.groups,
+            pairs=gauge.pairs,
+            lengths=gauge.lengths,
+        )
+
+
+def test_residuals_turn_with_the_arm(cone, model):
+    display = ResidualDisplay.from_estimator(
+        model, cone.data, cone.target, arm=cone.arm, groups=cone.groups
+    )
+    # The arm turned about its base axis with its residuals: the same picture.
+    turn = 0.7
+    rotation = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
+    angles = cone.data + turn * np.eye(6)[0]
+    turned = ResidualDisplay.from_predictions(
+        np.rad2deg(angles),
+        cone.target @ rotation.T,
+        model.predict(cone.data) @ rotation.T,
+        arm=cone.arm,
+        groups=cone.groups,
+        angle_unit="deg",
+    )
+    np.testing.assert_allclose(turned.before, display.before, atol=1e-9)
+    np.testing.assert_allclose(turned.after, display.after, atol=1e-9)
+    np.testing.assert_allclose(turned.pose, display.pose, atol=1e-9)
+    # Lengths survive the rotation; what is left has no mean at any position.
+    np.testing.assert_allclose(
+        np.linalg.norm(display.before, axis=1), np.linalg.norm(cone.target, axis=1)
+    )
+    left = cone.target - model.predict(cone.data)
+    first = left[cone.groups == 0]
+    np.testing.assert_allclose(
+        np.linalg.norm(display.after[cone.groups == 0], axis=1),
+        np.linalg.norm(first - first.mean(axis=0), axis=1),
+    )
+    # Rows are components, columns angles.
+    x, y = display.axes_[2, 0].get_lines()[0].get_data()
+    np.testing.assert_allclose(x, np.rad2deg(cone.data[:, 2]))
+    np.testing.assert_allclose(y, cone.target[:, 2])
+    assert display.axes_[2, 2].get_xlabel() == "theta_dis (deg)"
+
+
+def test_residuals_alone_and_of_another_arm():
+    arm = Arm.from_name("ur10")
+    rng = np.random.default_rng(0)
+    display = ResidualDisplay.from_predictions(
+        rng.uniform(-1, 1, (20, 6)), rng.normal(size=(20, 3)), arm=arm
+    )
+    assert [ax.get_xlabel() for ax in display.axes_[2]] == [
+        "theta4 (deg)",
+        "theta3 (deg)",
+        "theta_dis (deg)",
+    ]
+    assert display.after is None
+    assert [len(ax.get_lines()) for ax in display.axes_.ravel()] == [1] * 9
+
+
+def test_given_axes_are_used(plt, cone, gauge, model):
+    _, axes = plt.subplots(4, 3)
+    correction = model.predict(cone.data)
+    one = RepeatabilityDisplay.from_predictions(
+        cone.points, correction, groups=cone.groups, ax=axes[0, 0]
+    )
+    assert one.ax_ is axes[0, 0]
+    two = LengthErrorDisplay.from_predictions(
+        gauge.points,
+        0 * gauge.points,
+        groups=gauge.groups,
+        pairs=gauge.pairs,
+        lengths=gauge.lengths,
+        axes=axes[0, 1:],
+    )
+    assert list(two.axes_) == list(axes[0, 1:])
+    three = ResidualDisplay.from_predictions(
+        cone.data, cone.target, correction, arm=cone.arm, axes=axes[1:]
+    )
+    assert list(three.axes_.ravel()) == list(axes[1:].ravel())
+    assert len(plt.get_fignums()) == 1
+    three.figure_.canvas.draw()
+    with pytest.raises(ValueError, match="3 axes were given, but 9 are needed"):
+        three.plot(axes[0])
+    # Drawn again, in another style.
+    again = one.plot(after_kwargs={"color": "red"})
+    assert again.ax_.get_lines()[1].get_color() == "red"
+    assert again.ax_ is not axes[0, 0]
+
+
+def test_a_perfect_arm_is_drawn_without_warnings():
+    points = np.repeat([[500.0, 0, 0], [800.0, 0, 0]], 3, axis=0)
+    groups = np.repeat(["a", "b"], 3)
+    display = RepeatabilityDisplay.from_predictions(points, 0 * points, groups=groups)
+    display.figure_.canvas.draw()
+    display = LengthErrorDisplay.from_predictions(
+        points, 0 * points, groups=groups, pairs=[["a", "b"]], lengths=300.0
+    )
+    display.figure_.canvas.draw()
+    assert display.before.tolist() == [0.0]
+
+
+def test_bad_input_is_named(cone, model):
+    with pytest.raises(ValueError, match="24 points, but a correction for 23"):
+        RepeatabilityDisplay.from_predictions(cone.points, cone.target[:-1], groups=cone.groups)
+    with pytest.raises(ValueError, match="X has 24 rows, but y 23"):
+        ResidualDisplay.from_predictions(cone.data, cone.target[1:], arm=cone.arm)
+    with pytest.raises(ValueError, match="statistic='3s' is not one of"):
+        RepeatabilityDisplay.from_predictions(
+            cone.points, cone.target, groups=cone.groups, statistic="3s"
+        )
+    with pytest.raises(NotFittedError):
+        RepeatabilityDisplay.from_estimator(
+            LinearRegression(), cone.data, cone.points, groups=cone.groups
+        )
+
+
+def test_matplotlib_is_imported_when_something_is_drawn():
+    program = (
+        "import sys, numpy as np\n"
+        "from sklearn_raacmm.display import RepeatabilityDisplay\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "sys.modules['matplotlib'] = sys.modules['matplotlib.pyplot'] = None\n"
+        "display = RepeatabilityDisplay(before=np.ones(2), after=np.ones(2))\n"
+        "try:\n"
+        "    display.plot()\n"
+        "except ImportError as error:\n"
+        "    print(error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert run.stdout.strip() == "Displays need matplotlib: pip install matplotlib.", run.stderr
