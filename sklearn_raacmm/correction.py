@@ -72,7 +72,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Fit the first stage a second time with the smooth error that the network found as part of
         the noise (generalised least squares), and the network again on what is then left. False:
         the network on what is left, and no more. With thousands of poses on a UR10 the joint fit
-        was 2 % better at unseen goals; with hundreds on a Panda it was 17 % worse, for the network
+        was 2 % better at unseen goals; with hundreds on a Panda it was 19 % worse, for the network
         then takes noise for structure, and the first stage believes it.
 
     use : {"auto", "none", "harmonics", "harmonics+network"}, default="auto"
