@@ -11,8 +11,9 @@ from sklearn_raacmm._kernels import KERNELS, ROUNDING, kernel_matrix, pivoted_ch
 from sklearn_raacmm._path import triangular_factor
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
-# working precision.
+# working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
 DEPENDENT = 1e-10
+DEPENDENT_RIDGED = 1e-13
 # Rank at which the factor of a rough kernel is cut where the number of steps is not known.
 MAX_RANK = 3000
 # Samples whose whole kernel matrix is held: 1.8 GB.
@@ -33,9 +34,8 @@ class WhitenedCandidates:
         Part of a candidate's length below which its coordinates are not to be trusted.
     """
 
-    def __init__(self, coordinates, target, resolution=0.0):
-        self.coordinates, self.target = coordinates, target
-        self.resolution = max(resolution, DEPENDENT)
+    def __init__(self, coordinates, target, resolution=DEPENDENT):
+        self.coordinates, self.target, self.resolution = coordinates, target, resolution
         self.n_candidates, self.rank = coordinates.shape
 
     def squared_norms(self):
@@ -156,7 +156,7 @@ def whiten(rows, blocks, members, alphas, resolution):
     for alpha, of in zip(alphas, members, strict=True):
         # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
         # machine epsilon; a ridge, or a coarse factor, does not ask for more.
-        trusted, failed = resolution, True
+        trusted, failed = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT), True
         strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
         if strong or (alpha == 0 and resolution >= 1e-9):
             trusted = max(resolution, 1e-7)
