@@ -1,0 +1,187 @@
+"""Every regressor that `compare_regressors.py` compares, and how large a fitted one is."""
+
+import pickle
+import time
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from _comparison import ALL, PAPER, chain, fit, gaussian_process
+from sklearn.ensemble import ExtraTreesRegressor
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import Ridge
+from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.neighbors import KNeighborsRegressor
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, StandardScaler
+
+from sklearn_raacmm import (
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.metrics import repeatability_scorer
+
+PLANE, ANGLES = "theta2 to theta4", "all joints"
+ALPHAS = [1e-2, 1.0, 1e2, 1e4]
+INNER_FOLDS = 3
+
+
+class Fold(NamedTuple):
+    """What one outer fold needs: a model learns from some rows and predicts others."""
+
+    arm: object
+    angles: np.ndarray  # (n, n_joints) rad
+    residuals: np.ndarray  # (n, 3) mm
+    positions: np.ndarray  # (n,) labels: points of one position coincide
+    splits: np.ndarray  # (n,) labels that inner folds keep together
+    learn: np.ndarray  # rows
+    test: np.ndarray  # rows
+    absolute: bool  # residuals are known in full, not only up to a constant per position
+
+
+def fourier_terms(angles, order, joints):
+    """Cosine and sine of every sum of whole multiples of angles, multiples up to `order` in all."""
+    used = angles[:, joints]
+    multiples = np.array(list(product(range(-order, order + 1), repeat=used.shape[1])))
+    size = np.abs(multiples).sum(axis=1)
+    # Of k and -k one is enough: the one whose first entry other than 0 is positive.
+    first = np.sign(multiples[np.arange(len(multiples)), (multiples != 0).argmax(axis=1)])
+    waves = used @ multiples[(size <= order) & (first > 0)].T
+    return np.hstack([np.cos(waves), np.sin(waves)])
+
+
+def _fourier(arm, orders, joints):
+    regressor = make_pipeline(FunctionTransformer(fourier_terms), StandardScaler(), Ridge())
+    settings = [{"order": order, "joints": joints} for order in orders]
+    grid = {"functiontransformer__kw_args": settings, "ridge__alpha": ALPHAS}
+    return _named(CylindricalResidualTarget(regressor, azimuth=arm.azimuth), "regressor", grid)
+
+
+def _polynomial(arm, inputs, degree):
+    terms = PolynomialFeatures(degree, include_bias=False)
+    regressor = make_pipeline(terms, StandardScaler(), Ridge())
+    return _chain(arm, regressor, inputs, {"ridge__alpha": ALPHAS})
+
+
+def _chain(arm, regressor, inputs, grid):
+    step = type(regressor).__name__.lower()
+    return _named(chain(arm, regressor, inputs), f"regressor__{step}", grid)
+
+
+def _named(model, prefix, grid):
+    return model, {f"{prefix}__{name}": values for name, values in grid.items()}
+
+
+def _newrb(arm):
+    """The paper's network: MATLAB's newrb, one width for all, a given number of centres."""
+    network = RBFNetRegressor(alpha=0.0, selection="newrb")
+    grid = {"n_centers": [10, 30], "length_scale": [1.0, 2.0, 4.0]}
+    return _chain(arm, network, PAPER, grid)
+
+
+def _kernel_ridge(arm, inputs, widths):
+    grid = {"alpha": [1e-3, 1e-2, 1e-1, 1.0], "gamma": [1 / (2 * w**2) for w in widths]}
+    return _chain(arm, KernelRidge(kernel="rbf"), inputs, grid)
+
+
+def _neighbours(arm, inputs):
+    return _chain(
+        arm, KNeighborsRegressor(weights="distance"), inputs, {"n_neighbors": [3, 10, 30]}
+    )
+
+
+def _trees(arm, inputs):
+    trees = ExtraTreesRegressor(100, random_state=0)
+    return _chain(arm, trees, inputs, {"min_samples_leaf": [3, 10]})
+
+
+# From (inputs, regressor) to a function of the arm that gives an unfitted model; or a model and
+# the grid of settings among which an inner cross-validation on the training rows chooses.
+MODELS = {
+    **{
+        (PAPER, f"polynomial ridge, degree {degree}"): (
+            lambda arm, degree=degree: _polynomial(arm, PAPER, degree)
+        )
+        for degree in range(1, 6)
+    },
+    (PLANE, "Fourier ridge"): lambda arm: _fourier(arm, [1, 2, 3], [1, 2, 3]),
+    (PAPER, "RBF network, newrb"): _newrb,
+    (PAPER, "RBF network, one width"): lambda arm: chain(
+        arm, RBFNetRegressor(length_scale="isotropic", random_state=0), PAPER
+    ),
+    (PAPER, "RBF network"): lambda arm: chain(arm, RBFNetRegressor(random_state=0), PAPER),
+    (PAPER, "Gaussian process"): lambda arm: gaussian_process(arm, PAPER),
+    (PAPER, "kernel ridge"): lambda arm: _kernel_ridge(arm, PAPER, [0.5, 1, 2, 4]),
+    (PAPER, "nearest neighbours"): lambda arm: _neighbours(arm, PAPER),
+    (PAPER, "extra trees"): lambda arm: _trees(arm, PAPER),
+    (ALL, "polynomial ridge, degree 2"): lambda arm: _polynomial(arm, ALL, 2),
+    (ANGLES, "Fourier ridge"): lambda arm: _fourier(arm, [1, 2], list(range(arm.n_joints))),
+    (ALL, "RBF network"): lambda arm: chain(arm, RBFNetRegressor(random_state=0), ALL),
+    (ALL, "Gaussian process"): lambda arm: gaussian_process(arm, ALL),
+    (ALL, "kernel ridge"): lambda arm: _kernel_ridge(arm, ALL, [2, 4, 8]),
+    (ALL, "nearest neighbours"): lambda arm: _neighbours(arm, ALL),
+    (ALL, "extra trees"): lambda arm: _trees(arm, ALL),
+    (ANGLES, "JointHarmonicRegressor"): JointHarmonicRegressor,
+    (ANGLES, "ArmResidualRegressor"): ArmResidualRegressor,
+}
+
+
+def run(name, fold, max_gp_rows=1000):
+    """Fit one model on one fold: its prediction of the test rows, and what it costs."""
+    learn = fold.learn
+    if "Gaussian" in name[1] and len(learn) > max_gp_rows:  # its cost is cubic
+        learn = np.sort(np.random.default_rng(0).choice(learn, max_gp_rows, replace=False))
+    X, y, positions = fold.angles[learn], fold.residuals[learn], fold.positions[learn]
+    model = MODELS[name](fold.arm)
+    start = time.process_time()
+    if isinstance(model, tuple):
+        splits = fold.splits[learn]
+        scoring = (
+            "neg_root_mean_squared_error" if fold.absolute else repeatability_scorer(X, positions)
+        )
+        inner = GroupKFold(min(INNER_FOLDS, len(np.unique(splits))))
+        search = GridSearchCV(*model, scoring=scoring, cv=inner).fit(X, y, groups=splits)
+        model = search.best_estimator_
+    elif isinstance(model, JointHarmonicRegressor | ArmResidualRegressor):
+        model.fit(X, y, groups=positions)
+    else:
+        fit(model, X, y, None)
+    seconds = time.process_time() - start
+    test = fold.angles[fold.test]
+    start = time.process_time()
+    prediction = model.predict(test)
+    per_row = (time.process_time() - start) / len(test)
+    return prediction, [seconds, per_row, len(pickle.dumps(model)), n_parameters(model)]
+
+
+def n_parameters(model):
+    """How many numbers a fitted model keeps in order to predict, the arm's own left out."""
+    match model:
+        case CylindricalResidualTarget():
+            return n_parameters(model.regressor_)
+        case Pipeline():
+            return n_parameters(model[-1])
+        case Ridge():
+            return model.coef_.size + model.intercept_.size
+        case RBFNetRegressor():
+            width = model.length_scale_.size + np.size(model.intercept_)
+            return model.centers_.size + model.coef_.size + width
+        case GaussianProcessRegressor():
+            return model.X_train_.size + model.alpha_.size + model.kernel_.theta.size
+        case KernelRidge():
+            return model.X_fit_.size + model.dual_coef_.size
+        case KNeighborsRegressor():
+            return model._fit_X.size + model._y.size
+        case ExtraTreesRegressor():  # a split: feature and threshold; a leaf: three values
+            trees = [tree.tree_ for tree in model.estimators_]
+            return sum(2 * (t.node_count - t.n_leaves) + 3 * t.n_leaves for t in trees)
+        case JointHarmonicRegressor():
+            return model.coef_.size
+        case ArmResidualRegressor():
+            parts = {"harmonics": [model.harmonics_], "none": []}
+            parts["harmonics+network"] = [model.harmonics_, model.network_]
+            return sum(n_parameters(part) for part in parts[model.use_])
+    raise TypeError(f"Unknown kind of model: {model!r}.")

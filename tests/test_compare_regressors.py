@@ -1,0 +1,172 @@
+"""The comparison runs, small, and its numbers are those of loops written out by hand."""
+
+import csv
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.linear_model import Ridge
+from sklearn.model_selection import GroupKFold
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
+
+pytest.importorskip("matplotlib")
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+@pytest.fixture
+def example(monkeypatch, tmp_path):
+    """Return ``example(name)``: the module of an example, as though run from its folder."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.chdir(tmp_path)
+    yield importlib.import_module
+    for name in [name for name in sys.modules if name.startswith(("compare_", "_regressors"))]:
+        del sys.modules[name]
+
+
+def read(path):
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def nested_fourier(cone, module, n_folds):
+    """Fourier ridge in nested cross-validation by position, without scikit-learn's tools for it."""
+    phi = cone.arm.azimuth(cone.data)
+    turn = np.zeros((len(phi), 3, 3))  # Cartesian to radial, tangential, axial
+    turn[:, 0, :2] = np.stack([np.cos(phi), np.sin(phi)], axis=1)
+    turn[:, 1, :2] = np.stack([-np.sin(phi), np.cos(phi)], axis=1)
+    turn[:, 2, 2] = 1
+    y = np.einsum("nij,nj->ni", turn, cone.target)
+
+    def predict(train, test, order, alpha):
+        X = module.fourier_terms(cone.data, order, [1, 2, 3])
+        scaler = StandardScaler().fit(X[train])
+        model = Ridge(alpha).fit(scaler.transform(X[train]), y[train])
+        return np.einsum("nji,nj->ni", turn[test], model.predict(scaler.transform(X[test])))
+
+    def left(train, test, *setting):
+        after = cone.target[test] - predict(train, test, *setting)
+        return single_point_repeatability(after, cone.groups[test])
+
+    settings = [(order, alpha) for order in (1, 2, 3) for alpha in module.ALPHAS]
+    correction = np.zeros_like(y)
+    for train, test in GroupKFold(n_folds).split(y, groups=cone.groups):
+        inner = GroupKFold(min(3, len(np.unique(cone.groups[train]))))
+        splits = [(train[a], train[b]) for a, b in inner.split(train, groups=cone.groups[train])]
+        scores = [np.mean([left(a, b, *s) for a, b in splits]) for s in settings]
+        correction[test] = predict(train, test, *settings[np.argmin(scores)])
+    return single_point_repeatability(cone.target - correction, cone.groups, aggregate=None)
+
+
+def test_quick_comparison(example, capsys):
+    example("compare_regressors").main(["--quick", "--jobs", "1", "--output", "table.csv"])
+    captured = capsys.readouterr()
+    module = example("_regressors")
+    assert f"model {len(module.MODELS)} of {len(module.MODELS)}" in captured.err
+
+    rows = {(row["inputs"], row["regressor"]): row for row in read("table.csv")}
+    assert len(rows) == len(module.MODELS) + 2
+    assert all(f"{inputs:<24}  {name}" in captured.out for inputs, name in rows)
+    cone = make_single_point(4, 32)
+    before = single_point_repeatability(cone.points, cone.groups, aggregate=None)
+    after = nested_fourier(cone, module, 2)
+    uncorrected, fourier = rows["-", "uncorrected"], rows["theta2 to theta4", "Fourier ridge"]
+    assert float(uncorrected["two_s_mean_mm"]) == pytest.approx(before.mean())
+    assert float(fourier["two_s_mean_mm"]) == pytest.approx(after.mean())
+    assert float(fourier["two_s_max_mm"]) == pytest.approx(after.max())
+    assert float(fourier["less"]) == pytest.approx(1 - after.mean() / before.mean())
+    perfect = rows["-", "perfect model"]
+    floor = float(perfect["two_s_mean_mm"])
+    gain = before.mean() - after.mean()
+    assert float(fourier["of_possible"]) == pytest.approx(gain / (before.mean() - floor))
+    assert float(perfect["of_possible"]) == 1
+
+    # A gauge's length by hand.
+    gauge = make_gauge()
+    errors = [
+        np.linalg.norm(np.subtract(*(gauge.points[gauge.groups == end].mean(axis=0) for end in p)))
+        for p in gauge.pairs[:10]
+    ] - gauge.lengths[:10]
+    assert float(uncorrected["length_300_mean_mm"]) == pytest.approx(np.abs(errors).mean())
+
+    places = [row for row in read("table_places.csv") if row["regressor"] == "Fourier ridge"]
+    spread = [float(row["after_mm"]) for row in places if row["measure"] == "2S"]
+    assert spread[:4] == pytest.approx(after)
+    signed = [float(r["before_mm"]) for r in places if r["measure"] == "300 mm"]
+    assert signed[:10] == pytest.approx(errors, abs=1e-9)
+    # Neighbours keep every training row: six numbers each (64, 64, and 128 for the gauges).
+    stored = float(rows["pose angles", "nearest neighbours"]["numbers"])
+    assert stored == pytest.approx(6 * (64 + 64 + 128) / 3)
+
+
+def test_fourier_terms_span_products_of_waves(example):
+    module = example("_regressors")
+    angles = np.random.default_rng(0).uniform(-3, 3, (500, 6))
+    X = module.fourier_terms(angles, 3, [1, 2, 3])
+    assert X.shape[1] == 62  # half of the 62 triples of whole numbers of size 1 to 3, twice
+    a, b, c = angles[:, 1:4].T
+    product = np.cos(a) * np.sin(b) * np.cos(c)
+    coef = np.linalg.lstsq(X, product, rcond=None)[0]
+    np.testing.assert_allclose(X @ coef, product, atol=1e-12)
+    beyond = np.cos(4 * a)
+    left = beyond - X @ np.linalg.lstsq(X, beyond, rcond=None)[0]
+    assert np.std(left) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--folds 20", "--folds must be 2 to 10"),
+        ("--output nowhere/table.csv", "no such folder"),
+        ("--models perceptron", "no model's name holds perceptron"),
+    ],
+)
+def test_refuses_before_the_work(example, capsys, arguments, message):
+    with pytest.raises(SystemExit, match="2"):
+        example("compare_regressors").main(arguments.split())
+    assert message in capsys.readouterr().err
+
+
+def test_real_data(example, panda, ur10, tmp_path):
+    """Small pieces of the real series: what is uncorrected is what calibration left."""
+    module = example("compare_regressors")
+    data = panda("panda_3")
+    for placement in ("backleft", "frontcenter", "frontright"):
+        for hole in (0, 1):
+            path = tmp_path / "panda_3" / placement / f"hole_{hole}.csv"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rows = data.angles[data.groups == f"{placement}/{hole}"][:12]
+            np.savetxt(path, rows, delimiter=",", fmt="%.17g")
+    problem = module.panda(tmp_path / "panda_3")
+    results, places = module.assess(problem, [0 * points for points in problem.measured])
+    spread = [
+        single_point_repeatability(points[fold.positions[fold.test] == socket])
+        for fold, points in zip(problem.folds, problem.measured, strict=True)
+        for socket in np.unique(fold.positions[fold.test])
+    ]
+    assert results["two_s_mean_mm"] == pytest.approx(np.mean(spread))
+    assert len(places) == len(spread) + 3
+    for fold in problem.folds:
+        held_out = np.unique(fold.splits[fold.test])
+        assert len(held_out) == 1
+        assert held_out[0] not in fold.splits[fold.learn]
+
+    some = np.isin(ur10.groups, np.arange(0, 619, 60))
+    goals = np.unique(ur10.groups[some], return_inverse=True)[1]
+    read_data = module.plot_real_tracker.SimpleNamespace(
+        angles=ur10.angles[some], points=ur10.points[some], goals=goals
+    )
+    module.plot_real_tracker.read = lambda path: read_data
+    problem = module.ur10("from the fixture", len(goals))
+    results, _ = module.assess(problem, [0 * points for points in problem.measured])
+    left = np.concatenate([fold.residuals[fold.test] for fold in problem.folds])
+    assert results["mean_mm"] == pytest.approx(np.mean(np.linalg.norm(left, axis=1)))
+    prediction, costs = example("_regressors").run(
+        ("pose angles", "Gaussian process"), problem.folds[0], max_gp_rows=40
+    )
+    assert prediction.shape == (len(problem.folds[0].test), 3)
+    assert costs[3] == 40 * 6 + 5  # rows and weights, three outputs; height, three widths, noise
