@@ -10,6 +10,7 @@ import numpy as np
 
 from sklearn_raacmm._arm_checks import check_angles, floats
 from sklearn_raacmm._identification import FIELDS, MAX_ROUNDS, WEIGHTS, Fit, Problem, pack
+from sklearn_raacmm._sklearn import one_blas_thread
 from sklearn_raacmm.arm import Arm
 
 __all__ = ["CalibrationResult", "calibrate"]
@@ -117,6 +118,7 @@ class CalibrationResult:
         return "\n".join(lines)
 
 
+@one_blas_thread
 def calibrate(
     arm,
     angles,
