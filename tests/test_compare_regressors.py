@@ -24,7 +24,8 @@ def example(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(EXAMPLES)
     monkeypatch.chdir(tmp_path)
     yield importlib.import_module
-    for name in [name for name in sys.modules if name.startswith(("compare_", "_regressors"))]:
+    ours = ("compare_", "plot_", "_comparison", "_regressors")
+    for name in [name for name in sys.modules if name.startswith(ours)]:
         del sys.modules[name]
 
 
@@ -170,3 +171,14 @@ def test_real_data(example, panda, ur10, tmp_path):
     )
     assert prediction.shape == (len(problem.folds[0].test), 3)
     assert costs[3] == 40 * 6 + 5  # rows and weights, three outputs; height, three widths, noise
+
+
+def test_paper_figures(example, capsys):
+    import matplotlib.pyplot as plt
+
+    plt.switch_backend("Agg")
+    example("plot_paper_figures").main(["--positions", "4", "--poses", "12"])
+    names = [line.removeprefix("Figure: ") for line in capsys.readouterr().out.splitlines()]
+    assert names == [f"paper_{name}.png" for name in ("repeatability", "lengths", "residuals")]
+    assert all(Path(name).read_bytes().startswith(b"\x89PNG") for name in names)
+    plt.close("all")
