@@ -243,7 +243,7 @@ def calibrate(
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
             f"its scatter is {fit.distances().mean():.4g} mm.",
             UserWarning,
-            stacklevel=2,
+            stacklevel=3,  # past the decorator
         )
     length_errors = fit.length_errors()
     _warn_of_wrong_lengths(lengths, length_errors, fit.sigma)
@@ -284,14 +284,16 @@ def _warn_of_wrong_lengths(lengths, errors, sigma):
             f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
             f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}.",
             UserWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
 def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors):
     if not isinstance(arm, Arm):
         raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
-    angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
+    angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=5)
+    # Within one turn, lest a warning of far angles be said again by everything that follows.
+    angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
     n = len(angles)
     if n == 0:
         raise ValueError("angles are empty: there is nothing to calibrate with.")
@@ -325,7 +327,7 @@ def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors)
         warnings.warn(
             f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}.",
             UserWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     return angles, problem
 

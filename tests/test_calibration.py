@@ -426,3 +426,13 @@ def test_groups_of_one_point_are_told_and_do_not_count():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         calibrate(NOMINAL["aacmm6"], more[:-1], labels[:-1], lengths=[(100, 101, length, 0.05)])
+
+
+def test_degrees_given_as_radians_are_doubted_once():
+    arm = Arm.from_name("aacmm6")
+    angles = np.rad2deg(np.random.default_rng(0).uniform(-2, 2, (60, 6)))
+    with pytest.warns(UserWarning) as caught:
+        calibrate(arm, angles, np.repeat(np.arange(6), 10))
+    said = [w for w in caught if "more than two turns" in str(w.message)]
+    assert len(said) == 1
+    assert said[0].filename == __file__
