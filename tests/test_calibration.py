@@ -431,7 +431,7 @@ def test_groups_of_one_point_are_told_and_do_not_count():
 def test_degrees_given_as_radians_are_doubted_once():
     arm = Arm.from_name("aacmm6")
     angles = np.rad2deg(np.random.default_rng(0).uniform(-2, 2, (60, 6)))
-    with pytest.warns(UserWarning) as caught:
+    with pytest.warns(UserWarning, match="two turns") as caught:
         calibrate(arm, angles, np.repeat(np.arange(6), 10))
     said = [w for w in caught if "more than two turns" in str(w.message)]
     assert len(said) == 1
