@@ -138,12 +138,18 @@ def assess(problem, corrections):
         if problem.gauge:
             after = problem.measured[-1] - corrections[-1]
             labels = problem.folds[-1].positions[problem.folds[-1].test]
-        error = length_error(gauge_lengths(after, labels, problem.pairs), problem.lengths)
-        for size in np.unique(problem.lengths):
-            some = error[problem.lengths == size]
+        lengths = gauge_lengths(after, labels, problem.pairs)
+        sizes = np.unique(problem.lengths)
+        for size in sizes:
+            some = length_error(lengths[problem.lengths == size], size)
             results[f"length_{size:g}_mean_mm"] = np.abs(some).mean()
             results[f"length_{size:g}_max_mm"] = np.abs(some).max()
             places += [(f"{size:g} mm", str(i + 1), e) for i, e in enumerate(some)]
+        if len(sizes) > 1:
+            # A cone test cannot see the scale: find it with the shorter gauges, judge the longest.
+            longest = problem.lengths == sizes[-1]
+            scale = lengths[~longest] @ problem.lengths[~longest] / np.sum(lengths[~longest] ** 2)
+            results["scaled_mean_mm"] = np.abs(scale * lengths[longest] - sizes[-1]).mean()
     return results, places
 
 
@@ -160,6 +166,7 @@ def compare(problem, names, jobs):
         ("less", 5, ".0%"),
         ("of possible", 11, ".0%"),
         *((f"{size:g} mm", 6, ".4f") for size in sizes),
+        *([("scaled", 6, ".4f")] if len(sizes) > 1 else []),
         ("R2", 6, ".2f"),
         ("R2 within", 9, ".2f"),
         ("fit s", 7, ".2f"),
@@ -188,6 +195,7 @@ def compare(problem, names, jobs):
         results |= {"pickle_bytes": size, "numbers": numbers}
         shown = ["mean_mm", "max_mm", "two_s_mean_mm", "two_s_max_mm", "less", "of_possible"]
         shown += [f"length_{size:g}_mean_mm" for size in sizes]
+        shown += ["scaled_mean_mm"] if len(sizes) > 1 else []
         cells = [results[key] for key in [*shown, "r2", "r2_within", "fit_seconds"]]
         cells += [None if per_row is None else 1e6 * per_row]
         table.row(*name, *cells, None if size is None else size / 1000, numbers)
@@ -278,8 +286,9 @@ def main(argv=None):
     print("kB: pickled; numbers: kept by the model in order to predict.")
     start, records, details = time.perf_counter(), [], []
     for problem in problems(args):
-        rows = len(problem.folds[0].learn) + len(problem.folds[0].test)
-        print(f"\n{problem.name}: {rows} rows, {len(problem.folds) - problem.gauge} folds\n")
+        n_folds = len(problem.folds) - problem.gauge
+        rows = sum(len(points) for points in problem.measured[:n_folds])
+        print(f"\n{problem.name}: {rows} rows, {n_folds} folds\n")
         found = compare(problem, names, args.jobs)
         records += found[0]
         details += found[1]

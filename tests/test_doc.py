@@ -1,0 +1,26 @@
+"""The examples in the pages of doc/ run, and their links lead to files."""
+
+import doctest
+import re
+from pathlib import Path
+
+import pytest
+
+DOC = Path(__file__).resolve().parent.parent / "doc"
+PAGES = sorted(DOC.glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_examples_run(page):
+    flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+    failed, _ = doctest.testfile(str(page), module_relative=False, optionflags=flags)
+    assert failed == 0
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files(page):
+    text = page.read_text(encoding="utf-8")
+    local = [link for link in re.findall(r"\]\(([^)#]+)", text) if "://" not in link]
+    assert [link for link in local if not (page.parent / link).exists()] == []
+    scripts = re.findall(r"(?:examples|benchmarks)/\w+\.py", text)
+    assert [name for name in scripts if not (DOC.parent / name).exists()] == []
