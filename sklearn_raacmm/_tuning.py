@@ -15,12 +15,13 @@ References
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, blas, cholesky, eigh, lapack
+from scipy.linalg import LinAlgError, blas, cholesky, lapack
 from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
 from sklearn_raacmm._kernels import KERNELS, ROUNDING, pivoted_cholesky, squared_distances
 
-ALPHA_BOUNDS = (1e-12, 1e3)
+ALPHA_BOUNDS = (1e-12, 1e6)
 # Below it inverses lose too many digits, and eigenvectors take their place.
 SMALL_ALPHA = 1e-5
 # Added to the inducing rows' kernel matrix for its Cholesky factor to exist: the first that does.
@@ -125,7 +126,7 @@ def leave_one_out_error(X, Y, weights, kernel, log_width, log_alpha):
     if KERNELS[kernel].positive_definite:
         A = blas.dtrsm(1.0, _root(K), A.T, side=1, lower=1, trans_a=1).T
     Yw = root[:, None] * Y
-    values, vectors = eigh(A @ A.T, check_finite=False, driver="evd")
+    values, vectors = np.linalg.eigh(A @ A.T)
     rotated = vectors.T @ A
     error = 0.0
     for i, alpha in enumerate(np.exp(log_alpha)):
@@ -182,7 +183,7 @@ def _shrink(A, Y, alphas):
 
 def _shrink_stably(A, Y, alphas):
     """The same by eigenvectors, which lose nothing where alpha is small beside A A'."""
-    values, vectors = eigh(A @ A.T, check_finite=False, driver="evd")
+    values, vectors = np.linalg.eigh(A @ A.T)
     values = np.maximum(values, 0.0)
     rotated = vectors.T @ A
     inverse = 1 / (values[:, None] + alphas)
@@ -336,7 +337,20 @@ def tune(
         if len(rows) == most and not np.any(np.abs(theta - before)[felt] > 0.15):
             break
     log_width, log_alpha = unpack(theta)
+    if n_widths and n_alphas and n > 1 and _links_nothing(X / np.exp(log_width), kernel):
+        # A kernel that links no row to another is noise by another name.
+        log_width = log_spread + 0.5 * np.log(d)
+        log_alpha = np.full(q, np.log(ALPHA_BOUNDS[1]))
     return Tuned(np.exp(log_width), np.exp(log_alpha), float(value), float(start))
+
+
+def _links_nothing(Z, kernel):
+    """Whether the kernel is all but 0 between most rows and their nearest neighbours."""
+    if not KERNELS[kernel].positive_definite:
+        return False
+    some = Z[:: max(1, len(Z) // 1000)]
+    nearest = cKDTree(Z).query(some, k=2)[0][:, 1]
+    return np.median(KERNELS[kernel].function(nearest**2)) < 1e-3
 
 
 def _inducing(X, rows, length_scale, kernel, tol):

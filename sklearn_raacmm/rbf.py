@@ -428,7 +428,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 left = np.square(targets[:, of]).sum(axis=0) + within[of] - explained
                 noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
                 candidates.target = candidates.target / np.sqrt(noise)
-                enough.extend(explained / noise - self.tol * free)
+                # Less than half a parameter's worth of function is none.
+                enough.extend(explained / noise - self.tol * free if free > 0.5 else 0 * noise)
         found = forward_selection(groups, n_select, score=score, enough=enough)
         indices = found.indices
         if self.refine and len(indices) > 0:

@@ -473,3 +473,13 @@ def test_leave_one_out_error_by_leaving_one_out(name):
             expected += weights[row] * (Y[row, output] - fitted) ** 2
     error = leave_one_out_error(X, Y, weights, name, np.zeros(2), np.log(alphas))
     assert error == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_alone_needs_hardly_a_centre(seed):
+    rng = np.random.default_rng(seed)
+    X, y = rng.uniform(-1, 1, (400, 3)), rng.standard_normal(400)
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    assert len(model.centers_) <= 15
+    # The mean of 400 rows is all there is to learn: nothing far from it is predicted.
+    assert np.sqrt(np.mean(model.predict(rng.uniform(-1, 1, (500, 3))) ** 2)) < 0.25
