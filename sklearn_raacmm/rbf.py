@@ -438,6 +438,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             "n_select": "n_centers" if criterion is None else "max_centers",
             "enough": "criterion",
         }
+        # With newrb the tail joins only now: together they must not outnumber the rows.
+        room = n - problem.basis.shape[1]
+        if self.alpha_.min() == 0 and len(indices) > room:
+            return rows[indices[:room]], "dependent"
         return rows[indices], stop.get(found.stop, found.stop)
 
     def _size(self, problem, Z, order, path):

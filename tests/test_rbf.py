@@ -483,3 +483,12 @@ def test_noise_alone_needs_hardly_a_centre(seed):
     assert len(model.centers_) <= 15
     # The mean of 400 rows is all there is to learn: nothing far from it is predicted.
     assert np.sqrt(np.mean(model.predict(rng.uniform(-1, 1, (500, 3))) ** 2)) < 0.25
+
+
+@pytest.mark.parametrize("selection", ["ols", "newrb"])
+def test_a_centre_at_every_row_leaves_room_for_the_constant(selection):
+    X, y, _ = smooth(10)
+    model = RBFNetRegressor(10, length_scale=0.3, alpha=0, selection=selection).fit(X, y)
+    assert len(model.centers_) == 9
+    assert model.stop_reason_ == "dependent"
+    np.testing.assert_allclose(model.predict(X), y, atol=1e-8)
