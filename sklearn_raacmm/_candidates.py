@@ -36,7 +36,7 @@ class WhitenedCandidates:
 
     def __init__(self, coordinates, target, resolution=DEPENDENT):
         self.coordinates, self.target, self.resolution = coordinates, target, resolution
-        self.n_candidates, self.rank = coordinates.shape
+        self.rank = coordinates.shape[1]
 
     def squared_norms(self):
         return np.einsum("ij,ij->i", self.coordinates, self.coordinates)
@@ -88,7 +88,7 @@ class SymmetricCandidates:
         self.resolution = 1e-6
         self.root = np.sqrt(weights)
         self.weighted_target = self.root[:, None] * Y
-        self.n_candidates = self.rank = len(K)
+        self.rank = len(K)
 
     def _weigh(self, u):
         u = self.root * u
