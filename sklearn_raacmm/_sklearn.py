@@ -2,7 +2,7 @@
 
 from sklearn.base import _fit_context
 from sklearn.utils import _safe_indexing
-from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
+from sklearn.utils._param_validation import HasMethods, Interval, StrOptions, validate_params
 from sklearn.utils.parallel import _threadpool_controller_decorator
 from sklearn.utils.validation import _check_feature_names_in, _check_sample_weight
 
@@ -15,6 +15,7 @@ __all__ = [
     "_fit_context",
     "_safe_indexing",
     "one_blas_thread",
+    "validate_params",
 ]
 
 # Rounding depends on how many threads share a product, and choices hang on rounding: one thread

@@ -1,7 +1,8 @@
-"""Simulated measurements with an articulated arm CMM whose errors are physical.
+"""Simulated measurements with an articulated arm CMM, and open data of real arms.
 
-Everything here is simulated. What a user of a real arm would have is at the top level of each
-data set; what only a simulation knows is under ``simulation``.
+What is made (``make_...``) is simulated, with errors that are physical: what a user of a real arm
+would have is at the top level of each data set, what only a simulation knows under ``simulation``.
+What is fetched (``fetch_...``) was measured by others, who published it.
 """
 
 import warnings
@@ -11,11 +12,20 @@ import numpy as np
 from sklearn.utils import Bunch, check_random_state
 
 from sklearn_raacmm._arm_errors import ArmErrors
+from sklearn_raacmm._bunch import pack
+from sklearn_raacmm._fetchers import fetch_panda_ball_socket, fetch_ur10_tracker
 from sklearn_raacmm._residuals import position_residuals
 from sklearn_raacmm._simulation import SimulatedArm
 from sklearn_raacmm.calibration import calibrate
 
-__all__ = ["ArmErrors", "SimulatedArm", "make_gauge", "make_single_point"]
+__all__ = [
+    "ArmErrors",
+    "SimulatedArm",
+    "fetch_panda_ball_socket",
+    "fetch_ur10_tracker",
+    "make_gauge",
+    "make_single_point",
+]
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -109,7 +119,7 @@ def make_single_point(
     machine, rng = _machine_and_stream(machine, random_state, stream=1)
     positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
     data = _measure(machine, positions, poses, rng)
-    return _pack(data, return_X_y, as_frame)
+    return pack(data, return_X_y, as_frame)
 
 
 def make_gauge(
@@ -172,7 +182,7 @@ def make_gauge(
     ends, poses = _draw_gauges(machine, lengths, n_poses, rng)
     data = _measure(machine, ends, poses, rng)
     data.update(pairs=np.arange(2 * len(lengths)).reshape(-1, 2), lengths=lengths)
-    return _pack(data, return_X_y, as_frame)
+    return pack(data, return_X_y, as_frame)
 
 
 @lru_cache(maxsize=8)
@@ -321,14 +331,3 @@ def _check_lengths(lengths, machine):
     if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():
         raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {lengths}.")
     return lengths
-
-
-def _pack(data, return_X_y, as_frame):
-    if as_frame:
-        import pandas as pd
-
-        data.data = pd.DataFrame(data.data, columns=data.feature_names)
-        data.target = pd.DataFrame(data.target, columns=data.target_names)
-        data.groups = pd.Series(data.groups, name="position")
-        data.frame = pd.concat([data.data, data.target, data.groups], axis=1)
-    return (data.data, data.target, data.groups) if return_X_y else data

@@ -74,6 +74,12 @@ def read_ur10(path):
 
 
 @pytest.fixture(scope="session")
+def data_folder():
+    """Return ``data_folder(name)``: the folder of a real data set, see `data_dir`."""
+    return data_dir
+
+
+@pytest.fixture(scope="session")
 def panda():
     """Return ``panda(arm)``: a reader of "panda_2" or "panda_3", see `read_panda`."""
     read = {}

@@ -1,0 +1,75 @@
+"""A file from the network, checked before it takes its place."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import hashlib
+import os
+import time
+import warnings
+from http.client import HTTPException
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+_TIMEOUT_S = 30
+
+
+def cached_file(path, url, sha256, *, download_if_missing=True, n_retries=3, delay=1.0):
+    """Path of a file that has this checksum, downloaded where it is not there yet.
+
+    Raises
+    ------
+    OSError
+        If the file is not there and may not or cannot be downloaded, or what was downloaded has
+        another checksum. A file that is there stays as it is then.
+    """
+    path = Path(path)
+    found = _sha256(path.read_bytes()) if path.is_file() else None
+    if found == sha256:
+        return path
+    wrong = f"{path} has the SHA-256 checksum {found}, but {sha256} is expected"
+    if not download_if_missing:
+        if found is not None:
+            raise OSError(f"{wrong}: it was cut short or changed, and download_if_missing=False.")
+        raise OSError(f"{path} is not there, and download_if_missing=False.")
+    if found is not None:
+        warnings.warn(f"{wrong}: downloading it again from {url}.", UserWarning, stacklevel=4)
+    content = _download(url, n_retries, delay)
+    found = _sha256(content)
+    if found != sha256:
+        raise OSError(
+            f"What {url} sent ({len(content)} bytes) has the SHA-256 checksum {found}, but "
+            f"{sha256} is expected: it was cut short or changed. Nothing was saved."
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Beside its place and renamed, so that a file of this name is always whole, whoever else
+    # downloads it at the same time.
+    with NamedTemporaryFile(dir=path.parent, prefix=path.name, suffix=".part", delete=False) as f:
+        beside = Path(f.name)
+        try:
+            f.write(content)
+            f.close()
+            os.replace(beside, path)
+        finally:
+            beside.unlink(missing_ok=True)
+    return path
+
+
+def _sha256(content):
+    return hashlib.sha256(content).hexdigest()
+
+
+def _download(url, n_retries, delay):
+    for left in range(n_retries, -1, -1):
+        try:
+            with urlopen(url, timeout=_TIMEOUT_S) as response:
+                return response.read()
+        except (OSError, HTTPException) as error:
+            # Asking again does not change "not found"; a server in trouble may recover.
+            final = isinstance(error, HTTPError) and error.code < 500 and error.code != 429
+            if final or not left:
+                raise OSError(f"{url} cannot be downloaded: {error}.") from error
+            warnings.warn(f"{url}: {error}; trying again.", UserWarning, stacklevel=5)
+            time.sleep(delay)
