@@ -27,6 +27,12 @@ INPUTS = {
     PERIODIC: {"encoding": "periodic"},
     ALL: {"joints": "all", "encoding": "periodic"},
 }
+WHERE = """\
+The data are not part of this package. They are downloaded once to scikit-learn's data folder, or to
+that of --data-home. On a computer without a network, copy there what another one has downloaded, or
+git clone https://github.com/platonics-delft/kinematics_calibration (commit 05a05ab, folder data, to
+panda_ball_socket) and https://github.com/christianlandgraf/ipa-robot-accuracy (commit 507fba6,
+Series_A/measurements_grid.csv, to ur10_tracker)."""
 UNCORRECTED = ("-", "uncorrected")
 ONE_WIDTH = (PAPER, "RBF network, one width")
 # Another arm may need other settings: each model finds its own, from its training rows alone.
@@ -106,6 +112,24 @@ def _progress(text):
     """Overwrite the line on a terminal; leave files and logs alone."""
     if sys.stderr.isatty():
         print(f"\r{text:<70}\r", end="", file=sys.stderr, flush=True)
+
+
+def processes(text):
+    """Number of processes, as joblib counts them; for argparse."""
+    number = int(text)
+    if number == 0:
+        raise argparse.ArgumentTypeError(
+            "0 processes cannot work; say 1 or more, or -1 for one per core"
+        )
+    return number
+
+
+def fetched(fetch, *args, **options):
+    """Open data of a real arm; where they cannot be had, say where they are."""
+    try:
+        return fetch(*args, **options)
+    except OSError as error:
+        raise SystemExit(f"{error}\n\n{WHERE}") from None
 
 
 def figure_file(text):

@@ -8,8 +8,8 @@ models of the arm itself learn on some positions and correct others that they ha
 
 Outer folds keep positions (placements, goals) together; every setting is chosen by inner folds of
 the training rows, which keep them together, too. Simulated arms come with the package; real data
-are added with ``--panda`` and ``--ur10``, and ``plot_real_arm.py`` and ``plot_real_tracker.py``
-say where to get them. There calibration, too, sees the training rows only.
+are added with ``--panda`` and ``--ur10``, downloaded the first time. There calibration, too, sees
+the training rows only.
 """
 
 import argparse
@@ -22,13 +22,18 @@ from typing import NamedTuple
 import numpy as np
 import plot_real_arm
 import plot_real_tracker
-from _comparison import UNCORRECTED, Table, in_parallel
+from _comparison import UNCORRECTED, Table, fetched, in_parallel, processes
 from _regressors import MODELS, Fold, run
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GroupKFold
 
 from sklearn_raacmm import position_residuals
-from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.datasets import (
+    fetch_panda_ball_socket,
+    fetch_ur10_tracker,
+    make_gauge,
+    make_single_point,
+)
 from sklearn_raacmm.metrics import (
     gauge_lengths,
     length_error,
@@ -76,36 +81,35 @@ def simulated(mix, seed, n_positions, n_poses, n_folds):
     )
 
 
-def panda(folder):
+def panda(arm, data_home):
     """Every placement of the sockets left out once, by calibration, too."""
-    data = plot_real_arm.read(folder)
+    data = fetched(fetch_panda_ball_socket, arm, data_home=data_home)
     names = np.unique(data.placements)
     folds, measured = [], []
     for name in names:
         without = plot_real_arm.without(data, name)
-        residuals = np.zeros((len(data.angles), 3))
+        residuals = np.zeros((len(data.data), 3))
         residuals[without.learn] = position_residuals(
-            without.points[without.learn], data.sockets[without.learn]
+            without.points[without.learn], data.groups[without.learn]
         )
-        labels = (data.sockets, data.placements)
+        labels = (data.groups, data.placements)
         rows = (without.learn, np.flatnonzero(without.test))
-        folds.append(Fold(without.arm, data.angles, residuals, *labels, *rows, absolute=False))
+        folds.append(Fold(without.arm, data.data, residuals, *labels, *rows, absolute=False))
         measured.append(without.points[without.test])
-    pairs = np.array([(f"{name}/0", f"{name}/1") for name in names])
-    holes = np.full(len(pairs), plot_real_arm.HOLES_MM)
-    return Problem(f"real, {folder.name}", folds, measured, pairs, holes)
+    pairs = np.array([(first, second) for first, second, *_ in data.lengths])
+    holes = np.array([length for _, _, length, _ in data.lengths])
+    return Problem(f"real, {arm}", folds, measured, pairs, holes)
 
 
-def ur10(path, n_rows):
+def ur10(n_rows, data_home):
     """Three folds of goal positions; residuals against the tracker."""
-    data = plot_real_tracker.some_goals(plot_real_tracker.read(path), n_rows)
+    data = fetched(fetch_ur10_tracker, data_home=data_home)
+    data = plot_real_tracker.some_goals(data, n_rows)
     folds, measured = [], []
-    for train, test in GroupKFold(3).split(data.angles, groups=data.goals):
+    for train, test in GroupKFold(3).split(data.data, groups=data.groups):
         fold = plot_real_tracker.calibrated(data, train, test)
-        labels = (data.goals, data.goals)
-        folds.append(
-            Fold(fold.arm, data.angles, fold.residuals, *labels, train, test, absolute=True)
-        )
+        labels = (data.groups, data.groups)
+        folds.append(Fold(fold.arm, data.data, fold.residuals, *labels, train, test, absolute=True))
         measured.append(fold.residuals[test])
     return Problem("real, ur10", folds, measured)
 
@@ -232,10 +236,10 @@ def problems(args):
     for mix in mixes:
         for seed in seeds:
             yield simulated(mix, seed, args.positions, args.poses, args.folds)
-    for folder in args.panda:
-        yield panda(folder)
-    if args.ur10 is not None:
-        yield ur10(args.ur10, args.rows)
+    for arm in args.panda:
+        yield panda(arm, args.data_home)
+    if args.ur10:
+        yield ur10(args.rows, args.data_home)
 
 
 def main(argv=None):
@@ -249,14 +253,19 @@ def main(argv=None):
     parser.add_argument("--folds", type=int, default=5, help="of positions (default: 5)")
     parser.add_argument("--seed", type=int, default=0, help="of the first simulated arm")
     parser.add_argument("--seeds", type=int, default=1, help="simulated arms of each kind")
-    parser.add_argument("--panda", type=Path, nargs="*", default=[], help="folders panda_2, _3")
-    parser.add_argument("--ur10", type=Path, help="measurements_grid.csv, or its folder")
+    parser.add_argument(
+        "--panda", nargs="*", default=[], choices=["panda_3", "panda_2"], help="real arms"
+    )
+    parser.add_argument("--ur10", action="store_true", help="a real robot and a laser tracker")
+    parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
     parser.add_argument(
         "--rows", type=int, default=UR10_ROWS, help=f"of the UR10 (default: {UR10_ROWS})"
     )
     parser.add_argument("--models", nargs="*", help="only those whose name holds one of these")
     parser.add_argument("--quick", action="store_true", help="one small simulated arm")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes (default: one per core)")
+    parser.add_argument(
+        "--jobs", type=processes, default=-1, help="processes (default: one per core)"
+    )
     parser.add_argument(
         "--output", type=Path, default=Path("comparison.csv"), help="file of the table"
     )

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import joblib
 import matplotlib.pyplot as plt
 import numpy as np
-from _comparison import Table, figure_file
+from _comparison import Table, figure_file, processes
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, GroupShuffleSplit
@@ -127,7 +127,7 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description="Search the whole chain, save the best model.")
     parser.add_argument("--positions", type=int, default=12, help="of the cone (default: 12)")
     parser.add_argument("--poses", type=int, default=40, help="at each position (default: 40)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    parser.add_argument("--jobs", type=processes, default=2, help="processes (default: 2)")
     parser.add_argument(
         "--output", type=figure_file, default="grid_search.png", help="file of the figure"
     )

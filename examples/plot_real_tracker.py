@@ -12,13 +12,11 @@ Calibration and models see the training goals only. The shoulder and elbow axes 
 parallel, so that its pose is made of other joints than that of a measuring arm: joints 4 and 3 and
 the elevation of the line from shoulder to wrist, as ``Arm.from_name("ur10")`` has them.
 
-The data are not part of this package. Get them as the message says that this script prints
-without ``--data``. It takes some minutes.
+The data are not part of this package: they are downloaded the first time. All rows take some
+minutes, ``--rows 1500`` less than one.
 """
 
 import argparse
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -28,57 +26,35 @@ from _comparison import (
     PAPER,
     UNCORRECTED,
     Table,
+    fetched,
     figure_file,
     fit,
     in_parallel,
     models_to_compare,
+    processes,
 )
 from sklearn.model_selection import GroupKFold
+from sklearn.utils import Bunch
 
-from sklearn_raacmm import Arm, calibrate
+from sklearn_raacmm import calibrate
+from sklearn_raacmm.datasets import fetch_ur10_tracker
 from sklearn_raacmm.metrics import single_point_repeatability
-
-FILE = "measurements_grid.csv"
-WHERE = f"""\
-Give the folder of the data, or the file, with --data. To get them:
-
-  curl -O https://raw.githubusercontent.com/christianlandgraf/ipa-robot-accuracy/\
-507fba69bdaf6c43c2faf306e70a7e37c5e39b89/Series_A/{FILE}
-  python examples/plot_real_tracker.py --data {FILE}
-"""
-GOAL, JOINTS, POINT = slice(1, 4), slice(7, 13), slice(14, 17)  # columns of the file
-
-
-def read(path):
-    """Read angles (rad), measured points (mm) and the number of the goal position."""
-    path = path / FILE if path.is_dir() else path
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()[1:]
-        # Semicolons between fields, decimal commas.
-        rows = np.array([[float(f.replace(",", ".")) for f in line.split(";")] for line in lines])
-        if rows.ndim != 2 or rows.shape[1] < POINT.stop:
-            raise ValueError(f"expected {POINT.stop} columns or more, separated by semicolons")
-    except (OSError, ValueError) as error:
-        raise SystemExit(f"{path} cannot be read: {error}.\n\n{WHERE}") from None
-    goals = np.unique(rows[:, GOAL].round(6), axis=0, return_inverse=True)[1].ravel()
-    return SimpleNamespace(angles=rows[:, JOINTS], points=rows[:, POINT], goals=goals)
 
 
 def some_goals(data, n_rows):
     """Keep goal positions drawn at random, with about so many rows."""
-    order = np.random.default_rng(0).permutation(data.goals.max() + 1)
-    kept = order[: max(3, n_rows * len(order) // len(data.goals))]
-    some = np.isin(data.goals, kept)
-    return SimpleNamespace(**{name: values[some] for name, values in vars(data).items()})
+    order = np.random.default_rng(0).permutation(data.groups.max() + 1)
+    kept = order[: max(3, n_rows * len(order) // len(data.groups))]
+    some = np.isin(data.groups, kept)
+    rows = {name: data[name][some] for name in ("data", "tracker_points", "groups")}
+    return Bunch(**rows, nominal_arm=data.nominal_arm)
 
 
 def calibrated(data, train, test):
     """Calibrate on the training rows: the arm, and the residuals of all rows in its base frame."""
-    # The tracker's target sits about 109 mm along the last axis; calibration finds where exactly.
-    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-    result = calibrate(nominal, data.angles[train], points=data.points[train])
-    true = (data.points - result.base_translation) @ result.base_rotation
-    residuals = result.arm.forward(data.angles) - true
+    result = calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
+    true = (data.tracker_points - result.base_translation) @ result.base_rotation
+    residuals = result.arm.forward(data.data) - true
     return SimpleNamespace(
         arm=result.arm, train=train, test=test, residuals=residuals, calibration=result
     )
@@ -90,13 +66,13 @@ def left_over(data, fold, name, gp_rows):
     if "Gaussian" in name[1] and len(train) > gp_rows:  # its cost is cubic
         train = np.sort(np.random.default_rng(0).choice(train, gp_rows, replace=False))
     model = models_to_compare(fold.arm)[name]
-    fit(model, data.angles[train], fold.residuals[train], data.goals[train])
-    return fold.residuals[fold.test] - model.predict(data.angles[fold.test])
+    fit(model, data.data[train], fold.residuals[train], data.groups[train])
+    return fold.residuals[fold.test] - model.predict(data.data[fold.test])
 
 
 def compare(data, folds, jobs, gp_rows):
     """Print the table of models; return the distance of every row from the truth, by model."""
-    goals = data.goals[np.concatenate([fold.test for fold in folds])]
+    goals = data.groups[np.concatenate([fold.test for fold in folds])]
     repeated = np.bincount(goals)[goals] > 1
     table = Table(
         ("inputs", 24, ""),
@@ -159,28 +135,27 @@ def plot(distances):
 def main(argv=None):
     """Run the job."""
     parser = argparse.ArgumentParser(description="A real robot against a laser tracker.")
-    parser.add_argument("--data", type=Path, help=f"{FILE}, or its folder")
+    parser.add_argument("--data-home", help="folder of the data (default: scikit-learn's)")
     parser.add_argument("--rows", type=int, help="use about so many rows only, of random goals")
     parser.add_argument("--folds", type=int, default=3, help="of goal positions (default: 3)")
     parser.add_argument(
         "--gp-rows", type=int, default=1500, help="to train a Gaussian process (default: 1500)"
     )
-    parser.add_argument("--jobs", type=int, default=-1, help="processes (default: one per core)")
+    parser.add_argument(
+        "--jobs", type=processes, default=-1, help="processes (default: one per core)"
+    )
     parser.add_argument(
         "--output", type=figure_file, default="real_tracker.png", help="file of the figure"
     )
     args = parser.parse_args(argv)
-    if args.data is None:
-        print(WHERE, file=sys.stderr, end="")
-        raise SystemExit(2)
 
-    data = read(args.data)
+    data = fetched(fetch_ur10_tracker, data_home=args.data_home)
     if args.rows is not None:
         data = some_goals(data, args.rows)
-    n_goals = len(np.unique(data.goals))
-    splits = GroupKFold(args.folds).split(data.angles, groups=data.goals)
+    n_goals = len(np.unique(data.groups))
+    splits = GroupKFold(args.folds).split(data.data, groups=data.groups)
     folds = [calibrated(data, train, test) for train, test in splits]
-    print(f"UR10, real data: {len(data.angles)} poses at {n_goals} goal positions.")
+    print(f"UR10, real data: {len(data.data)} poses at {n_goals} goal positions.")
     for fold in folds:
         c = fold.calibration
         print(

@@ -26,6 +26,7 @@ from _comparison import (
     fit,
     in_parallel,
     models_to_compare,
+    processes,
 )
 from sklearn.model_selection import LeaveOneGroupOut
 
@@ -171,7 +172,9 @@ def main(argv=None):
     parser.add_argument(
         "--machine", default="typical", choices=["typical", "gravity", "eccentricity"]
     )
-    parser.add_argument("--jobs", type=int, default=-1, help="processes (default: one per core)")
+    parser.add_argument(
+        "--jobs", type=processes, default=-1, help="processes (default: one per core)"
+    )
     parser.add_argument(
         "--output", type=figure_file, default="simulated_arm.png", help="file of the figure"
     )

@@ -10,7 +10,9 @@ import pytest
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 from sklearn.preprocessing import StandardScaler
+from sklearn.utils import Bunch
 
+from sklearn_raacmm import Arm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -132,17 +134,21 @@ def test_refuses_before_the_work(example, capsys, arguments, message):
     assert message in capsys.readouterr().err
 
 
-def test_real_data(example, panda, ur10, tmp_path):
+def test_real_data(example, panda, ur10, monkeypatch):
     """Small pieces of the real series: what is uncorrected is what calibration left."""
     module = example("compare_regressors")
     data = panda("panda_3")
-    for placement in ("backleft", "frontcenter", "frontright"):
-        for hole in (0, 1):
-            path = tmp_path / "panda_3" / placement / f"hole_{hole}.csv"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            rows = data.angles[data.groups == f"{placement}/{hole}"][:12]
-            np.savetxt(path, rows, delimiter=",", fmt="%.17g")
-    problem = module.panda(tmp_path / "panda_3")
+    some = np.isin(data.placements, ["backleft", "frontcenter", "frontright"])
+    some &= np.arange(len(some)) % 2 == 0
+    few = Bunch(
+        data=data.angles[some],
+        groups=data.groups[some],
+        placements=data.placements[some],
+        lengths=[(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(data.placements[some])],
+        nominal_arm=Arm.from_name("panda", probe=(0, 0, 241)),
+    )
+    monkeypatch.setattr(module, "fetch_panda_ball_socket", lambda arm, data_home: few)
+    problem = module.panda("panda_3", None)
     results, places = module.assess(problem, [0 * points for points in problem.measured])
     spread = [
         single_point_repeatability(points[fold.positions[fold.test] == socket])
@@ -158,11 +164,14 @@ def test_real_data(example, panda, ur10, tmp_path):
 
     some = np.isin(ur10.groups, np.arange(0, 619, 60))
     goals = np.unique(ur10.groups[some], return_inverse=True)[1]
-    read_data = module.plot_real_tracker.SimpleNamespace(
-        angles=ur10.angles[some], points=ur10.points[some], goals=goals
+    few = Bunch(
+        data=ur10.angles[some],
+        tracker_points=ur10.points[some],
+        groups=goals,
+        nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
     )
-    module.plot_real_tracker.read = lambda path: read_data
-    problem = module.ur10("from the fixture", len(goals))
+    monkeypatch.setattr(module, "fetch_ur10_tracker", lambda data_home: few)
+    problem = module.ur10(len(goals), None)
     results, _ = module.assess(problem, [0 * points for points in problem.measured])
     left = np.concatenate([fold.residuals[fold.test] for fold in problem.folds])
     assert results["mean_mm"] == pytest.approx(np.mean(np.linalg.norm(left, axis=1)))

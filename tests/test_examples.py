@@ -1,5 +1,6 @@
 """The examples run, small, and what they print is what the package says of the same data."""
 
+import functools
 import importlib
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from sklearn.model_selection import GroupKFold, GroupShuffleSplit
 from sklearn.neighbors import KNeighborsRegressor
+from sklearn.utils import Bunch
 
 from sklearn_raacmm import Arm, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
@@ -104,45 +106,56 @@ def test_grid_search(example, capsys):
 
 
 @pytest.mark.parametrize("name", ["plot_real_arm", "plot_real_tracker"])
-def test_without_data_says_where_to_get_them(example, capsys, name):
+def test_without_data_says_where_to_get_them(example, tmp_path, name, monkeypatch):
+    module = example(name)
+    fetch = "fetch_panda_ball_socket" if name == "plot_real_arm" else "fetch_ur10_tracker"
+    offline = functools.partial(getattr(module, fetch), download_if_missing=False)
+    monkeypatch.setattr(module, fetch, offline)
+    with pytest.raises(SystemExit, match=r"(?s)elsewhere.*is not there.*github"):
+        module.main(["--data-home", str(tmp_path / "elsewhere")])
+
+
+@pytest.mark.parametrize(
+    "name", ["plot_simulated_arm", "plot_real_arm", "plot_real_tracker", "plot_grid_search"]
+)
+def test_no_processes_are_refused(example, capsys, name):
     with pytest.raises(SystemExit, match="2"):
-        example(name).main([])
-    message = capsys.readouterr().err
-    assert "--data" in message
-    assert "github" in message
-
-
-@pytest.mark.parametrize("name", ["plot_real_arm", "plot_real_tracker"])
-def test_the_wrong_folder_says_where_to_get_the_data(example, tmp_path, name):
-    with pytest.raises(SystemExit, match=r"(?s)nowhere.*github"):
-        example(name).main(["--data", str(tmp_path / "nowhere")])
+        example(name).main(["--jobs", "0"])
+    assert "--jobs: 0 processes cannot work" in capsys.readouterr().err
 
 
 @pytest.fixture
-def few_rows(panda, tmp_path):
-    """Three placements of panda_3, the first twelve rows of every file, as files."""
+def few_rows(panda):
+    """Three placements of panda_3, the first twelve rows of every socket, as fetched."""
     data = panda("panda_3")
+    some = []
     for placement in ("backleft", "frontcenter", "frontright"):
         for hole in (0, 1):
-            path = tmp_path / "data" / "panda_3" / placement / f"hole_{hole}.csv"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            rows = data.angles[data.groups == f"{placement}/{hole}"][:12]
-            np.savetxt(path, rows, delimiter=",", fmt="%.17g")
-    return tmp_path / "data"
+            some.append(np.flatnonzero(data.groups == f"{placement}/{hole}")[:12])
+    some = np.concatenate(some)
+    placements = data.placements[some]
+    return Bunch(
+        data=data.angles[some],
+        groups=data.groups[some],
+        placements=placements,
+        lengths=[(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(placements)],
+        nominal_arm=Arm.from_name("panda", probe=(0, 0, 241)),
+    )
 
 
-def test_real_arm(example, capsys, few_rows):
+def test_real_arm(example, capsys, few_rows, monkeypatch):
     module = example("plot_real_arm")
-    data = module.read(few_rows / "panda_3")
-    module.main(["--data", str(few_rows), "--jobs", "1"])
+    data = few_rows
+    monkeypatch.setattr(module, "fetch_panda_ball_socket", lambda arm, data_home: data)
+    module.main(["--jobs", "1"])
     output = capsys.readouterr().out
     left_out = []
     for placement in np.unique(data.placements):
         train = data.placements != placement
         known = [(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(data.placements[train])]
         nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, data.angles[train], data.sockets[train], lengths=known).arm
-        y = position_residuals(arm.forward(data.angles[~train]), data.sockets[~train])
+        arm = calibrate(nominal, data.data[train], data.groups[train], lengths=known).arm
+        y = position_residuals(arm.forward(data.data[~train]), data.groups[~train])
         left_out.append(np.linalg.norm(y, axis=1))
         assert cells(output, placement)[2] == pytest.approx(left_out[-1].mean(), abs=1e-3)
     everything = np.concatenate(left_out)
@@ -153,44 +166,17 @@ def test_real_arm(example, capsys, few_rows):
     assert Path("real_arm.png").read_bytes().startswith(PNG)
 
 
-def test_real_arm_names_what_is_wrong_with_a_file(example, few_rows):
-    path = few_rows / "panda_3" / "backleft" / "hole_1.csv"
-    run = example("plot_real_arm").main
-    rows = np.loadtxt(path, delimiter=",")
-
-    def message(wrong):
-        np.savetxt(path, wrong, delimiter=",")
-        with pytest.raises(SystemExit) as stop:
-            run(["--data", str(few_rows), "--jobs", "1"])
-        assert str(path) in str(stop.value)
-        return str(stop.value)
-
-    holed = rows.copy()
-    holed[4, 2] = np.nan
-    assert "NaN or infinity, first in line 5" in message(holed)
-    assert "has 6 columns; 7 joint angles needed" in message(rows[:, :6])
-    assert f"up to {np.abs(np.rad2deg(rows)).max():.1f} rad" in message(np.rad2deg(rows))
-    path.write_text("q1,q2\n")
-    with pytest.raises(SystemExit, match="cannot be read"):
-        run(["--data", str(few_rows)])
-
-
-def test_real_arm_in_degrees(example, few_rows):
-    module = example("plot_real_arm")
-    folder = few_rows / "panda_3"
-    rad = module.read(folder).angles
-    for path in folder.glob("*/hole_?.csv"):
-        np.savetxt(path, np.rad2deg(np.loadtxt(path, delimiter=",")), delimiter=",")
-    np.testing.assert_allclose(module.read(folder, "deg").angles, rad, atol=1e-12)
-
-
 def test_real_tracker(example, capsys, ur10, monkeypatch):
     module = example("plot_real_tracker")
     some = np.isin(ur10.groups, np.arange(0, 619, 40))
-    data = {"angles": ur10.angles[some], "points": ur10.points[some], "goals": ur10.groups[some]}
-    data["goals"] = np.unique(data["goals"], return_inverse=True)[1]
-    monkeypatch.setattr(module, "read", lambda path: module.SimpleNamespace(**data))
-    module.main(["--data", "from the fixture", "--gp-rows", "60", "--folds", "2", "--jobs", "1"])
+    data = Bunch(
+        data=ur10.angles[some],
+        tracker_points=ur10.points[some],
+        groups=np.unique(ur10.groups[some], return_inverse=True)[1],
+        nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
+    )
+    monkeypatch.setattr(module, "fetch_ur10_tracker", lambda data_home: data)
+    module.main(["--gp-rows", "60", "--folds", "2", "--jobs", "1"])
     output = capsys.readouterr().out
     assert f"{some.sum()} poses at 16 goal positions" in output
     mean, high, largest, *_ = cells(output, "-", "uncorrected")
