@@ -49,22 +49,9 @@ class WhitenedCandidates:
         u = self.coordinates[j].copy()
         return u, u
 
-    def inner(self, V):
-        """Inner products of every candidate with the directions whose dual vectors are V's rows."""
-        return self.coordinates @ V.T
-
-    def rows(self, indices):
-        """What gives some candidates' inner products when multiplied with a dual vector."""
-        return self.coordinates[indices]
-
-    def target_inner(self, u):
-        return u @ self.target
-
-    def without(self, U):
-        """The same candidates and target with the orthonormal rows U projected out."""
-        coordinates = self.coordinates - (self.coordinates @ U.T) @ U
-        target = self.target - U.T @ (U @ self.target)
-        return WhitenedCandidates(coordinates, target, self.resolution)
+    def inner(self, v):
+        """Inner products of every candidate with the direction whose dual vector is v."""
+        return self.coordinates @ v
 
 
 class SymmetricCandidates:
@@ -87,7 +74,7 @@ class SymmetricCandidates:
         # Running squared lengths are all there is: they are good to the root of machine epsilon.
         self.resolution = 1e-6
         self.root = np.sqrt(weights)
-        self.weighted_target = self.root[:, None] * Y
+        self.target = self.root[:, None] * Y
         self.rank = len(K)
 
     def _weigh(self, u):
@@ -103,7 +90,7 @@ class SymmetricCandidates:
         return norms + self.alpha * self.K.diagonal()
 
     def correlations(self):
-        return self.K @ self.weighted_target
+        return self.K @ self.target
 
     def column(self, j):
         u = self.K[:, j].copy()
@@ -111,14 +98,8 @@ class SymmetricCandidates:
         v[j] += self.alpha
         return u, v
 
-    def inner(self, V):
-        return blas.dsymm(1.0, self.K, V.T, lower=1)
-
-    def rows(self, indices):
-        return self.K[:, indices].T
-
-    def target_inner(self, u):
-        return u @ self.weighted_target
+    def inner(self, v):
+        return blas.dsymv(1.0, self.K, v, lower=1)
 
 
 def whiten(rows, blocks, members, alphas, resolution):
@@ -126,8 +107,9 @@ def whiten(rows, blocks, members, alphas, resolution):
 
     Parameters
     ----------
-    rows : ndarray of shape (n_candidates, rank)
-        Candidates in the factor's coordinates: ``rows @ rows.T`` is their kernel matrix.
+    rows : ndarray of shape (n_candidates, rank), Fortran order
+        Candidates in the factor's coordinates: ``rows @ rows.T`` is their kernel matrix. They are
+        overwritten.
     blocks : callable
         Gives an iterator over blocks of samples, each a tuple of the tail's orthonormal basis, the
         samples in the factor's coordinates and the targets, tail projected out; times root weight.
@@ -171,7 +153,9 @@ def whiten(rows, blocks, members, alphas, resolution):
             ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
             Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
             root, projected = R.T, Q[:rank].T @ rotated[:, of]
-        coordinates = blas.dtrmm(1.0, root, rows.T, trans_a=1, lower=1).T
+        # The last group's take the rows' place, which nobody needs any more.
+        last = len(groups) == len(alphas) - 1
+        coordinates = blas.dtrmm(1.0, root, rows, side=1, lower=1, overwrite_b=last)
         groups.append(WhitenedCandidates(coordinates, projected, trusted))
         inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
         degrees.append(rank - alpha * float(np.sum(np.square(inverse))))
@@ -241,11 +225,13 @@ def candidate_groups(
         return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
 
     least = min(alphas)
-    tol = 1e-8 if least == 0 else min(max(1e-3 * least, ROUNDING), 1e-6)
+    tol = 1e-6 if least == 0 else min(max(1e-3 * least, ROUNDING), 1e-6)
     may_be_symmetric = n_select is not None and not whitened and len(rows) == n <= MAX_SYMMETRIC
-    max_rank = MAX_RANK if not may_be_symmetric else max(64, int(2 * np.sqrt(n * n_select)))
+    # From about this rank on a step on the matrix itself makes up for the factor's price.
+    max_rank = MAX_RANK if not may_be_symmetric else max(64, int(1.4 * np.sqrt(n * n_select)))
     resolve = n_select if least == 0 else None
-    factor = pivoted_cholesky(Z[rows], kernel, tol=tol, max_rank=max_rank, resolve=resolve)
+    limits = {"max_rank": max_rank, "all_or_nothing": may_be_symmetric}
+    factor = pivoted_cholesky(Z[rows], kernel, tol=tol, resolve=resolve, **limits)
     if may_be_symmetric and not factor.complete:
         K = kernel_matrix(Z, Z, kernel).T
         weights = root[:, 0] ** 2

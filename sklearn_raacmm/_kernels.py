@@ -8,7 +8,7 @@ gradient with respect to any width needs: no square root, hence no division by a
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import blas
 
 _SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
 
@@ -135,7 +135,9 @@ class LowRankFactor(NamedTuple):
         return self.residual <= self.tol
 
 
-def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_size=96):
+def pivoted_cholesky(
+    Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, all_or_nothing=False, block_size=96
+):
     """Low-rank factor of a positive definite kernel matrix by blocked, diagonally pivoted Cholesky.
 
     Each round looks at the `block_size` rows that the factor explains least, takes those of them
@@ -156,6 +158,8 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
     resolve : int, optional
         Tighten the tolerance to a small part of what this many pivots leave, so that this many
         columns can be told apart.
+    all_or_nothing : bool
+        Stop as soon as the tolerance is out of reach: an incomplete factor is of no use.
     block_size : int
         Rows looked at in a round.
 
@@ -191,9 +195,12 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
         most = min(max_rank - rank, max(1, rank))
         chosen, root = _pivots_in_block(inside, max(tol, 0.2 * diagonal[top[0]]), most)
         top = top[chosen]
-        new = kernel_matrix(Z[top], Z, kernel)
-        new -= factor[:rank, top].T @ factor[:rank]
-        new = solve_triangular(root, new, lower=True, overwrite_b=True, check_finite=False)
+        # Transposed, for BLAS to work in place.
+        new = kernel_matrix(Z[top], Z, kernel).T
+        new = blas.dgemm(
+            -1.0, factor[:rank].T, factor[:rank, top], beta=1.0, c=new, overwrite_c=True
+        )
+        new = blas.dtrsm(1.0, root, new, side=1, lower=1, trans_a=1, overwrite_b=True).T
         need = rank + len(top)
         if need > len(factor):
             grown = np.empty((min(max_rank, max(need, len(factor) * 5 // 4)), n))
@@ -204,6 +211,12 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
         diagonal -= np.einsum("ij,ij->j", new, new)
         diagonal[pivots[:need]] = 0.0
         rank = need
+        # On a logarithmic scale the remainder falls ever more slowly: a straight line from the
+        # start through the present point is the best that can be hoped for.
+        if all_or_nothing and rank >= 256:
+            most = tol if resolve is None else aim
+            if rank * np.log(most) < max_rank * np.log(max(diagonal.max(), most)):
+                break
     residual = float(max(diagonal.max(), 0.0))
     return LowRankFactor(factor[:rank].T, pivots[:rank].copy(), residual, tol)
 

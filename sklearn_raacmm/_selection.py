@@ -26,14 +26,10 @@ import numpy as np
 from scipy.linalg import qr, qr_delete, qr_insert, solve_triangular
 
 from sklearn_raacmm._candidates import WhitenedCandidates
-from sklearn_raacmm._kernels import largest
 
 # Running squared lengths are differences: below this part of what they were, only half their digits
 # are left, and they are computed anew.
 STALE = 1e-7
-# Candidates on the short list, and the most choices made ahead on it.
-SHORT_LIST = 1024
-MAX_AHEAD = 32
 
 
 class Selection(NamedTuple):
@@ -71,9 +67,6 @@ class _Basis:
     def __init__(self, width):
         self.rows, self.size = np.empty((16, width)), 0
 
-    def cut(self, size):
-        self.size = size
-
     def append(self, row):
         if self.size == len(self.rows):
             self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
@@ -85,10 +78,7 @@ class _Basis:
 
 
 class _ForwardPass:
-    """What a group of outputs knows of every candidate while the chosen ones are projected out.
-
-    `attempt` looks ahead on a short list of candidates, `settle` catches up with all of them.
-    """
+    """What a group of outputs knows of every candidate while the chosen ones are projected out."""
 
     def __init__(self, candidates):
         self.candidates = candidates
@@ -96,23 +86,18 @@ class _ForwardPass:
         self.floor = candidates.resolution**2 * self.norms
         self.fresh = self.norms.copy()
         self.correlations = candidates.correlations()
+        self.whitened = isinstance(candidates, WhitenedCandidates)
         self.U = _Basis(candidates.rank)
-        whitened = isinstance(candidates, WhitenedCandidates)
-        self.V = self.U if whitened else _Basis(candidates.rank)
-        self.settled = 0
+        self.V = self.U if self.whitened else _Basis(candidates.rank)
+        self.target = candidates.target.copy()
 
-    def figures(self):
-        return self.norms, self.correlations, self.floor
+    def dependent(self):
+        return self.norms <= self.floor
 
-    def list_figures(self):
-        return self.list_norms, self.list_correlations, self.floor[self.listed]
-
-    def start(self, listed):
-        """Begin to look ahead on the candidates `listed`."""
-        self.listed = listed
-        self.rows = self.candidates.rows(listed)
-        self.list_norms = self.norms[listed]
-        self.list_correlations = self.correlations[listed]
+    def gains(self):
+        """By how much each candidate would lower the objective of each output."""
+        usable = np.where(self.norms > self.floor, self.norms, np.inf)
+        return np.square(self.correlations) / usable[:, None]
 
     def direction(self, j):
         """Candidate j made orthogonal to the chosen ones, its dual, and its squared norm."""
@@ -125,71 +110,48 @@ class _ForwardPass:
                 v -= c @ self.V()
         return u, v, u @ v
 
-    def lost(self, position, squared_norm):
-        """Whether repeated subtraction has lost the length of a listed candidate."""
-        norm = self.list_norms[position]
-        return norm > self.floor[self.listed[position]] and abs(squared_norm - norm) > 0.1 * norm
+    def lost(self, j, squared_norm):
+        """Whether repeated subtraction has lost the length of candidate j."""
+        norm = self.norms[j]
+        return norm > self.floor[j] and abs(squared_norm - norm) > 0.1 * norm
 
-    def correct(self, position, way):
-        """Put the truth about a listed candidate in the place of the running figures."""
-        u, _, squared_norm = way
-        self.list_norms[position] = squared_norm
-        self.list_correlations[position] = self.candidates.target_inner(u)
-        return self.listed[position], squared_norm, self.list_correlations[position].copy()
+    def correct(self, j, u, _, squared_norm):
+        """Put the truth about candidate j in the place of the running figures."""
+        self.norms[j] = squared_norm
+        self.correlations[j] = u @ self.target
 
-    def attempt(self, position, u, v, squared_norm):
-        """Choose a listed candidate, as far as the list is concerned."""
-        if self.list_norms[position] <= self.floor[self.listed[position]]:
-            # Dependent in this group's eyes, chosen for another's: a direction of no length.
-            u, v, squared_norm = np.zeros_like(u), np.zeros_like(v), 1.0
+    def choose(self, j, u, v, squared_norm):
+        """Project candidate j out; return by how much it lowers each output's objective."""
+        if self.norms[j] <= self.floor[j]:
+            # Dependent in this group's eyes, chosen for another's: nothing is left to project.
+            return np.zeros(self.target.shape[1])
         u /= np.sqrt(squared_norm)
         self.U.append(u)
-        if self.V is not self.U:
+        if v is not u:
             v /= np.sqrt(squared_norm)
             self.V.append(v)
-        h = self.rows @ self.V()[-1]
-        self.list_norms -= h * h
-        self.list_correlations -= h[:, None] * self.candidates.target_inner(u)
-        self.list_norms[position] = 0.0
-
-    def look_up(self):
-        """Inner products of all candidates with the directions attempted since `forget`."""
-        self.h = self.candidates.inner(self.V()[self.settled :])
-        self.on_target = self.candidates.target_inner(self.U()[self.settled :])
-
-    def settle(self, step, j):
-        """Choose candidate j in earnest; return by how much it lowers each output's objective."""
-        h, on_target = self.h[:, step], self.on_target[step]
+        on_target = u @ self.target
+        self.target -= np.outer(v, on_target)
+        h = self.candidates.inner(v)
         self.norms -= h * h
         self.correlations -= h[:, None] * on_target
         self.norms[j] = 0.0
+        if self.whitened:
+            self._refresh()
         return on_target**2
 
-    def forget(self, n_kept):
-        """Keep only the first directions of those attempted."""
-        self.settled += n_kept
-        self.U.cut(self.settled)
-        self.V.cut(self.settled)
-        usable = self.norms > self.floor
-        stale = usable & (self.norms < STALE * self.fresh)
-        if self.V is self.U and np.any(stale):
-            self.candidates = self.candidates.without(self.U())
-            self.norms = np.where(usable, self.candidates.squared_norms(), 0.0)
-            self.correlations = self.candidates.correlations()
-            self.fresh = self.norms.copy()
-
-
-def _gains(norms, correlations, floor):
-    return np.square(correlations) / np.where(norms > floor, norms, np.inf)[:, None]
+    def _refresh(self):
+        """Compute anew what has become a small difference of large numbers."""
+        stale = np.flatnonzero((self.norms < STALE * self.fresh) & (self.norms > self.floor))
+        if len(stale):
+            left = self.candidates.coordinates[stale]
+            left -= (left @ self.U().T) @ self.U()
+            self.norms[stale] = self.fresh[stale] = np.einsum("ij,ij->i", left, left)
+            self.correlations[stale] = left @ self.target
 
 
 def forward_selection(groups, n_select, *, score=total_score, enough=None):
     """Choose candidates one at a time, each the one that lowers the objective most.
-
-    To update all candidates after every choice takes a matrix-vector product, which waits for
-    memory. So choices are made ahead on a short list of the best candidates, then all are updated
-    for several choices in one matrix product, and each choice is confirmed, or undone if a
-    candidate off the list would have been better: the order is that of choosing one at a time.
 
     Parameters
     ----------
@@ -209,59 +171,29 @@ def forward_selection(groups, n_select, *, score=total_score, enough=None):
     """
     passes = [_ForwardPass(candidates) for candidates in groups]
     indices, reductions, summed = [], [], 0.0
-    ahead, stop = 4, "n_select"
-
-    def scores(figures):
-        """One figure a candidate; negative where it is dependent on the chosen ones."""
-        gains = score(np.hstack([_gains(*of_group) for of_group in figures]))
-        gains[np.all([norms <= floor for norms, _, floor in figures], axis=0)] = -1.0
-        return gains
-
-    while len(indices) < n_select and stop == "n_select":
-        gains = scores([one.figures() for one in passes])
-        listed = np.sort(largest(gains, min(len(gains), SHORT_LIST)))
-        for one in passes:
-            one.start(listed)
-        tried, corrections = [], []
-        while len(tried) < min(ahead, n_select - len(indices)):
-            gains = scores([one.list_figures() for one in passes])
-            position = int(np.argmax(gains))
-            if gains[position] < 0:
-                break
-            ways = [one.direction(listed[position]) for one in passes]
-            lost = [one.lost(position, way[2]) for one, way in zip(passes, ways, strict=True)]
-            if any(lost):
-                # Repeated subtraction has lost this candidate's length: put the truth in its place
-                # and choose again.
-                for i in np.flatnonzero(lost):
-                    corrections.append((len(tried), i, *passes[i].correct(position, ways[i])))
-                continue
-            for one, way in zip(passes, ways, strict=True):
-                one.attempt(position, *way)
-            tried.append(int(listed[position]))
-        if not tried and not corrections:
+    stop = "n_select"
+    while len(indices) < n_select:
+        scores = score(np.hstack([one.gains() for one in passes]))
+        scores[np.all([one.dependent() for one in passes], axis=0)] = -1.0
+        j = int(np.argmax(scores))
+        if scores[j] < 0:
             stop = "dependent"
             break
-        for one in passes:
-            one.look_up()
-        kept = 0
-        for step in range(len(tried) + 1):
-            for _, i, j, norm, correlation in [c for c in corrections if c[0] == step]:
-                passes[i].norms[j], passes[i].correlations[j] = norm, correlation
-            if step == len(tried) or stop != "n_select":
-                break
-            if int(np.argmax(scores([one.figures() for one in passes]))) != tried[step]:
-                break
-            reductions.append(np.concatenate([one.settle(step, tried[step]) for one in passes]))
-            indices.append(tried[step])
-            summed = summed + reductions[-1]
-            kept += 1
-            if enough is not None and np.all(summed >= enough):
-                stop = "enough"
-        for one in passes:
-            one.forget(kept)
-        ahead = min(2 * ahead, MAX_AHEAD) if kept == ahead else max(kept, 2)
-    n_outputs = sum(one.correlations.shape[1] for one in passes)
+        ways = [one.direction(j) for one in passes]
+        lost = [one.lost(j, way[2]) for one, way in zip(passes, ways, strict=True)]
+        if any(lost):
+            # Choose again, with the truth about this candidate.
+            for i in np.flatnonzero(lost):
+                passes[i].correct(j, *ways[i])
+            continue
+        chosen = [one.choose(j, *way) for one, way in zip(passes, ways, strict=True)]
+        indices.append(j)
+        reductions.append(np.concatenate(chosen))
+        summed = summed + reductions[-1]
+        if enough is not None and np.all(summed >= enough):
+            stop = "enough"
+            break
+    n_outputs = sum(one.target.shape[1] for one in passes)
     reduction = np.reshape(reductions, (len(indices), n_outputs))
     return Selection(np.array(indices, dtype=np.intp), reduction, stop)
 
