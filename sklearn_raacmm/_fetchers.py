@@ -153,7 +153,8 @@ def fetch_panda_ball_socket(
         nominal_arm : Arm
             The arm before calibration.
         lengths : list of (label, label, length, standard deviation)
-            The 50 mm between the two sockets of each placement, for :func:`calibrate`. The
+            The 50 mm between the two sockets of each placement, for
+            :func:`~sklearn_raacmm.calibrate`. The
             standard deviation of 0.1 mm is our guess.
         feature_names, target_names : list of str
             Names of the columns.

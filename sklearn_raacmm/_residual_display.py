@@ -122,7 +122,7 @@ class ResidualDisplay:
             Predicted residuals, mm. None: only `y` is drawn.
 
         arm : Arm, default=None
-            The arm, as in :class:`PoseFeatures`.
+            The arm, as in :class:`~sklearn_raacmm.PoseFeatures`.
 
         groups : array-like of shape (n_points,), default=None
             Label of the position of each point. A single-point test shows residuals only up to one

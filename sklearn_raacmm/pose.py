@@ -61,7 +61,7 @@ class PoseFeatures(TransformerMixin, BaseEstimator):
     n_features_in_ : int
         Number of joints.
 
-    feature_names_in_ : ndarray of shape (n_features_in_,)
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
 
     See Also

@@ -66,17 +66,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     n_centers : int or "auto", default="auto"
         Number of centres. "auto" leaves it to `criterion`.
 
-    kernel : {"gaussian", "matern32", "matern52", "rational_quadratic", "inverse_multiquadric", \
-            "multiquadric", "thin_plate"}, default="gaussian"
-        Radial function of the scaled distance r: :math:`e^{-r^2/2}`;
-        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`;
-        :math:`1 / (1 + r^2/2)`; :math:`1 / \sqrt{1 + r^2}`; :math:`\sqrt{1 + r^2}`;
-        :math:`r^2 \log r`. The last two are not positive definite: their ridge penalises
-        :math:`w^\top w`.
+    kernel : str, default="gaussian"
+        Radial function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
+        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
+        :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "rational_quadratic",
+        :math:`1 / (1 + r^2/2)`; "inverse_multiquadric", :math:`1 / \sqrt{1 + r^2}`;
+        "multiquadric", :math:`\sqrt{1 + r^2}`; "thin_plate", :math:`r^2 \log r`. The last two are
+        not positive definite: their ridge penalises :math:`w^\top w`.
 
-    length_scale : {"auto", "isotropic"}, float or array-like of shape (n_features,), \
-            default="auto"
-        Width of the radial functions, in the units of X: one number, or one for each feature.
+    length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
+        Width of the radial functions, in the units of X: one number, or one for each feature,
+        shape (n_features,).
         "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
         standard deviation.
 
@@ -87,8 +87,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     degree : {-1, 0, 1}, default=0
         Degree of the unpenalised polynomial: none, a constant, or linear in the features.
 
-    criterion : {"auto", "posterior", "gcv", "loo", "bic", "error_reduction", "mse"}, \
-            default="auto"
+    criterion : str, default="auto"
         How "auto" finds the number of centres:
 
         - "posterior": stop as soon as what further centres could still gain, summed over all
@@ -170,7 +169,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     n_features_in_ : int
         Number of features seen during fit.
 
-    feature_names_in_ : ndarray of shape (n_features_in_,)
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of features seen during fit, where X had string names.
 
     See Also

@@ -77,7 +77,7 @@ class CylindricalResidualTarget(RegressorMixin, BaseEstimator):
     n_features_in_ : int
         Number of columns of `X` seen during fit, the appended direction included.
 
-    feature_names_in_ : ndarray of shape (n_features_in_,)
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
 
     See Also
