@@ -1,0 +1,135 @@
+"""A fitted model outside Python: as C99."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import re
+from pathlib import Path
+
+from sklearn_raacmm._arm_checks import show
+from sklearn_raacmm._c_source import fingerprint_of, sources
+from sklearn_raacmm._c_text import check_name
+from sklearn_raacmm._files import write_whole
+
+__all__ = ["export_c", "fingerprint"]
+
+
+def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
+    r"""Write a fitted model as one C99 file and its header.
+
+    The file needs nothing but the mathematical library: no memory is allocated, nothing static
+    changes, and it compiles as C++, too. The same model gives the same bytes.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted. A pipeline, in either of the two forms of :class:`CylindricalResidualTarget`, of
+        :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler or
+        RobustScaler, and :class:`RBFNetRegressor`, LinearRegression or Ridge; or one of these
+        regressors by itself.
+
+    path : str or path-like
+        The C file, ending in ".c"; the header beside it ends in ".h". Both are written beside
+        their places and renamed when complete, so that a full disk leaves old files whole.
+
+    name : str, default=None
+        A C identifier that the functions' names begin with; None: the stem of `path`. With N
+        joints (or features) and M outputs the functions are
+
+        - ``void <name>_correct(const double joint_angles[N], double correction_mm[3])``: what
+          ``predict`` gives, to be subtracted from the measured point;
+        - ``void <name>_point(const double joint_angles[N], double point_mm[3])``: the corrected
+          centre of the probe, through the arm's kinematics;
+        - ``void <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
+          std_mm[3])``, if `std`;
+        - ``const char *<name>_fingerprint(void)``.
+
+        Joint angles are in the unit that `model` takes. A model without an arm, or without three
+        outputs, has ``<name>_predict(const double features[N], double prediction[M])`` instead of
+        the first two.
+
+    dtype : {"double", "float"}, default="double"
+        Precision of everything, the functions' arguments included. In single precision a
+        correction is good to about 1e-5 of its size, but a point 1 m away to 0.1 micrometre only.
+
+    std : bool, default=False
+        Also write the standard deviation, by which the caller can tell poses that the model knows
+        from those it does not. Its tables grow with the square of the number of centres.
+
+    card : ModelCard or str, default=None
+        Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
+        plain ones become underscores.
+
+    Returns
+    -------
+    source, header : pathlib.Path
+        The two files.
+
+    Raises
+    ------
+    ValueError
+        If a step cannot be exported (the sentence names it), `name` is not a C identifier or a
+        word of C or C++, `path` does not end in ".c" or holds unusual characters, or a number of
+        the model is not finite in this precision.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Notes
+    -----
+    Where ``predict`` raises, on angles that are NaN or infinite or a pose without an azimuth, the
+    functions give NaN. Angles more than two turns away only warn in Python, and pass here.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from sklearn_raacmm import RBFNetRegressor
+    >>> from sklearn_raacmm.export import export_c
+    >>> X = np.linspace(0, 6, 50)[:, None]
+    >>> model = RBFNetRegressor(5).fit(X, np.sin(X[:, 0]))
+    >>> with TemporaryDirectory() as folder:
+    ...     source, header = export_c(model, Path(folder) / "sine.c")
+    ...     text = header.read_text()
+    >>> print(*[line for line in text.splitlines() if line.endswith(";")], sep="\n")
+    void sine_predict(const double features[1], double prediction[1]);
+    const char *sine_fingerprint(void);
+    """
+    path = Path(path)
+    if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z0-9_.+-]+", path.name, re.ASCII):
+        raise ValueError(
+            "path must name a file of letters, digits, '_', '.', '+' and '-' that ends in .c, got "
+            f"{show(str(path))}."
+        )
+    name = check_name(path.stem if name is None else name)
+    if not (isinstance(dtype, str) and dtype in ("double", "float")):
+        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+    if not isinstance(std, bool):
+        raise ValueError(f"std must be True or False, got {show(std)}.")
+    notes = () if card is None else str(card).splitlines()
+    source, header = sources(model, name, path.stem, dtype, std, notes)
+    header_path = path.with_suffix(".h")
+    write_whole({path: source, header_path: header})
+    return path, header_path
+
+
+def fingerprint(model):
+    """Fingerprint of what a fitted model computes.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted, of a kind that :func:`export_c` writes.
+
+    Returns
+    -------
+    str
+        SHA-256 as 64 hexadecimal digits, of every constant and operation in double precision. The
+        same one is in what :func:`export_c` writes.
+
+    Raises
+    ------
+    ValueError
+        If the model cannot be exported.
+    """
+    return fingerprint_of(model)
