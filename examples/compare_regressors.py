@@ -244,7 +244,7 @@ def problems(args):
 
 def main(argv=None):
     """Run the job."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[1].strip())
+    parser = argparse.ArgumentParser(description="Regressors side by side.")
     parser.add_argument(
         "--machine", nargs="*", default=MIXES, choices=MIXES, help="simulated arms (default: all)"
     )

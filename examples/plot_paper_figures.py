@@ -21,7 +21,7 @@ from sklearn_raacmm.display import LengthErrorDisplay, RepeatabilityDisplay, Res
 
 def main(argv=None):
     """Run the job."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[1].strip())
+    parser = argparse.ArgumentParser(description="The paper's three figures, simulated.")
     parser.add_argument(
         "--machine", default="gravity", choices=["typical", "gravity", "eccentricity"]
     )

@@ -165,7 +165,9 @@ def plot(cone, spread, corrected):
 
 def main(argv=None):
     """Run the job."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[1].strip())
+    parser = argparse.ArgumentParser(
+        description="A simulated arm, before and after the correction."
+    )
     parser.add_argument("--positions", type=int, default=10, help="of the cone (default: 10)")
     parser.add_argument("--poses", type=int, default=60, help="at each position (default: 60)")
     parser.add_argument("--seed", type=int, default=0, help="another number, another arm")

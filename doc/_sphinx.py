@@ -1,0 +1,104 @@
+"""For `conf.py`: links to other projects' pages, and the arguments of the gallery's scripts."""
+
+import tempfile
+import zlib
+from pathlib import Path
+
+SKLEARN = "https://scikit-learn.org/stable/"
+SCIPY = "https://docs.scipy.org/doc/scipy/"
+# Names that we mention, which an inventory of our own knows without a network.
+NAMES = {
+    SKLEARN: {
+        "py:class": [
+            "sklearn.compose.TransformedTargetRegressor",
+            "sklearn.gaussian_process.GaussianProcessRegressor",
+            "sklearn.linear_model.LinearRegression",
+            "sklearn.linear_model.OrthogonalMatchingPursuit",
+            "sklearn.model_selection.GridSearchCV",
+            "sklearn.model_selection.GroupKFold",
+            "sklearn.model_selection.LeaveOneGroupOut",
+            "sklearn.multioutput.MultiOutputRegressor",
+            "sklearn.pipeline.Pipeline",
+            "sklearn.preprocessing.StandardScaler",
+            "sklearn.exceptions.NotFittedError",
+            "sklearn.utils.Bunch",
+            "sklearn.utils.metadata_routing.MetadataRequest",
+            "sklearn.utils.metadata_routing.MetadataRouter",
+        ],
+        "py:function": [
+            "sklearn.datasets.get_data_home",
+            "sklearn.metrics.make_scorer",
+            "sklearn.metrics.r2_score",
+            "sklearn.model_selection.cross_val_predict",
+            "sklearn.model_selection.cross_val_score",
+        ],
+    },
+    SCIPY: {"py:class": ["scipy.interpolate.RBFInterpolator"]},
+}
+
+
+def write_inventories(folder):
+    """Write one inventory a project; return intersphinx's mapping."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    mapping = {}
+    for url, names in NAMES.items():
+        project = "scipy" if url == SCIPY else "sklearn"
+        page = "reference/generated/$.html#$" if url == SCIPY else "modules/generated/$.html#$"
+        lines = [
+            f"{name} {role} 1 {page.replace('$', name)} -\n"
+            for role, of in names.items()
+            for name in of
+        ]
+        if url == SKLEARN:
+            # Sections that docstrings which we inherit point to.
+            lines += [
+                f"{label} std:label -1 {page} {title}\n"
+                for label, page, title in (
+                    ("r2_score", "modules/model_evaluation.html#r2-score", "R2 score"),
+                    ("df_output_transform", "modules/df_output_transform.html", "set_output"),
+                    ("metadata_routing", "metadata_routing.html", "Metadata routing"),
+                )
+            ]
+        head = (
+            "# Sphinx inventory version 2\n"
+            f"# Project: {project}\n# Version: \n"
+            "# The remainder of this file is compressed using zlib.\n"
+        )
+        path = folder / f"{project}.inv"
+        path.write_bytes(head.encode() + zlib.compress("".join(lines).encode()))
+        mapping[project] = (url, str(path))
+    return mapping
+
+
+class GalleryArguments:
+    """Arguments of each script of the gallery: smaller jobs than on the command line."""
+
+    SMALLER = {
+        "plot_simulated_arm": ["--positions", "6", "--poses", "40", "--jobs", "1"],
+        "plot_grid_search": ["--positions", "8", "--poses", "25", "--jobs", "1"],
+        "plot_real_arm": ["--jobs", "1"],
+        "plot_real_tracker": ["--rows", "1000", "--gp-rows", "300", "--jobs", "1"],
+        "plot_paper_figures": [],
+    }
+
+    def __init__(self, data_home):
+        self.data_home = data_home
+
+    def __call__(self, gallery_conf, script_vars):
+        """List the arguments of one script; its figure is shown, not kept."""
+        stem = Path(script_vars["src_file"]).stem
+        if stem not in self.SMALLER:
+            return []
+        arguments = [
+            *self.SMALLER[stem],
+            "--output",
+            str(Path(tempfile.gettempdir(), f"{stem}.png")),
+        ]
+        if self.data_home is not None and "real" in stem:
+            arguments += ["--data-home", str(self.data_home)]
+        return arguments
+
+    def __repr__(self):
+        """Say the same every time, or everything would be built again."""
+        return f"GalleryArguments({self.SMALLER})"

@@ -1,0 +1,83 @@
+"""Sphinx: ``sphinx-build -W -n doc doc/_build/html``; needs no network."""
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import sklearn_raacmm
+from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
+
+DOC = Path(__file__).resolve().parent
+sys.path.insert(0, str(DOC))
+from _sphinx import GalleryArguments, write_inventories  # noqa: E402
+
+project = "sklearn_raacmm"
+author = "The sklearn_raacmm developers"
+project_copyright = author
+version = release = sklearn_raacmm.__version__
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "myst_parser",
+    "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["_build", "_templates", "**.ipynb", "**/README.md"]
+templates_path = ["_templates"]
+# Pages that say more of one subject are found where they are, and may be missing.
+suppress_warnings = ["toc.empty_glob", "config.cache"]
+
+autosummary_generate = True
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_heading_anchors = 3
+copybutton_exclude = ".linenos, .gp, .go"
+intersphinx_mapping = write_inventories(Path(tempfile.gettempdir()) / "sklearn_raacmm-inventories")
+# What scikit-learn's metadata routing writes into docstrings of ours.
+nitpick_ignore_regex = [("py:.*", r"metadata_routing"), ("std:.*", r"metadata_routing|sphx_glr_.*")]
+
+html_theme = "pydata_sphinx_theme"
+html_title = "sklearn_raacmm"
+html_show_sourcelink = False
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "header_links_before_dropdown": 7,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+
+# -- gallery ----------------------------------------------------------------------------------
+
+# Real data are read from where the tests have them, else from scikit-learn's data folder; the
+# examples that need them are shown without being run where they are in neither.
+beside = DOC.parent.parent / "shared" / "data"
+home = os.environ.get("SKLEARN_RAACMM_DATA", beside if beside.is_dir() else None)
+try:
+    fetch_panda_ball_socket(data_home=home, download_if_missing=False)
+    fetch_ur10_tracker(data_home=home, download_if_missing=False)
+    have_real_data = True
+except OSError:
+    have_real_data = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "auto_examples",
+    "filename_pattern": "/plot_" if have_real_data else "/plot_(?!real)",
+    "ignore_pattern": r"(^|/)_",
+    "within_subsection_order": "ExampleTitleSortKey",
+    "reset_argv": GalleryArguments(home),
+    "doc_module": ("sklearn_raacmm",),
+    "backreferences_dir": "generated/backreferences",
+    "remove_config_comments": True,
+    "show_memory": False,
+    "download_all_examples": False,
+    "show_signature": False,
+    "min_reported_time": 1,
+}
