@@ -142,6 +142,10 @@ class Arm:
         # Through the constructor: arrays restored by pickle would be writable.
         return _rebuild, ({field.name: getattr(self, field.name) for field in fields(self)},)
 
+    def __setstate__(self, state):
+        # The same for formats that restore an object by its state, as skops does.
+        self.__init__(**state)
+
     def __repr__(self):
         name = f" {self.name!r}" if self.name else ""
         probe = ", ".join(f"{value:g}" for value in self.probe)

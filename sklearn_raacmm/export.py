@@ -11,7 +11,19 @@ from sklearn_raacmm._c_source import fingerprint_of, sources
 from sklearn_raacmm._c_text import check_name
 from sklearn_raacmm._files import write_whole
 
-__all__ = ["export_c", "fingerprint"]
+__all__ = ["TRUSTED_TYPES", "export_c", "fingerprint"]
+
+#: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
+#: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
+TRUSTED_TYPES = [
+    "sklearn_raacmm.arm.Arm",
+    "sklearn_raacmm.arm.Arm.azimuth",
+    "sklearn_raacmm.correction.ArmResidualRegressor",
+    "sklearn_raacmm.harmonics.JointHarmonicRegressor",
+    "sklearn_raacmm.pose.PoseFeatures",
+    "sklearn_raacmm.rbf.RBFNetRegressor",
+    "sklearn_raacmm.target.CylindricalResidualTarget",
+]
 
 
 def export_c(model, path, *, name=None, dtype="double", std=False, card=None):

@@ -8,7 +8,7 @@ from numbers import Integral, Real
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm._arm_terms import FAMILIES, HARMONIC, Terms, term_columns, term_names
@@ -22,6 +22,7 @@ from sklearn_raacmm._sklearn import (
     _fit_context,
     one_blas_thread,
 )
+from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
 
 __all__ = ["JointHarmonicRegressor"]
@@ -47,7 +48,7 @@ _HARMONIC_DTYPE = np.dtype(
 )
 
 
-class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Linear model of what the arm itself does to its probe, joint by joint.
 
     An encoder's error is a periodic function of its own angle,

@@ -6,11 +6,12 @@ here are reconstructions, checked numerically.
 """
 
 import numpy as np
-from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.base import TransformerMixin
 from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm._sklearn import StrOptions, _check_feature_names_in, _fit_context
+from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
 
 __all__ = ["PoseFeatures"]
@@ -21,7 +22,7 @@ _BATCH_ROWS = 32768
 _MIN_LENGTH_MM = 1e-6
 
 
-class PoseFeatures(TransformerMixin, BaseEstimator):
+class PoseFeatures(TransformerMixin, VersionedEstimator):
     """Describe the pose of an arm by three angles, from its joint angles.
 
     What bends and misaligns a measuring arm depends on how its links hang, hardly on where its

@@ -4,7 +4,7 @@ from numbers import Integral, Real
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -26,6 +26,7 @@ from sklearn_raacmm._sklearn import (
     one_blas_thread,
 )
 from sklearn_raacmm._tuning import tune
+from sklearn_raacmm._versioned import VersionedEstimator
 
 # Rows drawn as candidate centres where there are more: their factor fits in memory.
 _MAX_CANDIDATES = 10_000
@@ -46,7 +47,7 @@ _PER_OUTPUT = (
 )
 
 
-class RBFNetRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
     The model is a polynomial of low degree plus a few radial functions at centres taken from the

@@ -13,7 +13,7 @@ here are reconstructions, checked numerically.
 import numpy as np
 from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import RegressorMixin, clone
 from sklearn.linear_model import LinearRegression
 from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
@@ -28,6 +28,7 @@ from sklearn_raacmm._residuals import (
     position_residuals,
 )
 from sklearn_raacmm._sklearn import HasMethods, StrOptions, _fit_context, _safe_indexing
+from sklearn_raacmm._versioned import VersionedEstimator
 
 __all__ = [
     "CylindricalResidualTarget",
@@ -40,7 +41,7 @@ __all__ = [
 _NORM_TOLERANCE = 1e-5
 
 
-class CylindricalResidualTarget(RegressorMixin, BaseEstimator):
+class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     """Meta-estimator to regress on residuals in the cylindrical frame of the probe.
 
     The target is the Cartesian residual of the probe point, measured minus reference. It is

@@ -1,0 +1,175 @@
+"""Models in files: the same predictions elsewhere, and a warning where the version is another."""
+
+import copy
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import warnings
+
+import joblib
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import InconsistentVersionWarning
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+import sklearn_raacmm
+from sklearn_raacmm import (
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import TRUSTED_TYPES
+
+OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
+
+
+def networks(arm):
+    network = RBFNetRegressor(15, length_scale=1.5, alpha=0.01)
+    first = CylindricalResidualTarget(
+        make_pipeline(PoseFeatures(arm), StandardScaler(), network), azimuth=arm.azimuth
+    )
+    second = make_pipeline(
+        PoseFeatures(arm, append_azimuth=True),
+        CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
+    )
+    return {"outermost": first, "pipeline": second}
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_single_point(n_positions=6, n_poses=12, random_state=0)
+
+
+@pytest.fixture(scope="module")
+def fitted(data):
+    """Every public estimator, fitted, in chains or by itself."""
+    harmonics = JointHarmonicRegressor(data.arm, n_harmonics=3)
+    models = networks(data.arm)
+    models["harmonics"] = harmonics
+    models["both"] = ArmResidualRegressor(data.arm, harmonics=harmonics)
+    return {name: model.fit(data.data, data.target) for name, model in models.items()}
+
+
+def test_a_file_gives_the_same_predictions(fitted, data, tmp_path):
+    for name, model in fitted.items():
+        joblib.dump(model, tmp_path / name)
+        loaded = joblib.load(tmp_path / name)
+        for got, expected in zip(
+            loaded.predict(data.data, return_std=True),
+            model.predict(data.data, return_std=True),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(got, expected, err_msg=name)
+
+
+def test_another_version_is_warned_of(fitted, monkeypatch):
+    monkeypatch.setattr(sklearn_raacmm, "__version__", "0.0.7")
+    texts = {name: pickle.dumps(model) for name, model in fitted.items()}
+    monkeypatch.undo()
+    estimators = set()
+    for text in texts.values():
+        with pytest.warns(InconsistentVersionWarning) as caught:
+            pickle.loads(text)
+        for warning in caught:
+            assert warning.message.original_sklearn_version == "0.0.7"
+            assert (
+                f"saved by sklearn_raacmm 0.0.7 and is loaded by {sklearn_raacmm.__version__}"
+                in (str(warning.message))
+            )
+            estimators.add(warning.message.estimator_name)
+    assert estimators == {
+        name for name in sklearn_raacmm.__all__ if hasattr(getattr(sklearn_raacmm, name), "fit")
+    }
+
+
+def test_the_version_stays_in_the_file(fitted):
+    model = fitted["harmonics"]
+    assert "version" not in " ".join(vars(pickle.loads(pickle.dumps(model))))
+    assert clone(model).get_params().keys() == model.get_params().keys()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        copied = copy.deepcopy(model)
+        assert vars(copied).keys() == vars(model).keys()
+    assert not caught
+
+
+def test_a_file_without_a_version_is_warned_of():
+    network = RBFNetRegressor()
+    with pytest.warns(InconsistentVersionWarning, match=r"before 0\.1\.0"):
+        network.__setstate__(dict(vars(network)))
+
+
+def interpreters():
+    """Other Pythons that have the package: SKLEARN_RAACMM_PYTHONS, or on PATH."""
+    named = os.environ.get("SKLEARN_RAACMM_PYTHONS", "").split(os.pathsep)
+    for python in [*filter(None, named), *filter(None, map(shutil.which, OTHER_PYTHONS))]:
+        found = subprocess.run(
+            [python, "-c", "import sklearn_raacmm"], capture_output=True, cwd="/", check=False
+        )
+        if found.returncode == 0:
+            yield python
+
+
+LOAD = """
+import sys, warnings, joblib, numpy as np
+warnings.simplefilter("error")
+X = np.load(sys.argv[1])
+predicted = {name: model.predict(X) for name, model in joblib.load(sys.argv[2]).items()}
+np.savez(sys.argv[3], **predicted)
+"""
+
+
+def test_loads_on_another_python(fitted, data, tmp_path):
+    others = list(interpreters())
+    if not others:
+        pytest.skip("no other Python with this package (name some in SKLEARN_RAACMM_PYTHONS)")
+    np.save(tmp_path / "X.npy", data.data)
+    joblib.dump(fitted, tmp_path / "models")
+    files = [tmp_path / name for name in ("X.npy", "models", "predicted.npz")]
+    for python in others:
+        subprocess.run([python, "-c", LOAD, *files], check=True, cwd="/")
+        with np.load(files[2]) as predicted:
+            for name, model in fitted.items():
+                expected = model.predict(data.data)
+                np.testing.assert_allclose(predicted[name], expected, rtol=0, atol=1e-12)
+
+
+@pytest.fixture
+def skops():
+    return pytest.importorskip("skops.io", reason="needs the extra sklearn-raacmm[skops]")
+
+
+def test_skops_needs_no_other_trust(skops, fitted, data):
+    needed = set()
+    for model in fitted.values():
+        text = skops.dumps(model)
+        untrusted = skops.get_untrusted_types(data=text)
+        needed |= set(untrusted)
+        with pytest.raises(TypeError, match="Untrusted types found"):
+            skops.loads(text)
+        loaded = skops.loads(text, trusted=TRUSTED_TYPES)
+        np.testing.assert_array_equal(loaded.predict(data.data), model.predict(data.data))
+    assert needed == set(TRUSTED_TYPES)
+
+
+def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):
+    loaded = skops.loads(skops.dumps(data.arm), trusted=TRUSTED_TYPES)
+    assert loaded == data.arm
+    assert hash(loaded) == hash(data.arm)
+    with pytest.raises(ValueError, match="read-only"):
+        loaded.d[0] = 0.0
+
+
+def test_skops_files_carry_the_version(skops, fitted, monkeypatch):
+    monkeypatch.setattr(sklearn_raacmm, "__version__", "0.0.7")
+    text = skops.dumps(fitted["harmonics"])
+    monkeypatch.undo()
+    with pytest.warns(InconsistentVersionWarning, match=r"saved by sklearn_raacmm 0\.0\.7"):
+        skops.loads(text, trusted=TRUSTED_TYPES)
