@@ -6,7 +6,7 @@
 from numbers import Integral, Real
 
 import numpy as np
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.cluster import KMeans
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -25,6 +25,7 @@ from sklearn_raacmm._sklearn import (
     _fit_context,
     one_blas_thread,
 )
+from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.harmonics import (
     JointHarmonicRegressor,
@@ -43,7 +44,7 @@ _CHECK_DTYPE = np.dtype(
 )
 
 
-class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     """Correct an arm by its linear error model and a network, as far as they have proved to help.
 
     :class:`JointHarmonicRegressor` takes what encoders, bearings, loads and leftovers of
