@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import runpy
 import sys
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
 matplotlib = pytest.importorskip("matplotlib")
+plt = pytest.importorskip("matplotlib.pyplot")
+pytest.importorskip("pandas")
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 PNG = b"\x89PNG"
 
@@ -27,7 +30,7 @@ def example(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
     yield importlib.import_module
-    matplotlib.pyplot.close("all")
+    plt.close("all")
     for name in [name for name in sys.modules if name.startswith(("plot_", "_comparison"))]:
         del sys.modules[name]
 
@@ -75,6 +78,40 @@ def test_simulated_arm_refuses_before_the_work(example, capsys, arguments, messa
     with pytest.raises(SystemExit, match="2"):
         example("plot_simulated_arm").main(arguments.split())
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("plot_newrb", "neurons, criterion"),
+        ("plot_rbf_network", "2-D"),
+        ("plot_ols_path", "posterior"),
+        ("plot_arm_poses", ""),
+    ],
+)
+def test_scripts_end_in_a_picture(example, monkeypatch, capsys, name, said):
+    """The gallery's pages run from top to bottom; the two slowest only where it is built."""
+    pictures = []
+    monkeypatch.setattr(plt, "show", lambda: pictures.append(len(plt.get_fignums())))
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    assert pictures == [1]
+    plt.gcf().canvas.draw()
+    assert said in capsys.readouterr().out
+
+
+def test_own_csv_is_corrected(example, monkeypatch, capsys):
+    """What the page prints of its file is what the arrays, never written, give."""
+    monkeypatch.setattr(plt, "show", lambda: None)
+    page = runpy.run_path(str(EXAMPLES / "plot_own_csv.py"))
+    data = make_single_point(10, 30, random_state=0)
+    np.testing.assert_allclose(np.deg2rad(page["angles"]), data.data, atol=1e-8)
+    expected = calibrate(page["nominal"], data.data, data.groups).arm.forward(data.data)
+    np.testing.assert_allclose(page["points"], expected, atol=1e-4)
+    left = page["points"] - page["correction"]
+    after = single_point_repeatability(left, data.groups)
+    assert after < 0.75 * single_point_repeatability(expected, data.groups)
+    assert f"{after:.4f}" in capsys.readouterr().out
+    assert len(plt.get_fignums()) == 1
 
 
 def test_grid_search(example, capsys):

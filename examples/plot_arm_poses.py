@@ -1,0 +1,34 @@
+"""
+The poses of a single-point test
+================================
+
+The probe sits in a cone while the elbow swings: the arm stands in many poses, all of which end at
+one point, or should. The residuals stand on that point like bristles, thousands of times longer
+than they are. To the right, the same poses after a correction by a model that has not seen this
+position. With a window (or ``%matplotlib widget`` in a notebook) the mouse turns the arm.
+
+The data are simulated.
+"""
+
+import matplotlib.pyplot as plt
+
+from sklearn_raacmm import JointHarmonicRegressor
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.display import ArmPosesDisplay
+
+data = make_single_point(n_positions=10, n_poses=60, random_state=0)
+here = data.groups == 5
+X, y, groups = data.data[here], data.target[here], data.groups[here]
+model = JointHarmonicRegressor(data.arm)
+model.fit(data.data[~here], data.target[~here], groups=data.groups[~here])
+
+figure = plt.figure(figsize=(10, 4.6))
+left, right = (figure.add_subplot(1, 2, i, projection="3d") for i in (1, 2))
+before = ArmPosesDisplay.from_predictions(X, y, arm=data.arm, max_poses=15, ax=left)
+ArmPosesDisplay.from_estimator(
+    model, X, y, arm=data.arm, groups=groups, max_poses=3, magnification=before.magnification_,
+    ax=right,
+)  # fmt: skip
+for axes in (left, right):
+    axes.view_init(elev=18, azim=-60)
+plt.show()
