@@ -55,7 +55,7 @@ def methods(arm):
     no_offsets = JointHarmonicRegressor(arm, offsets=False)
     yield "+ kinematics, wobble; no offsets", no_offsets, True
     yield "+ kinematics, wobble (default)", JointHarmonicRegressor(arm), True
-    free = {"use": "harmonics+network", "fade": False, "cap": None}
+    free = {"use": "harmonics+network", "fade": 0, "cap": None}
     yield "default + network", ArmResidualRegressor(arm, **free), True
     yield "default + network, joint", ArmResidualRegressor(arm, joint=True, **free), True
     yield "default + guards", ArmResidualRegressor(arm, use="harmonics"), True

@@ -76,7 +76,9 @@ def select_blocks(gram, moment, square, n, blocks, family, always, prior_varianc
     threshold = np.log(max(np.sum(~always), 1))
     for last in range(_MAX_ROUNDS - 1, -1, -1):
         prior = variance[of_column]
-        chosen, gains = _forward(gram / noise, moment / noise, prior, blocks, always, threshold)
+        S = gram / noise
+        S[np.diag_indices(len(S))] += 1 / prior
+        chosen, gains = _forward(S, moment / noise, blocks, always, prior, threshold)
         columns = np.concatenate([blocks[b] for b in chosen]) if chosen else np.empty(0, int)
         precision = gram[np.ix_(columns, columns)] / noise
         precision[np.diag_indices(len(columns))] += 1 / prior[columns]
@@ -113,47 +115,62 @@ def _first_guess(gram, of_column, noise, n, prior_variance):
     return variance
 
 
-def _forward(gram, moment, prior, blocks, always, threshold):
+def _forward(S, moment, blocks, always, prior, threshold):
     """Blocks in the order in which they raise the evidence, while each does by `threshold`.
 
     With S the penalised Gram matrix of what is left of the columns beside the chosen ones and r
     their products with what is left of y, a block b raises the log evidence by
     r_b' inv(S_b) r_b / 2 - log det(S_b V_b) / 2, V_b its prior variances.
+
+    S is never downdated as a whole: as in a pivoted Cholesky factorisation, the factor's rows and
+    the entries of the blocks themselves suffice.
     """
-    S, r = gram + np.diag(1 / prior), moment.copy()
     chosen = [int(b) for b in np.flatnonzero(always)]
-    if chosen:
-        r, S = _eliminate(S, r, np.concatenate([blocks[b] for b in chosen]))
     candidates = np.flatnonzero(~always)
     first = np.array([blocks[b][0] for b in candidates], dtype=int)
     last = np.array([blocks[b][-1] for b in candidates], dtype=int)
     pair = first != last
+    a, d, o = S[first, first], S[last, last], S[first, last]
+    r = moment.copy()
+    factor = np.empty((64, len(S)))
+    size = 0
+
+    def take(columns):
+        nonlocal factor, size, r, a, d, o
+        if size + len(columns) > len(factor):
+            more = np.empty((max(len(factor), len(columns)), len(S)))
+            factor = np.concatenate([factor, more])
+        known = factor[:size]
+        rows = S[columns] - known[:, columns].T @ known
+        root = cholesky(rows[:, columns], check_finite=False)
+        new = solve_triangular(root, rows, trans="T", check_finite=False)
+        factor[size : size + len(columns)] = new
+        size += len(columns)
+        r = r - new.T @ solve_triangular(root, r[columns], trans="T", check_finite=False)
+        one, two = new[:, first], new[:, last]
+        a, d, o = (
+            value - np.einsum("kc,kc->c", left, right)
+            for value, left, right in ((a, one, one), (d, two, two), (o, one, two))
+        )
+
+    if chosen:
+        take(np.concatenate([blocks[b] for b in chosen]))
     alive = np.ones(len(candidates), dtype=bool)
     gains = []
     while alive.any():
-        a, x = S[first, first], r[first]
-        d = np.where(pair, S[last, last], 1.0)
-        o, z = np.where(pair, S[first, last], 0.0), np.where(pair, r[last], 0.0)
-        determinant = a * d - o * o
+        x, z = r[first], np.where(pair, r[last], 0.0)
+        determinant = np.where(pair, a * d - o * o, a)
         volume = determinant * prior[first] * np.where(pair, prior[last], 1.0)
         # A posterior wider than the prior is rounding.
         alive &= volume >= 1 - 1e-6
         safe = np.where(alive, determinant, 1.0)
-        gain = 0.5 * (x * x * d - 2 * x * z * o + z * z * a) / safe
-        gain -= 0.5 * np.log(np.where(alive, np.maximum(volume, 1.0), 1.0))
+        gain = np.where(pair, x * x * d - 2 * x * z * o + z * z * a, x * x)
+        gain = 0.5 * gain / safe - 0.5 * np.log(np.where(alive, np.maximum(volume, 1.0), 1.0))
         best = int(np.argmax(np.where(alive, gain, -np.inf)))
         if not gain[best] > threshold:
             break
-        r, S = _eliminate(S, r, blocks[candidates[best]])
+        take(blocks[candidates[best]])
         alive[best] = False
         chosen.append(int(candidates[best]))
         gains.append(float(gain[best]))
     return chosen, gains
-
-
-def _eliminate(S, r, columns):
-    """What is left of the other columns when some have been fitted."""
-    root = cholesky(S[np.ix_(columns, columns)], check_finite=False)
-    half = solve_triangular(root, S[columns], trans="T", check_finite=False)
-    r = r - half.T @ solve_triangular(root, r[columns], trans="T", check_finite=False)
-    return r, S - half.T @ half

@@ -39,8 +39,18 @@ from sklearn_raacmm.rbf import RBFNetRegressor
 __all__ = ["ArmResidualRegressor"]
 
 MODELS = ("none", "harmonics", "harmonics+network")
+# What fade="auto" chooses from.
+_FADES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+# Offsets of new positions differ from those of the training positions, which the fit centred.
+_CAP_OF_OFFSETS = 3.0
 _CHECK_DTYPE = np.dtype(
-    [("model", "U17"), ("mean_mm", "f8"), ("gain_mm", "f8"), ("gain_se_mm", "f8")]
+    [
+        ("model", "U17"),
+        ("fade", "f8"),
+        ("mean_mm", "f8"),
+        ("gain_mm", "f8"),
+        ("gain_se_mm", "f8"),
+    ]
 )
 
 
@@ -83,32 +93,39 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     n_folds : int, default=5
         Blocks of neighbouring positions that the check leaves out in turn.
 
-    fade : bool, default=True
-        Shrink each stage's correction c by ``c^2 / (c^2 + s^2)``, with s its posterior standard
-        deviation at this pose, both as lengths of vectors: nearly 1 where the data know c, towards
-        0 where they do not.
+    fade : float or "auto", default="auto"
+        Shrink each stage's correction c by ``c^2 / (c^2 + (fade * s)^2)``, with s its posterior
+        standard deviation at this pose, both as lengths of vectors: nearly 1 where the data know c,
+        towards 0 where they do not. 0: not at all. "auto" lets the check decide where it is made,
+        for s supposes independent errors and real ones are not: the strongest fading that costs
+        nothing, to its standard error, at the positions left out; 1 otherwise.
 
     cap : float or None, default=0.99
-        No correction is longer than this quantile of the lengths of the training residuals (or,
-        where positions have offsets of their own and residuals are only their deviations, of the
-        corrections of the training poses if that is larger). None: no cap.
+        No correction is longer than this quantile of the lengths of the training residuals. Where
+        positions have offsets of their own, residuals say nothing of the size of a correction: no
+        longer than three times this quantile of the corrections of the training poses. None: no
+        cap.
 
     Attributes
     ----------
     harmonics_ : JointHarmonicRegressor
         The first stage.
 
-    network_ : RBFNetRegressor
-        The second, on radial, tangential and axial components in mm.
+    network_ : RBFNetRegressor or None
+        The second, on radial, tangential and axial components in mm; None if it is not in use.
 
     use_ : str
         How much of the model `predict` uses.
 
-    check_ : structured ndarray of shape (3,) or None
-        For "none", "harmonics" and "harmonics+network": `mean_mm`, the mean over positions of the
-        mean deviation at positions of blocks left out; `gain_mm`, by how much that is less than
-        without correction, and its standard error over positions `gain_se_mm`. None where no check
-        was made.
+    check_ : structured ndarray of shape (n_models,) or None
+        For "none", "harmonics" and "harmonics+network" (or "none" and the one that `use` names):
+        `fade`, the factor that suits it; `mean_mm`, the mean over positions of the mean deviation
+        at positions of blocks left out; `gain_mm`, by how much that is less than without
+        correction, and its standard error over positions `gain_se_mm`. None where no check was
+        made.
+
+    fade_ : float
+        The factor of the standard deviation in use.
 
     cap_mm_ : float
         Longest correction.
@@ -150,7 +167,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         "joint": ["boolean"],
         "use": [StrOptions({"auto", *MODELS})],
         "n_folds": [Interval(Integral, 2, None, closed="left")],
-        "fade": ["boolean"],
+        "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
         "cap": [Interval(Real, 0, 1, closed="right"), None],
     }
 
@@ -164,7 +181,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         joint=False,
         use="auto",
         n_folds=5,
-        fade=True,
+        fade="auto",
         cap=0.99,
     ):
         self.arm = arm
@@ -213,30 +230,32 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         codes = check_offsets(first.offsets, y, weights, groups)
-        self.check_, self.use_ = None, self.use
-        if self.use == "auto":
-            self.use_ = MODELS[-1]
-            if groups is not None:
-                positions = _encode_groups(groups)[1]
-                if positions.max() > 1:
-                    self.check_, self.use_ = self._check(X, y, weights, positions, codes)
-        self._fit(X, y, weights, codes)
+        self.check_ = None
+        self.use_ = MODELS[-1] if self.use == "auto" else self.use
+        self.fade_ = 1.0 if self.fade == "auto" else float(self.fade)
+        if groups is not None and self.use != "none" and "auto" in (self.use, self.fade):
+            positions = _encode_groups(groups)[1]
+            if positions.max() > 1:
+                self._check(X, y, weights, positions, codes)
+        self._fit(X, y, weights, codes, self.use_)
         return self
 
-    def _fit(self, X, y, weights, codes, with_network=True):
+    def _fit(self, X, y, weights, codes, use):
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         self.harmonics_ = clone(first).set_params(arm=self.arm_)
         self.harmonics_.n_features_in_, self.harmonics_.arm_ = X.shape[1], self.arm_
         self.harmonics_._fit(X, y, weights, codes, None)
-        if with_network:
+        self.network_ = None
+        if use == MODELS[-1]:
             self._fit_network(X, y, weights, codes)
         size = np.linalg.norm(y, axis=1)
         self.cap_mm_ = np.inf
         if self.cap is not None:
             self.cap_mm_ = float(np.quantile(size, self.cap))
-            if codes is not None and with_network:
-                own = np.linalg.norm(self._parts(X, MODELS[-1])[0], axis=1)
-                self.cap_mm_ = max(self.cap_mm_, float(np.quantile(own, self.cap)))
+            if codes is not None:
+                own = np.linalg.norm(_faded(self._parts(X, use), 0.0), axis=1)
+                own = _CAP_OF_OFFSETS * float(np.quantile(own, self.cap))
+                self.cap_mm_ = max(self.cap_mm_, own)
 
     def _fit_network(self, X, y, weights, codes):
         network = RBFNetRegressor(degree=-1, random_state=0) if self.network is None else None
@@ -280,36 +299,51 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         return PoseFeatures(self.arm_).fit(X).transform(X), direction
 
     def _check(self, X, y, weights, positions, codes):
-        """Mean deviations at positions left out in blocks, by every model."""
+        """Mean deviations at positions left out in blocks, by every model and fading."""
         points = self.arm_.forward(X)
         counts = np.bincount(positions)
         means = np.stack([np.bincount(positions, p) / counts for p in points.T], axis=1)
         n_folds = min(self.n_folds, len(counts))
         blocks = KMeans(n_folds, n_init=4, random_state=0).fit_predict(means)[positions]
-        left = np.tile(y, (3, 1, 1))
+        fades = _FADES if self.fade == "auto" else (self.fade_,)
+        models = MODELS if self.use == "auto" else ("none", self.use)
+        left = np.tile(y, (len(models), len(fades), 1, 1))
         for block in np.unique(blocks):
             test = blocks == block
             fold = clone(self)
             fold.arm_ = self.arm_
             own = None if codes is None else codes[~test]
-            fold._fit(X[~test], y[~test], weights[~test], own)
-            for i, name in enumerate(MODELS[1:], start=1):
-                left[i, test] -= fold._correction(X[test], name)[0]
-        errors = np.empty((3, len(counts)))
-        for i in range(3):
-            deviation = np.linalg.norm(_centred(left[i], weights, codes), axis=1)
-            errors[i] = np.bincount(positions, deviation) / counts
-        table = np.empty(3, dtype=_CHECK_DTYPE)
-        table["model"], table["mean_mm"] = MODELS, errors.mean(axis=1)
+            fold._fit(X[~test], y[~test], weights[~test], own, models[-1])
+            for i, name in enumerate(models):
+                parts = fold._parts(X[test], name)
+                for j, fade in enumerate(fades):
+                    left[i, j, test] -= _capped(_faded(parts, fade), fold.cap_mm_)
+        errors = np.empty((len(models), len(fades), len(counts)))
+        for i, j in np.ndindex(errors.shape[:2]):
+            deviation = np.linalg.norm(_centred(left[i, j], weights, codes), axis=1)
+            errors[i, j] = np.bincount(positions, deviation) / counts
+        # Of fadings as good as the best the strongest.
+        best = [e[e.mean(axis=1).argmin()] for e in errors]
+        fading = [
+            max(j for j in range(len(fades)) if not _clearly_better(b, e[j]))
+            for e, b in zip(errors, best, strict=True)
+        ]
+        errors = np.stack([e[j] for e, j in zip(errors, fading, strict=True)])
+        table = np.empty(len(models), dtype=_CHECK_DTYPE)
+        table["model"], table["mean_mm"] = models, errors.mean(axis=1)
+        table["fade"] = np.take(fades, fading)
         gains = errors[0] - errors
         table["gain_mm"] = gains.mean(axis=1)
         table["gain_se_mm"] = gains.std(axis=1, ddof=1) / np.sqrt(len(counts))
+        self.check_ = table
         chosen = 0
-        for i in (1, 2):
-            gain = errors[chosen] - errors[i]
-            if gain.mean() > gain.std(ddof=1) / np.sqrt(len(counts)):
-                chosen = i
-        return table, MODELS[chosen]
+        if self.use != "auto":
+            chosen = len(models) - 1
+        else:
+            for i in range(1, len(models)):
+                if _clearly_better(errors[i], errors[chosen]):
+                    chosen = i
+        self.use_, self.fade_ = models[chosen], float(table["fade"][chosen])
 
     def predict(self, X, return_std=False):
         """Predict residuals.
@@ -337,34 +371,47 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         return (mean, std) if return_std else mean
 
     def _correction(self, X, use):
-        mean, std = self._parts(X, use)
-        length = np.linalg.norm(mean, axis=1, keepdims=True)
-        mean *= np.minimum(1.0, self.cap_mm_ / np.maximum(length, 1e-300))
-        return mean, std
+        parts = self._parts(X, use)
+        variance = sum(np.square(std) for _, std in parts)
+        return _capped(_faded(parts, self.fade_), self.cap_mm_), np.sqrt(variance)
 
     def _parts(self, X, use):
-        """Sum of the stages in use, faded, and their standard deviations."""
-        mean, variance = np.zeros((len(X), 3)), np.zeros((len(X), 3))
+        """Mean and standard deviation of each stage in use."""
         if use == "none":
-            return mean, variance
+            return [(np.zeros((len(X), 3)), np.zeros((len(X), 3)))]
         parts = [self.harmonics_.predict(X, return_std=True)]
         if use == MODELS[-1]:
             F, direction = self._features(X)
             value, std = self.network_.predict(F, return_std=True, with_noise=False)
             parts.append((_to_cartesian(value, direction), _std_to_cartesian(std, direction)))
-        for value, std in parts:
-            if self.fade:
-                size, doubt = (np.square(v).sum(axis=1, keepdims=True) for v in (value, std))
-                value = value * (size / np.maximum(size + doubt, 1e-300))
-            mean += value
-            variance += np.square(std)
-        return mean, np.sqrt(variance)
+        return parts
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = False
         tags.regressor_tags.poor_score = True
         return tags
+
+
+def _faded(parts, fade):
+    """Sum of the stages' corrections, each shrunk where it is uncertain."""
+    total = 0.0
+    for value, std in parts:
+        size, doubt = (np.square(v).sum(axis=1, keepdims=True) for v in (value, std))
+        total = total + value * (size / np.maximum(size + fade**2 * doubt, 1e-300))
+    return total
+
+
+def _capped(vectors, longest):
+    """Vectors shortened to at most this length."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300))
+
+
+def _clearly_better(errors, others):
+    """Whether errors (n_positions,) are smaller by more than the standard error of the gain."""
+    gain = others - errors
+    return gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
 
 
 def _centred(vectors, weights, codes):

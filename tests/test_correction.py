@@ -1,6 +1,7 @@
 """The guarded two-stage model: what it uses, how far it goes, and that it does no harm."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
     position_residuals,
 )
-from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 ARM = Arm.from_name("aacmm6")
 ARCSEC = np.pi / 180 / 3600
@@ -48,7 +49,7 @@ def cones():
 
 def test_the_stages_add_up(cones):
     theta, y, _, truth = cones
-    model = small(use="harmonics+network", fade=False, cap=None).fit(theta, y)
+    model = small(use="harmonics+network", fade=0, cap=None).fit(theta, y)
     first = model.harmonics_.predict(theta)
     azimuth = ARM.azimuth(theta)
     radial, tangential, axial = model.network_.predict(theta).T
@@ -103,7 +104,7 @@ def test_no_correction_is_longer_than_the_cap(cones):
 def test_corrections_fade_away_from_the_data(cones):
     theta, y, _, _ = cones
     model = small(use="harmonics+network", cap=None).fit(theta, y)
-    free = clone(model).set_params(fade=False).fit(theta, y)
+    free = clone(model).set_params(fade=0).fit(theta, y)
     share = [
         np.linalg.norm(model.predict(X), axis=1).sum()
         / np.linalg.norm(free.predict(X), axis=1).sum()
@@ -126,24 +127,70 @@ def test_joint_fit_lets_the_network_keep_what_is_its_own(cones):
     assert errors[1] < 1.5
 
 
-def test_another_corner():
-    """Simulated arm, trained on one side of its base and used on the other."""
-    before, after = [], []
-    for seed in (1, 2):
-        test = make_single_point(n_positions=16, n_poses=25, random_state=seed)
-        azimuth = ARM.azimuth(test.data)
-        side = np.abs(azimuth) < np.pi / 2
-        side = np.bincount(test.groups, side)[test.groups] > 12
-        if not 100 < side.sum() < 300:
-            continue
-        model = ArmResidualRegressor(test.arm, use="harmonics")
-        model.fit(test.data[side], test.target[side], groups=test.groups[side])
-        left = test.target[~side] - model.predict(test.data[~side])
-        left = position_residuals(left, test.groups[~side])
-        before.append(np.linalg.norm(test.target[~side], axis=1).mean())
-        after.append(np.linalg.norm(left, axis=1).mean())
-    assert before
-    assert np.sum(after) < 0.9 * np.sum(before)
+CORNERS = {
+    "one side of its base": lambda x, y, z: np.abs(np.arctan2(y, x)),
+    "near": lambda x, y, z: x**2 + y**2 + z**2,
+    "far": lambda x, y, z: -(x**2 + y**2 + z**2),
+    "low": lambda x, y, z: z,
+    "high": lambda x, y, z: -z,
+}
+
+
+@pytest.mark.parametrize("corner", CORNERS)
+def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
+    """Simulated: a third of the positions teaches; the others are measured 4 K warmer."""
+    network = RBFNetRegressor(10, length_scale=1.0, alpha=0.1, degree=-1)
+    gains = []
+    for mix in ("gravity", "typical", "eccentricity"):
+        errors = ArmErrors.from_name(mix)
+        warm = replace(errors, warming_k=errors.warming_k + 4.0)
+        day, other_day = (
+            make_single_point(24, 15, machine=machine, random_state=1) for machine in (errors, warm)
+        )
+        assert day.arm == other_day.arm
+        where = CORNERS[corner](*(day.simulation.positions - day.simulation.machine.shoulder).T)
+        trained = np.isin(day.groups, np.argsort(where)[:8])
+        for absolute in (False, True):
+            y = day.points - day.simulation.true_points if absolute else day.target
+            model = ArmResidualRegressor(
+                day.arm, harmonics=JointHarmonicRegressor(n_harmonics=8), network=network, n_folds=3
+            )
+            model.fit(day.data[trained], y[trained], groups=day.groups[trained])
+            assert model.harmonics_.offsets_ != absolute
+            elsewhere = ~trained
+            left = other_day.points - model.predict(other_day.data)
+            left = position_residuals(left[elsewhere], other_day.groups[elsewhere])
+            before = np.linalg.norm(other_day.target[elsewhere], axis=1).mean()
+            gains.append(1 - np.linalg.norm(left, axis=1).mean() / before)
+    assert min(gains) > 0
+    assert np.mean(gains) > 0.3
+
+
+def test_fading_is_that_of_the_formula(cones):
+    theta, y, _, _ = cones
+    model = small(use="harmonics", fade=3.0, cap=None).fit(theta, y)
+    value, std = model.harmonics_.predict(theta, return_std=True)
+    size, doubt = np.square(value).sum(axis=1), np.square(std).sum(axis=1)
+    assert model.fade_ == 3.0
+    assert_allclose(model.predict(theta), value * (size / (size + 9 * doubt))[:, None], atol=1e-12)
+
+
+def test_the_check_decides_how_much_to_fade(cones):
+    """Where the linear model is right nothing fades; where errors are shared by neighbours it does.
+
+    Neighbours with the same error make the standard deviation far too small.
+    """
+    theta, y, groups, truth = cones
+    rng = np.random.default_rng(5)
+    deceptive = y - truth + rng.normal(0, 0.1, (24, 3))[groups]
+    chosen = []
+    for target in (y, deceptive):
+        model = small(use="harmonics").fit(theta, target, groups=groups)
+        assert model.check_["model"].tolist() == ["none", "harmonics"]
+        assert model.fade_ == model.check_["fade"][1]
+        chosen.append(model.fade_)
+    assert chosen[1] > max(chosen[0], 2.0)
+    assert small(use="harmonics", fade=0.0).fit(theta, y, groups=groups).check_ is None
 
 
 def test_is_a_scikit_learn_estimator(cones):
