@@ -4,12 +4,16 @@ The network with a ridge in the kernel's norm is the posterior mean of a Gaussia
 noise variance is `alpha` times its signal variance. The marginal likelihood of that process on a
 few hundred inducing rows (the projected process of [1]_) is a smooth function of the logarithms of
 the widths and of `alpha`; the signal variance of every output is profiled out, so that outputs of
-any scale count alike.
+any scale count alike. The inverse widths have a half-Cauchy prior, whose scale is a standard
+deviation of the feature [2]_: with few or noisy rows the likelihood alone finds narrow widths, in
+features that do not matter.
 
 References
 ----------
 .. [1] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
    2006, sections 5.4 and 8.3.
+.. [2] D. Eriksson, M. Jankowiak, "High-dimensional Bayesian optimization with sparse axis-aligned
+   subspaces", Uncertainty in Artificial Intelligence 2021.
 """
 
 from typing import NamedTuple
@@ -32,6 +36,9 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 COARSE_ROWS = 300
 FINE = ((1000, 25), (3000, 12), (3000, 12))
 INDUCING = 600
+# Nats a target value by which the coarse stage's answer has to be better than noise alone, or the
+# search starts once more: half of the variance explained.
+WEAK = 0.5 * np.log(2)
 
 
 class Tuned(NamedTuple):
@@ -39,7 +46,7 @@ class Tuned(NamedTuple):
 
     length_scale: np.ndarray  # (n_features,)
     alpha: np.ndarray  # (n_outputs,)
-    objective: float  # negative log marginal likelihood per target value, on the rows used
+    objective: float  # negative log posterior density per target value, on the rows used
     start: float  # the same at the heuristic start
 
 
@@ -285,6 +292,9 @@ def tune(
             return np.inf, np.zeros(len(theta))
         by_width = gradient[:d] if n_widths == d else [gradient[:d].sum()] * n_widths
         gradient = np.append(by_width, gradient[d:] if n_alphas else [])
+        narrow = np.exp(-2 * theta[:n_widths])
+        value += np.log1p(narrow).sum()
+        gradient[:n_widths] -= 2 * narrow / (1 + narrow)
         return value / (n_total * q), gradient / (n_total * q)
 
     bounds = [np.log(WIDTH_BOUNDS)] * n_widths + [np.log(ALPHA_BOUNDS)] * n_alphas
@@ -324,14 +334,30 @@ def tune(
     else:
         ends.sort(key=lambda end: end[1])
     theta, value, start = ends[0]
-    for size, max_iter in FINE if n > len(rows) else ():
-        before, rows = theta, draw(size)
+    nothing = np.append(theta[:n_widths], np.full(n_alphas, np.log(ALPHA_BOUNDS[1])))
+    unclear = n_widths and n > len(rows) and objective(nothing, rows, rows)[0] - value < WEAK
+
+    def improve(theta, rows, max_iter):
         # Rows that would do for narrower widths too, lest the widths be held where they are, and
         # so many that what they leave unexplained is small beside the noise.
         log_width, log_alpha = unpack(theta)
         tol = np.clip(0.03 * np.exp(log_alpha.min()), ROUNDING, 1e-2)
         inducing = _inducing(X, rows, 0.7 * np.exp(log_width), kernel, tol)
-        theta, value, start = minimise(theta, rows, inducing, max_iter)
+        return minimise(theta, rows, inducing, max_iter)
+
+    for size, max_iter in FINE if n > len(rows) else ():
+        before, rows = theta, draw(size)
+        theta, value, start = improve(theta, rows, max_iter)
+        if unclear:
+            # What few rows could not tell from noise: once more from a wide start on many.
+            wide = np.append(
+                np.full(n_widths, np.log(2.5 * np.sqrt(d))), np.full(n_alphas, np.log(0.1))
+            )
+            other = improve(wide, rows, max_iter)[0]
+            other, at_other, from_other = improve(other, rows, max_iter)
+            if at_other < value:
+                theta, value, start = other, at_other, from_other
+            unclear = False
         # Widths of ignored features drift without effect.
         felt = np.append(before[:n_widths] < np.log(20), [True] * n_alphas)
         if len(rows) == most and not np.any(np.abs(theta - before)[felt] > 0.15):
