@@ -1,4 +1,4 @@
-"""A fitted model outside Python: as C99."""
+"""A fitted model outside Python, as C99 or ONNX, and what a skops file of it needs trust in."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,12 +6,14 @@
 import re
 from pathlib import Path
 
+import sklearn_raacmm
 from sklearn_raacmm._arm_checks import show
 from sklearn_raacmm._c_source import fingerprint_of, sources
 from sklearn_raacmm._c_text import check_name
+from sklearn_raacmm._chain import check_fitted, leaves
 from sklearn_raacmm._files import write_whole
 
-__all__ = ["TRUSTED_TYPES", "export_c", "fingerprint"]
+__all__ = ["TRUSTED_TYPES", "export_c", "fingerprint", "register_onnx", "to_onnx"]
 
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
@@ -145,3 +147,97 @@ def fingerprint(model):
         If the model cannot be exported.
     """
     return fingerprint_of(model)
+
+
+def register_onnx():
+    """Register the package's converters with skl2onnx.
+
+    After that ``skl2onnx.to_onnx`` converts :class:`PoseFeatures`, :class:`RBFNetRegressor` and
+    :class:`CylindricalResidualTarget` wherever they stand: in pipelines, searches, column
+    transformers. To call it again does no harm.
+
+    Raises
+    ------
+    ImportError
+        Without skl2onnx, which the extra ``sklearn-raacmm[onnx]`` installs.
+    """
+    # Late: skl2onnx takes a second to import.
+    from sklearn_raacmm import _onnx
+
+    _onnx.register()
+
+
+def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
+    """Convert a fitted model to ONNX.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted: any that skl2onnx converts, with this package's estimators in it, see
+        :func:`register_onnx`.
+
+    path : str or path-like, default=None
+        File to write, beside its place and renamed when complete. None only returns the model.
+
+    dtype : {"double", "float"}, default="double"
+        Type of the input X of shape (n_samples, n_features) and of the output. This package's
+        steps compute in float64 in either case.
+
+    target_opset : int, default=None
+        Version of the ONNX operators, 13 or newer; None leaves it to skl2onnx.
+
+    card : ModelCard or str, default=None
+        Facts to keep in the file's metadata, see :func:`describe`.
+
+    Returns
+    -------
+    onnx.ModelProto
+        The model. Rows that ``predict`` refuses come out as NaN.
+
+    Raises
+    ------
+    ImportError
+        Without skl2onnx, which the extra ``sklearn-raacmm[onnx]`` installs.
+    ValueError
+        If an estimator has no converter.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    With ``onnxruntime``, in any language that has it::
+
+        to_onnx(model, "arm.onnx")
+        session = onnxruntime.InferenceSession("arm.onnx")
+        (correction_mm,) = session.run(None, {"X": joint_angles})
+    """
+    if not (isinstance(dtype, str) and dtype in ("double", "float")):
+        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+    check_fitted(model)
+    register_onnx()
+    from skl2onnx import to_onnx as convert
+    from skl2onnx.common.data_types import DoubleTensorType, FloatTensorType
+    from skl2onnx.common.exceptions import MissingConverter, MissingShapeCalculator
+
+    kind = DoubleTensorType if dtype == "double" else FloatTensorType
+    n_features = next(leaves(model)).estimator.n_features_in_
+    try:
+        converted = convert(
+            model, initial_types=[("X", kind([None, n_features]))], target_opset=target_opset
+        )
+    except (MissingConverter, MissingShapeCalculator) as error:
+        names = {type(step).__name__ for _, step in leaves(model)}
+        missing = [name for name in sorted(names) if f"{name}'" in str(error)]
+        raise ValueError(
+            f"{' and '.join(missing) or type(model).__name__} cannot be converted to ONNX: "
+            "skl2onnx knows no converter."
+        ) from error
+    facts = {"sklearn_raacmm_version": sklearn_raacmm.__version__}
+    if card is not None:
+        facts["model_card"] = str(card)
+    for key, value in facts.items():
+        entry = converted.metadata_props.add()
+        entry.key, entry.value = key, value
+    if path is not None:
+        write_whole({path: converted.SerializeToString()})
+    return converted
