@@ -146,6 +146,16 @@ def _kinematics(arm, angles):
     return jacobian * np.repeat([length, ARCSEC, length, ARCSEC, length], [n, n, n, n, 3])
 
 
+def scale_direction(arm, terms):
+    """Coefficients that make the whole arm larger: the column of the probe's position itself."""
+    n = 2 * len(terms.harmonics)
+    n += len(_loads(arm)) if terms.gravity else 0
+    zero = np.zeros(arm.n_joints)
+    sizes = np.concatenate([arm.a, zero, arm.d, zero, arm.probe]) / (ARCSEC * reach_mm(arm))
+    tail = np.zeros(len(_wobbles(arm)) if terms.wobble else 0)
+    return np.concatenate([np.zeros(n), sizes, tail])
+
+
 def _wobble(arm, angles, frames, probe):
     wobbles = _wobbles(arm)
     out = np.empty((len(angles), 3, len(wobbles)))

@@ -39,7 +39,7 @@ class Posterior(NamedTuple):
     n_determined: float
 
 
-def select_blocks(gram, moment, square, n, blocks, family, always, prior_variance):
+def select_blocks(gram, moment, square, n, blocks, family, always, prior_variance, lengths=None):
     """Choose blocks and fit their coefficients.
 
     Parameters
@@ -60,6 +60,8 @@ def select_blocks(gram, moment, square, n, blocks, family, always, prior_varianc
         Which blocks are in from the start.
     prior_variance : ndarray of shape (n_families,)
         Variances that are known; NaN for those to be found.
+    lengths : Lengths, optional
+        Observations whose variance is known but for their share of the noise.
 
     Returns
     -------
@@ -76,14 +78,17 @@ def select_blocks(gram, moment, square, n, blocks, family, always, prior_varianc
     threshold = np.log(max(np.sum(~always), 1))
     for last in range(_MAX_ROUNDS - 1, -1, -1):
         prior = variance[of_column]
-        S = gram / noise
+        S, r = gram / noise, moment / noise
+        if lengths is not None:
+            variance_of_lengths = lengths.variance + noise * lengths.share
+            weighted = lengths.rows.T / variance_of_lengths
+            S += weighted @ lengths.rows
+            r += weighted @ lengths.errors
         S[np.diag_indices(len(S))] += 1 / prior
-        chosen, gains = _forward(S, moment / noise, blocks, always, prior, threshold)
+        chosen, gains = _forward(S, r, blocks, always, prior, threshold)
         columns = np.concatenate([blocks[b] for b in chosen]) if chosen else np.empty(0, int)
-        precision = gram[np.ix_(columns, columns)] / noise
-        precision[np.diag_indices(len(columns))] += 1 / prior[columns]
-        root = cholesky(precision, check_finite=False)
-        coef = cho_solve((root, False), moment[columns] / noise, check_finite=False)
+        root = cholesky(S[np.ix_(columns, columns)], check_finite=False)
+        coef = cho_solve((root, False), r[columns], check_finite=False)
         inverse = solve_triangular(root, np.eye(len(columns)), check_finite=False)
         determined = 1 - np.square(inverse).sum(axis=1) / prior[columns]
         members = of_column[columns]

@@ -100,6 +100,66 @@ def normal_equations(arm, angles, y, weights, codes, terms, smooth=None):
     )
 
 
+def mean_columns(arm, angles, weights, codes, terms):
+    """Mean of the model's columns over each position, (n_positions, 3, n_columns)."""
+    total = np.bincount(codes, weights=weights)
+    sums = None
+    for start in range(0, len(angles), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        columns = weights[rows, None, None] * term_columns(arm, angles[rows], terms)
+        if sums is None:
+            sums = np.zeros((len(total), *columns.shape[1:]))
+        np.add.at(sums, codes[rows], columns)
+    return sums / total[:, None, None]
+
+
+class Lengths(NamedTuple):
+    """Known lengths as observations of the coefficients w: ``rows @ w`` is `errors` and noise."""
+
+    rows: np.ndarray  # (n_lengths, p)
+    errors: np.ndarray  # (n_lengths,) measured less known length, mm
+    variance: np.ndarray  # (n_lengths,) of the known length, mm^2
+    share: np.ndarray  # (n_lengths,) of the noise variance that the two mean points keep
+
+
+def length_equations(arm, angles, weights, codes, terms, lengths):
+    """Known lengths between positions as rows of the linear model.
+
+    The mean points of two positions, corrected, are a known length apart: the difference of their
+    corrections along the line between them is what the measured length is too long.
+
+    Parameters
+    ----------
+    arm, angles, weights, codes, terms
+        As :func:`normal_equations`.
+    lengths : list of (int, int, float, float)
+        Two positions, their known distance and its standard deviation, mm.
+
+    Returns
+    -------
+    Lengths
+    """
+    first, second, length, sd = (np.array(part) for part in zip(*lengths, strict=True))
+    used, ends = np.unique([first, second], return_inverse=True)
+    ends = ends.reshape(2, -1)
+    rows = np.isin(codes, used)
+    angles, weights, codes = angles[rows], weights[rows], np.searchsorted(used, codes[rows])
+    total = np.bincount(codes, weights=weights)
+    points = arm.forward(angles)
+    points = np.stack([np.bincount(codes, weights * p) / total for p in points.T], axis=1)
+    columns = mean_columns(arm, angles, weights, codes, terms)
+    line = points[ends[1]] - points[ends[0]]
+    measured = np.linalg.norm(line, axis=1)
+    line /= measured[:, None]
+    difference = columns[ends[1]] - columns[ends[0]]
+    return Lengths(
+        np.einsum("lc,lcp->lp", line, difference),
+        measured - length,
+        np.square(sd),
+        1 / total[ends[0]] + 1 / total[ends[1]],
+    )
+
+
 def _turned(vectors, azimuth):
     """Columns (n, 3, p) in the cylindrical frame."""
     cos, sin = np.cos(azimuth)[:, None], np.sin(azimuth)[:, None]

@@ -30,6 +30,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.harmonics import (
     JointHarmonicRegressor,
     check_arm,
+    check_lengths,
     check_offsets,
     check_residuals,
 )
@@ -196,7 +197,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     @one_blas_thread
     @_fit_context(prefer_skip_nested_validation=True)
-    def fit(self, X, y, sample_weight=None, groups=None):
+    def fit(self, X, y, sample_weight=None, groups=None, lengths=()):
         """Check the model against no correction, and fit it.
 
         Parameters
@@ -214,6 +215,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             Label of the position of each sample: for the check, and for the positions' offsets
             where y are deviations from their means (see :class:`JointHarmonicRegressor`).
 
+        lengths : iterable of (label, label, length, standard deviation), default=()
+            Known distances between two positions, mm, for the first stage (see
+            :meth:`JointHarmonicRegressor.fit`).
+
         Returns
         -------
         self : object
@@ -230,24 +235,25 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         codes = check_offsets(first.offsets, y, weights, groups)
+        lengths = check_lengths(lengths, weights, codes, groups)
         self.check_ = None
         self.use_ = MODELS[-1] if self.use == "auto" else self.use
         self.fade_ = 1.0 if self.fade == "auto" else float(self.fade)
         if groups is not None and self.use != "none" and "auto" in (self.use, self.fade):
             positions = _encode_groups(groups)[1]
             if positions.max() > 1:
-                self._check(X, y, weights, positions, codes)
-        self._fit(X, y, weights, codes, self.use_)
+                self._check(X, y, weights, positions, codes, lengths)
+        self._fit(X, y, weights, codes, lengths, self.use_)
         return self
 
-    def _fit(self, X, y, weights, codes, use):
+    def _fit(self, X, y, weights, codes, lengths, use):
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         self.harmonics_ = clone(first).set_params(arm=self.arm_)
         self.harmonics_.n_features_in_, self.harmonics_.arm_ = X.shape[1], self.arm_
-        self.harmonics_._fit(X, y, weights, codes, None)
+        self.harmonics_._fit(X, y, weights, codes, lengths, None)
         self.network_ = None
         if use == MODELS[-1]:
-            self._fit_network(X, y, weights, codes)
+            self._fit_network(X, y, weights, codes, lengths)
         size = np.linalg.norm(y, axis=1)
         self.cap_mm_ = np.inf
         if self.cap is not None:
@@ -257,7 +263,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
                 own = _CAP_OF_OFFSETS * float(np.quantile(own, self.cap))
                 self.cap_mm_ = max(self.cap_mm_, own)
 
-    def _fit_network(self, X, y, weights, codes):
+    def _fit_network(self, X, y, weights, codes, lengths):
         network = RBFNetRegressor(degree=-1, random_state=0) if self.network is None else None
         network = clone(self.network) if network is None else network
         F, direction = self._features(X)
@@ -267,7 +273,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             return
         if np.any(network.linear_coef_) or not KERNELS[network.kernel].positive_definite:
             return  # not a smooth error with a covariance
-        self.harmonics_._fit(X, y, weights, codes, self._smooth())
+        self.harmonics_._fit(X, y, weights, codes, lengths, self._smooth())
         left = y - _centred(self.harmonics_.predict(X), weights, codes)
         if codes is not None:
             # What the network says of each position's mean, which the residuals have lost.
@@ -298,7 +304,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             return X, direction
         return PoseFeatures(self.arm_).fit(X).transform(X), direction
 
-    def _check(self, X, y, weights, positions, codes):
+    def _check(self, X, y, weights, positions, codes, lengths):
         """Mean deviations at positions left out in blocks, by every model and fading."""
         points = self.arm_.forward(X)
         counts = np.bincount(positions)
@@ -313,7 +319,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             fold = clone(self)
             fold.arm_ = self.arm_
             own = None if codes is None else codes[~test]
-            fold._fit(X[~test], y[~test], weights[~test], own, models[-1])
+            fold._fit(X[~test], y[~test], weights[~test], own, lengths, models[-1])
             for i, name in enumerate(models):
                 parts = fold._parts(X[test], name)
                 for j, fade in enumerate(fades):

@@ -17,7 +17,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
     position_residuals,
 )
-from sklearn_raacmm.datasets import ArmErrors, make_single_point
+from sklearn_raacmm.datasets import ArmErrors, make_gauge, make_single_point
 
 ARM = Arm.from_name("aacmm6")
 ARCSEC = np.pi / 180 / 3600
@@ -164,6 +164,19 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
             gains.append(1 - np.linalg.norm(left, axis=1).mean() / before)
     assert min(gains) > 0
     assert np.mean(gains) > 0.3
+
+
+def test_known_lengths_reach_the_first_stage():
+    gauge = make_gauge(300, 8, 8, random_state=2)
+    known = [(a, b, 300.0, 0.003) for a, b in gauge.pairs]
+    first = JointHarmonicRegressor(gauge.arm, n_harmonics=2)
+    model = ArmResidualRegressor(gauge.arm, harmonics=first, use="harmonics", fade=0)
+    model.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
+    first.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
+    assert_array_equal(model.harmonics_.coef_, first.coef_)
+    # In the check, lengths of left-out positions are left out with them.
+    model.set_params(fade="auto").fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
+    assert model.check_["gain_mm"][1] > 0
 
 
 def test_fading_is_that_of_the_formula(cones):

@@ -14,7 +14,14 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate, position_residuals
 from sklearn_raacmm._arm_terms import ARCSEC, Terms, reach_mm, term_columns, term_names
 from sklearn_raacmm._evidence import select_blocks
-from sklearn_raacmm._normal_equations import Smooth, normal_equations
+from sklearn_raacmm._normal_equations import (
+    Lengths,
+    Smooth,
+    length_equations,
+    normal_equations,
+)
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.metrics import gauge_lengths
 
 ARMS = {
     "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
@@ -249,6 +256,48 @@ def test_posterior_is_ridge_in_closed_form():
     assert_allclose(found.root.T @ found.root, precision, rtol=1e-8)
 
 
+def test_known_lengths_are_rows_of_their_own_variance():
+    A, y, blocks, _ = toy_problem(2)
+    rng = np.random.default_rng(7)
+    rows, errors = rng.normal(size=(5, A.shape[1])), rng.normal(size=5)
+    lengths = Lengths(rows, errors, np.full(5, 0.3), np.linspace(0.1, 2.0, 5))
+    always = np.arange(13) == 12
+    found = select_blocks(
+        A.T @ A, A.T @ y, y @ y, len(y), blocks, always.astype(int), always, np.full(2, np.nan),
+        lengths,
+    )  # fmt: skip
+    scale = np.r_[
+        np.full(len(y), found.noise_variance),
+        lengths.variance + found.noise_variance * lengths.share,
+    ]
+    B = np.vstack([A, rows])[:, found.columns] / np.sqrt(scale)[:, None]
+    prior = found.prior_variance[(found.columns >= 24).astype(int)]
+    coef = np.linalg.solve(B.T @ B + np.diag(1 / prior), B.T @ (np.r_[y, errors] / np.sqrt(scale)))
+    # The variances still moved by up to 2 % in the last round.
+    assert_allclose(found.coef, coef, atol=0.02 * np.abs(coef).max())
+
+
+def test_length_rows_are_changes_of_the_distance():
+    """Against the distance of the corrected mean points."""
+    arm = ARMS["modified"]
+    rng = np.random.default_rng(0)
+    theta, weights = draw_angles(arm, 60), rng.uniform(0.5, 2, 60)
+    codes = np.repeat(np.arange(4), 15)
+    terms = Terms(np.array([(0, 1), (3, 2)]), True, True, True)
+    found = length_equations(arm, theta, weights, codes, terms, [(0, 2, 100.0, 1), (3, 1, 90.0, 2)])
+    w = rng.normal(size=found.rows.shape[1])
+
+    def distances(points):
+        mean = [np.average(points[codes == i], 0, weights[codes == i]) for i in range(4)]
+        return np.array([np.linalg.norm(mean[0] - mean[2]), np.linalg.norm(mean[3] - mean[1])])
+
+    points = arm.forward(theta)
+    assert_allclose(found.errors, distances(points) - [100, 90])
+    assert_array_equal(found.variance, [1, 4])
+    corrected = distances(points - term_columns(arm, theta, terms) @ (1e-3 * w))
+    assert_allclose(1e-3 * found.rows @ w, distances(points) - corrected, atol=1e-7)
+
+
 def test_chance_does_not_look_like_a_harmonic():
     """Of 40 fits to noise, at most a few find anything: the threshold grows with the offer."""
     arm = ARMS["standard"]
@@ -324,6 +373,73 @@ def test_uncertainty_grows_away_from_the_data(eccentric):
     inside = model.predict(corner, return_std=True)[1].mean()
     outside = model.predict(-corner, return_std=True)[1].mean()
     assert outside > 1.5 * inside
+
+
+def gauge_errors(gauge, correction, length):
+    errors = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs) - gauge.lengths
+    return errors[gauge.lengths == length]
+
+
+@pytest.fixture(scope="module", params=["gravity", "typical", "eccentricity"])
+def gauges(request):
+    """Simulated: cones, and gauges of 300 and 500 mm in other places."""
+    options = {"machine": request.param, "random_state": 4}
+    return make_single_point(10, 30, **options), make_gauge(n_poses=6, **options)
+
+
+def test_scale_stays_that_of_the_calibration(gauges):
+    cone, gauge = gauges
+    model = JointHarmonicRegressor(cone.arm, n_harmonics=4)
+    model.fit(cone.data, cone.target, groups=cone.groups)
+    before, after = (
+        np.stack([points[cone.groups == i].mean(axis=0) for i in range(10)])
+        for points in (cone.points, cone.points - model.predict(cone.data))
+    )
+    # The best similarity from one to the other, by Umeyama's formula: its scale is 1.
+    a, b = before - before.mean(axis=0), after - after.mean(axis=0)
+    scale = np.linalg.svd(a.T @ b, compute_uv=False).sum() / np.square(a).sum()
+    assert scale == pytest.approx(1, abs=1e-7)
+    assert np.abs(after - before).max() > 1e-2
+    errors = [
+        np.abs(gauge_errors(gauge, correction, 500)).mean()
+        for correction in (0.0, model.predict(gauge.data))
+    ]
+    assert errors[1] < 0.8 * errors[0]
+    # What is said of the coefficients is said after this.
+    assert_allclose(model.terms_["value"], model.coef_[-len(model.terms_) :])
+    _, std = model.predict(cone.data[:5], return_std=True)
+    assert np.all(std > 0)
+
+
+def test_known_lengths_join_the_fit(gauges):
+    """Trained with the gauges of 300 mm, judged by those of 500 mm."""
+    cone, gauge = gauges
+    short = np.isin(gauge.groups, gauge.pairs[gauge.lengths == 300])
+    theta = np.vstack([cone.data, gauge.data[short]])
+    y = np.vstack([cone.target, gauge.target[short]])
+    groups = np.r_[cone.groups, 100 + gauge.groups[short]]
+    known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[gauge.lengths == 300]]
+    model = JointHarmonicRegressor(cone.arm, n_harmonics=4)
+    errors = [
+        np.abs(gauge_errors(gauge, correction, 500)).mean()
+        for correction in (
+            0.0,
+            clone(model).fit(theta, y, groups=groups, lengths=known).predict(gauge.data),
+        )
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_lengths_are_checked(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 20
+    model = JointHarmonicRegressor(arm, n_harmonics=2, offsets=True)
+    with pytest.raises(ValueError, match="group 77, which has no samples"):
+        model.fit(theta, y, groups=groups, lengths=[(0, 77, 100, 0.1)])
+    with pytest.raises(ValueError, match=r"\(label, label, length, standard deviation\)"):
+        model.fit(theta, y, groups=groups, lengths=[(0, 1, 100)])
+    with pytest.raises(ValueError, match="lengths are for positions with offsets"):
+        model.set_params(offsets=False).fit(theta, y, groups=groups, lengths=[(0, 1, 100, 1)])
 
 
 def test_offsets_are_free(eccentric):
