@@ -1,4 +1,4 @@
-"""A fitted model outside Python, as C99 or ONNX, and what a skops file of it needs trust in."""
+"""A fitted model on its way: as C99, as ONNX, what to trust in its file, and what to say of it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -12,8 +12,17 @@ from sklearn_raacmm._c_source import fingerprint_of, sources
 from sklearn_raacmm._c_text import check_name
 from sklearn_raacmm._chain import check_fitted, leaves
 from sklearn_raacmm._files import write_whole
+from sklearn_raacmm._model_card import ModelCard, card_of
 
-__all__ = ["TRUSTED_TYPES", "export_c", "fingerprint", "register_onnx", "to_onnx"]
+__all__ = [
+    "TRUSTED_TYPES",
+    "ModelCard",
+    "describe",
+    "export_c",
+    "fingerprint",
+    "register_onnx",
+    "to_onnx",
+]
 
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
@@ -241,3 +250,62 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     if path is not None:
         write_whole({path: converted.SerializeToString()})
     return converted
+
+
+def describe(model, X=None, y=None, groups=None, *, n_folds=5):
+    """Say what a fitted model is, so that whoever receives its file knows.
+
+    A fitted model does not keep the poses that it was fitted on: give them here, and pass the card
+    on with the file.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+
+    X : array-like of shape (n_samples, n_features), default=None
+        What the model was fitted on, usually joint angles in the unit it takes: for the number of
+        rows, the range of every joint and the hull of the probe's positions.
+
+    y : array-like of shape (n_samples, 3) or (n_samples,), default=None
+        Residuals in mm that it was fitted on: for the error before and after.
+
+    groups : array-like of shape (n_samples,), default=None
+        Label of the position of each row.
+
+    n_folds : int, default=5
+        Where `groups` are given, the error after the correction is that at positions left out, a
+        copy of the model having been fitted on the others, in so many folds. 0, or without
+        `groups`: that at the rows given, and the card says so.
+
+    Returns
+    -------
+    ModelCard
+        A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
+        the single-point repeatability, the mean over positions.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together or the model, or hold NaN or infinity.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.export import describe
+    >>> from sklearn.pipeline import make_pipeline
+    >>> test = make_single_point(n_positions=6, n_poses=20, random_state=0)  # simulated
+    >>> model = make_pipeline(
+    ...     PoseFeatures(test.arm, append_azimuth=True),
+    ...     CylindricalResidualTarget(RBFNetRegressor(20)),
+    ... ).fit(test.data, test.target)
+    >>> card = describe(model, test.data, test.target, test.groups, n_folds=3)
+    >>> card["training"]["positions"], card["input"]
+    (6, '6 joint angles in rad')
+    >>> print(str(card)[:32])
+    # Residual correction of an arm
+    """
+    return card_of(model, X, y, groups, n_folds=n_folds)
