@@ -85,6 +85,11 @@ class _Graph:
         """A column of zeros, NaN where a row of x is not finite."""
         return self("Mul", self("ReduceSum", x, self.integers(1), keepdims=1), 0.0)
 
+    def cos(self, x):
+        """Cosine, by the sine of the half: older runtimes have no other in float64."""
+        half = self("Sin", self("Mul", x, 0.5))
+        return self("Sub", 1.0, self("Mul", self("Mul", half, half), 2.0))
+
     def where(self, condition, yes, no):
         """Elementwise choice."""
         return self("Where", condition, yes, no)
@@ -107,7 +112,7 @@ def _transforms(graph, arm, angles):
         parts[:, i] = left @ turn @ right
     theta = graph("Add", graph("Mul", angles, arm.joint_signs), arm.theta_offset)
     theta = graph("Reshape", theta, graph.integers(-1, arm.n_joints, 1, 1))
-    cos, sin = graph("Cos", theta), graph("Sin", theta)
+    cos, sin = graph.cos(theta), graph("Sin", theta)
     steps = graph("Add", graph("Mul", cos, parts[0]), graph("Mul", sin, parts[1]))
     steps = graph("Add", steps, parts[2])
     sizes = graph.integers(*[1] * arm.n_joints)
@@ -154,9 +159,7 @@ def _angle(graph, cos, sin):
     rough = graph("Atan", graph("Cast", half, to=TensorProto.FLOAT))
     rough = graph("Mul", graph("Cast", rough, to=TensorProto.DOUBLE), 2.0)
     # The angle that is left is about 1e-7: its sine, and the cube's sixth below rounding.
-    left = graph(
-        "Sub", graph("Mul", sin, graph("Cos", rough)), graph("Mul", cos, graph("Sin", rough))
-    )
+    left = graph("Sub", graph("Mul", sin, graph.cos(rough)), graph("Mul", cos, graph("Sin", rough)))
     return graph("Add", rough, left)
 
 
@@ -186,7 +189,7 @@ def _convert_pose(scope, operator, container):
     if step.encoding == "angle":
         features = [used] + ([_angle(graph, *extra)] if extra else [])
     else:
-        cos, sin = [graph("Cos", used)], [graph("Sin", used)]
+        cos, sin = [graph.cos(used)], [graph("Sin", used)]
         if extra:
             cos, sin = [*cos, extra[0]], [*sin, extra[1]]
         m = len(step._names()) // 2 - int(step.append_azimuth)
