@@ -81,3 +81,19 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "min_reported_time": 1,
 }
+
+
+def of_the_package(app, env, node, contnode):
+    """Find a name of the package that a docstring of one of its modules gives without the package."""
+    name = node.get("reftarget", "")
+    if node.get("refdomain") == "py" and name in sklearn_raacmm.__all__:
+        full = f"sklearn_raacmm.{name}"
+        return env.get_domain("py").resolve_xref(
+            env, node["refdoc"], app.builder, node["reftype"], full, node, contnode
+        )
+    return None
+
+
+def setup(app):
+    """Connect to Sphinx."""
+    app.connect("missing-reference", of_the_package)

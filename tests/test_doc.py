@@ -1,6 +1,7 @@
 """The examples in the pages of doc/ run, and their links lead to files."""
 
 import doctest
+import importlib
 import re
 from pathlib import Path
 
@@ -27,3 +28,17 @@ def test_links_lead_to_files(page):
     assert [link for link in local if not (page.parent / link).exists()] == []
     scripts = re.findall(r"(?:examples|benchmarks)/\w+\.py", text)
     assert [name for name in scripts if not (DOC.parent / name).exists()] == []
+
+
+@pytest.mark.parametrize("module", ["", ".datasets", ".display", ".export", ".metrics"])
+def test_every_public_name_is_in_the_reference(module):
+    text = (DOC / "api.rst").read_text(encoding="utf-8")
+    sections = re.split(r"\.\. currentmodule:: (\S+)\n", text)
+    name = f"sklearn_raacmm{module}"
+    listed = [
+        entry
+        for module_name, section in zip(sections[1::2], sections[2::2], strict=True)
+        if module_name == name
+        for entry in re.findall(r"^   (\w+)$", section, flags=re.MULTILINE)
+    ]
+    assert sorted(listed) == sorted(importlib.import_module(name).__all__)
