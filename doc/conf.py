@@ -84,7 +84,7 @@ sphinx_gallery_conf = {
 
 
 def of_the_package(app, env, node, contnode):
-    """Find a name of the package that a docstring of one of its modules gives without the package."""
+    """Find a name of the package that a docstring gives by itself."""
     name = node.get("reftarget", "")
     if node.get("refdomain") == "py" and name in sklearn_raacmm.__all__:
         full = f"sklearn_raacmm.{name}"
