@@ -18,6 +18,8 @@ HARMONIC, GRAVITY, KINEMATICS, WOBBLE = range(4)
 FAMILIES = ("harmonics", "gravity", "kinematics", "wobble")
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
+# What places the base and is not in its table: shifts along and turns about x and y.
+_BASE = ("base_x", "base_y", "base_alpha", "base_beta")
 
 
 class Terms(NamedTuple):
@@ -48,8 +50,9 @@ def term_names(arm, terms):
             family.append(GRAVITY)
     if terms.kinematics:
         names += [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
-        names += ["probe_x", "probe_y", "probe_z"]
-        family += [KINEMATICS] * (4 * arm.n_joints + 3)
+        names += ["probe_x", "probe_y", "probe_z", *_BASE]
+        names += [f"beta{i + 1}" for i in range(arm.n_joints)]
+        family += [KINEMATICS] * (5 * arm.n_joints + 3 + len(_BASE))
     if terms.wobble:
         for joint, axis, order, part in _wobbles(arm):
             names.append(f"joint {joint + 1} tilts about {'xy'[axis]}, {part}({order} theta)")
@@ -94,7 +97,7 @@ def term_columns(arm, angles, terms):
     if terms.gravity:
         parts.append(_gravity(arm, frames, probe))
     if terms.kinematics:
-        parts.append(_kinematics(arm, angles))
+        parts.append(_kinematics(arm, angles, frames, probe))
     if terms.wobble:
         parts.append(_wobble(arm, angles, frames, probe))
     return np.concatenate(parts, axis=2)
@@ -139,11 +142,23 @@ def _gravity(arm, frames, probe):
     return out
 
 
-def _kinematics(arm, angles):
-    jacobian = parameter_jacobian(arm, angles)[1]
+def _kinematics(arm, angles, frames, probe):
+    """Changes of the table, of where the base stands, and turns beta about y beside those about x.
+
+    A tracker shows where the base stands; whoever fitted it did so with the other errors there. A
+    table has no beta, for most axes do without; parallel ones do not (Hayati).
+    """
     n = arm.n_joints
     length = ARCSEC * reach_mm(arm)
-    return jacobian * np.repeat([length, ARCSEC, length, ARCSEC, length], [n, n, n, n, 3])
+    jacobian = parameter_jacobian(arm, angles)[1]
+    jacobian *= np.repeat([length, ARCSEC, length, ARCSEC, length], [n, n, n, n, 3])
+    rest = np.zeros((len(angles), 3, len(_BASE) + n))
+    rest[:, [0, 1], [0, 1]] = length
+    first = 1 if arm.convention == "standard" else 0  # the frame that alpha1 turns
+    for column, (frame, axis) in enumerate([(0, 0), (0, 1)] + [(first + i, 1) for i in range(n)]):
+        turn = cross(frames[frame, axis], probe - frames[frame, 3])
+        rest[:, :, 2 + column] = ARCSEC * turn.T
+    return np.concatenate([jacobian, rest], axis=2)
 
 
 def scale_direction(arm, terms):
@@ -152,8 +167,8 @@ def scale_direction(arm, terms):
     n += len(_loads(arm)) if terms.gravity else 0
     zero = np.zeros(arm.n_joints)
     sizes = np.concatenate([arm.a, zero, arm.d, zero, arm.probe]) / (ARCSEC * reach_mm(arm))
-    tail = np.zeros(len(_wobbles(arm)) if terms.wobble else 0)
-    return np.concatenate([np.zeros(n), sizes, tail])
+    tail = len(_BASE) + arm.n_joints + (len(_wobbles(arm)) if terms.wobble else 0)
+    return np.concatenate([np.zeros(n), sizes, np.zeros(tail)])
 
 
 def _wobble(arm, angles, frames, probe):

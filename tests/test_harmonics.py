@@ -82,6 +82,8 @@ def test_kinematic_columns_are_changes_of_the_table(arm):
     names, _ = term_names(arm, terms)
     columns = term_columns(arm, theta, terms)
     for column, name in enumerate(names):
+        if name.startswith(("base", "beta")):
+            continue
         if name.startswith("probe"):
             field, index = "probe", "xyz".index(name[-1])
         else:
@@ -91,6 +93,24 @@ def test_kinematic_columns_are_changes_of_the_table(arm):
         value[index] += step
         moved = arm.replace(**{field: value}).forward(theta) - arm.forward(theta)
         assert_allclose(columns[:, :, column], moved, atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_kinematic_columns_place_the_base_and_turn_about_y(arm):
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), False, True, False)
+    names, _ = term_names(arm, terms)
+    columns = dict(zip(names, np.moveaxis(term_columns(arm, theta, terms), 2, 0), strict=True))
+    for axis, name in enumerate(("base_x", "base_y")):
+        assert_allclose(columns[name], np.tile(ARCSEC * reach_mm(arm) * np.eye(3)[axis], (20, 1)))
+    one = np.full(20, ARCSEC)
+    assert_allclose(columns["base_alpha"], turned(arm, theta, 0, 0, one), atol=1e-7)
+    assert_allclose(columns["base_beta"], turned(arm, theta, 0, 1, one), atol=1e-7)
+    for joint in range(arm.n_joints):
+        # about y of the frame whose x alpha turns about
+        frame = joint + (arm.convention == "standard")
+        assert_allclose(columns[f"alpha{joint + 1}"], turned(arm, theta, frame, 0, one), atol=1e-7)
+        assert_allclose(columns[f"beta{joint + 1}"], turned(arm, theta, frame, 1, one), atol=1e-7)
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
