@@ -1,11 +1,16 @@
-"""The examples in the pages of doc/ run, and their links lead to files."""
+"""The examples in the pages of doc/ run, links lead to files, and the reference is complete."""
 
 import doctest
 import importlib
 import re
+import runpy
+import sys
+import types
 from pathlib import Path
 
 import pytest
+
+from sklearn_raacmm import __version__
 
 DOC = Path(__file__).resolve().parent.parent / "doc"
 PAGES = sorted([*DOC.glob("*.md"), *DOC.glob("user_guide/*.md")])
@@ -42,3 +47,25 @@ def test_every_public_name_is_in_the_reference(module):
         for entry in re.findall(r"^   (\w+)$", section, flags=re.MULTILINE)
     ]
     assert sorted(listed) == sorted(importlib.import_module(name).__all__)
+
+
+def test_the_version_is_said_once_and_cited_right():
+    citation = (DOC.parent / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (\S+)$", citation, flags=re.MULTILINE)[1] == __version__
+
+
+@pytest.mark.parametrize("address", [None, "https://example.org/v1/"])
+def test_the_readme_leads_somewhere_from_a_package_index(address, monkeypatch):
+    interface = types.ModuleType("interface")
+    interface.MetadataHookInterface = object
+    monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", interface)
+    for_the_index = runpy.run_path(str(DOC.parent / "hatch_build.py"))["for_the_index"]
+    text = (DOC.parent / "README.md").read_text(encoding="utf-8")
+    shown = for_the_index(text, address)
+    links = re.findall(r"\]\(([^)#]+)\)", shown)
+    assert links
+    assert all("://" in link for link in links)
+    assert ("https://example.org/v1/doc/images/" in shown) == (address is not None)
+    # All else stays.
+    assert shown.count(">>>") == text.count(">>>")
+    assert "Licence" in shown or "licence" in shown
