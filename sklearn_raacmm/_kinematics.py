@@ -36,28 +36,40 @@ def probe_points(arm, theta):
             x, y = cos[i] * x - sin[i] * y, sin[i] * x + cos[i] * y
             x, z = x + arm.a[i], z + arm.d[i]
             y, z = cos_alpha[i] * y - sin_alpha[i] * z, sin_alpha[i] * y + cos_alpha[i] * z
-    return np.stack(np.broadcast_arrays(x, y, z))
+    points = np.empty((3, theta.shape[1]))
+    points[0], points[1], points[2] = x, y, z
+    return points
 
 
 def frame_columns(arm, theta):
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin = np.cos(theta), np.sin(theta)
-    cos_alpha, sin_alpha = np.cos(arm.alpha), np.sin(arm.alpha)
+    # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
+    a, d, cos_alpha, sin_alpha = (
+        values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
+    )
     out = np.zeros((arm.n_joints + 1, 4, 3, theta.shape[1]))
-    for axis in range(3):
-        out[0, axis, axis] = 1.0
+    out[0, [0, 1, 2], [0, 1, 2]] = 1.0
+    x, y, z, origin = out[0]
     for i in range(arm.n_joints):
-        x, y, z, origin = out[i]
+        c, s, ca, sa = cos[i], sin[i], cos_alpha[i], sin_alpha[i]
         if arm.convention == "standard":
-            x, y = cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x
-            origin = origin + arm.d[i] * z + arm.a[i] * x
-            y, z = cos_alpha[i] * y + sin_alpha[i] * z, cos_alpha[i] * z - sin_alpha[i] * y
+            x, y = c * x + s * y, c * y - s * x
+            origin = origin + d[i] * z + a[i] * x
+            y, z = ca * y + sa * z, ca * z - sa * y
         else:
-            y, z = cos_alpha[i] * y + sin_alpha[i] * z, cos_alpha[i] * z - sin_alpha[i] * y
-            origin = origin + arm.a[i] * x + arm.d[i] * z
-            x, y = cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x
-        out[i + 1] = x, y, z, origin
+            y, z = ca * y + sa * z, ca * z - sa * y
+            origin = origin + a[i] * x + d[i] * z
+            x, y = c * x + s * y, c * y - s * x
+        frame = out[i + 1]
+        frame[0], frame[1], frame[2], frame[3] = x, y, z, origin
     return out
+
+
+def probe_of(arm, frames):
+    """Probe points (3, n_samples) from `frame_columns`."""
+    x, y, z, origin = frames[-1]
+    return origin + (arm.probe[0] * x + arm.probe[1] * y + arm.probe[2] * z)
 
 
 def cross(u, v):
@@ -78,7 +90,7 @@ def parameter_jacobian(arm, angles):
     jac = np.empty((len(angles), 3, 4 * n + 3))
     for rows in chunks(len(angles)):
         frames = frame_columns(arm, dh_theta(arm, angles[rows]))
-        probe = frames[-1, 3] + np.tensordot(arm.probe, frames[-1, :3], axes=1)
+        probe = probe_of(arm, frames)
         points[rows] = probe.T
         for i in range(n):
             # Row i goes along and about z of one of its two frames, and x of the other.

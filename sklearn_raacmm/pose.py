@@ -7,17 +7,18 @@ here are reconstructions, checked numerically.
 
 import numpy as np
 from sklearn.base import TransformerMixin
-from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_raacmm._arm_checks import check_angles
+from sklearn_raacmm._kinematics import dh_theta, frame_columns, probe_of
 from sklearn_raacmm._sklearn import StrOptions, _check_feature_names_in, _fit_context
 from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
 
 __all__ = ["PoseFeatures"]
 
-# Frames take 96 bytes a joint and row; a batch of them stays within some tens of megabytes.
-_BATCH_ROWS = 32768
+# Frames take 96 bytes a joint and row; a batch of them stays within a few megabytes.
+_BATCH_ROWS = 8192
 # A nanometre: below it a direction is made of rounding, on any arm.
 _MIN_LENGTH_MM = 1e-6
 
@@ -162,26 +163,27 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         check_is_fitted(self)
         X = validate_data(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
-        for rows in gen_batches(len(X), _BATCH_ROWS):
-            features[rows] = self._features(X[rows].astype(np.float64, copy=False), rows.start)
+        for start in range(0, len(X), _BATCH_ROWS):
+            rows = slice(start, start + _BATCH_ROWS)
+            features[rows] = self._features(X[rows].astype(np.float64, copy=False), start)
         return features
 
     def _features(self, X, first_row):
-        angles = np.deg2rad(X) if self.angle_unit == "deg" else X
-        # The arm is handed the angles as they are, for it warns of degrees taken for radians.
-        if self.joints == "all" or self.append_azimuth:
-            points = self.arm_.forward(X, angle_unit=self.angle_unit)
+        # The angles as they are: degrees taken for radians are warned of.
+        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=5)
+        if self.joints == "pose" or self.append_azimuth:
+            frames = frame_columns(self.arm_, dh_theta(self.arm_, angles))
         if self.joints == "all":
             columns = list(angles.T)
         else:
-            frames = self.arm_.frames(X, angle_unit=self.angle_unit)
-            swivel, elbow = self.arm_.pose_joints
-            theta_dis = _elevation(frames, self.arm_.pose_frames, first_row)
-            columns = [angles[:, swivel - 1], angles[:, elbow - 1], theta_dis]
+            shoulder, wrist = self.arm_.pose_frames
+            line = frames[wrist, 3] - frames[shoulder, 3]
+            theta_dis = _elevation(line, self.arm_.pose_frames, first_row)
+            columns = [angles[:, joint - 1] for joint in self.arm_.pose_joints] + [theta_dis]
         if self.encoding == "periodic":
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
-            columns += list(_azimuth_direction(points, first_row))
+            columns += list(_azimuth_direction(probe_of(self.arm_, frames), first_row))
         return np.stack(columns, axis=1)
 
     def get_feature_names_out(self, input_features=None):
@@ -217,13 +219,14 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         return tags
 
 
-def _elevation(frames, pose_frames, first_row=0):
-    """Elevation of the line from shoulder to wrist above the base plane, equations (4) to (6)."""
-    shoulder, wrist = pose_frames
-    x, y, z = (frames[:, wrist, :, 3] - frames[:, shoulder, :, 3]).T
+def _elevation(line, pose_frames, first_row=0):
+    """Elevation of lines (3, n) from shoulder to wrist, equations (4) to (6)."""
+    x, y, z = line
     reach = np.hypot(x, y)
-    short = np.flatnonzero(np.hypot(reach, z) < _MIN_LENGTH_MM)
-    if short.size:
+    length = np.hypot(reach, z)
+    if length.min(initial=np.inf) < _MIN_LENGTH_MM:
+        short = np.flatnonzero(length < _MIN_LENGTH_MM)
+        shoulder, wrist = pose_frames
         raise ValueError(
             f"theta_dis is undefined: the origins of frames {shoulder} and {wrist} coincide, first "
             f"in row {first_row + short[0]}. Choose the arm's pose_frames (shoulder, wrist) apart."
@@ -232,11 +235,11 @@ def _elevation(frames, pose_frames, first_row=0):
 
 
 def _azimuth_direction(points, first_row=0):
-    """Cosine and sine of the azimuth of points (n, 3) about the base axis."""
-    x, y = points[:, 0], points[:, 1]
+    """Cosine and sine of the azimuth of points (3, n) about the base axis."""
+    x, y, _ = points
     radius = np.hypot(x, y)
-    on_axis = np.flatnonzero(radius < _MIN_LENGTH_MM)
-    if on_axis.size:
+    if radius.min(initial=np.inf) < _MIN_LENGTH_MM:
+        on_axis = np.flatnonzero(radius < _MIN_LENGTH_MM)
         raise ValueError(
             f"The azimuth is undefined: the probe lies on the base axis, first in row "
             f"{first_row + on_axis[0]} (radius {radius[on_axis[0]]:.3g} mm). Leave such poses out."
