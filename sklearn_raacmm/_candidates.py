@@ -4,11 +4,13 @@
 one: few where the kernel is smooth. `SymmetricCandidates` holds the kernel matrix itself.
 """
 
+from functools import partial
+
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 
 from sklearn_raacmm._kernels import KERNELS, ROUNDING, kernel_matrix, pivoted_cholesky
-from sklearn_raacmm._path import triangular_factor
+from sklearn_raacmm._path import stack_triangles, triangular_factor
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
 # working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
@@ -18,8 +20,12 @@ DEPENDENT_RIDGED = 1e-13
 MAX_RANK = 3000
 # Samples whose whole kernel matrix is held: 1.8 GB.
 MAX_SYMMETRIC = 15_000
-# Numbers in a block of rows: 64 MB.
-BLOCK = 2**23
+# Where a sample of the rows are candidates and the number of centres is given: the factor's rank,
+# in centres and at the least. With a quarter of it the residual was up to a fifth larger, with
+# more of it hardly smaller.
+RANK_PER_CENTER, MIN_RANK = 3.5, 256
+# A factor that leaves more than this of the diagonal does not ask for the last digits.
+COARSE = 1e-5
 
 
 class WhitenedCandidates:
@@ -102,23 +108,78 @@ class SymmetricCandidates:
         return blas.dsymv(1.0, self.K, v, lower=1)
 
 
-def whiten(rows, blocks, members, alphas, resolution):
+class Features:
+    """Columns that span the candidates' ones, on any rows: a function of a block.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (m, d)
+        Where they are centred, in units of the widths.
+    shift, length_scale : ndarray of shape (d,)
+        From rows to such units.
+    kernel : str
+    root : ndarray of shape (m, m), optional
+        Lower triangular; the columns are multiplied by its inverse.
+    rows : ndarray of shape (n, m), optional
+        The result on all rows, where it is known.
+    """
+
+    def __init__(self, Z, shift, length_scale, kernel, root=None, rows=None):
+        self.Z, self.shift, self.length_scale, self.kernel = Z, shift, length_scale, kernel
+        self.root, self.rows = root, rows
+
+    def __call__(self, block):
+        if self.rows is not None:
+            return block.root * self.rows[block.part]
+        K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
+        if self.root is not None:
+            K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
+        K *= block.root
+        return K
+
+
+def _products(block, features, view):
+    """Inner products of features with themselves, the targets and the tail, over some rows."""
+    basis, targets = view.of(block)
+    F = features(block)
+    return F.T @ F, F.T @ targets, basis.T @ F
+
+
+def _add(one, other):
+    return tuple(a + b for a, b in zip(one, other, strict=True))
+
+
+def _triangle(block, features, view):
+    basis, targets = view.of(block)
+    return triangular_factor(np.hstack([basis, features(block), targets]))
+
+
+def _projected_triangle(problem, features, view, rank):
+    """R of the features with the tail projected out, and the targets in Q's coordinates."""
+    p = 0 if view.projection is None else len(view.projection)
+    function = partial(_triangle, features=features, view=view)
+    R = problem.reduce(function, stack_triangles, p + rank + len(view.outputs))
+    padded = np.zeros((R.shape[1], R.shape[1]))
+    padded[: len(R)] = R
+    inner = slice(p, p + rank)
+    return padded[inner, inner], padded[inner, p + rank :]
+
+
+def whiten(problem, view, factor, features, members, alphas):
     """Coordinates of candidates for `forward_selection`, for every ridge.
 
     Parameters
     ----------
-    rows : ndarray of shape (n_candidates, rank), Fortran order
-        Candidates in the factor's coordinates: ``rows @ rows.T`` is their kernel matrix. They are
-        overwritten.
-    blocks : callable
-        Gives an iterator over blocks of samples, each a tuple of the tail's orthonormal basis, the
-        samples in the factor's coordinates and the targets, tail projected out; times root weight.
+    problem : Problem
+    view : View
+    factor : LowRankFactor
+        Of the candidates' kernel matrix. Its rows are overwritten.
+    features : Features
+        The same factor's on all rows.
     members : list of ndarray
         Outputs of each group.
     alphas : list of float
         Ridge of each group.
-    resolution : float
-        Error of the kernel matrix's entries.
 
     Returns
     -------
@@ -126,13 +187,21 @@ def whiten(rows, blocks, members, alphas, resolution):
     degrees_of_freedom : list of float
         Trace of the smoother that uses all candidates.
     """
+    rows, resolution = factor.rows, factor.residual
     rank = rows.shape[1]
-    gram, cross, along = 0.0, 0.0, 0.0
-    for basis, features, targets in blocks():
-        gram = gram + features.T @ features
-        cross = cross + features.T @ targets
-        along = along + basis.T @ features
-    gram = gram - along.T @ along
+    root, coarse = features.root, resolution > COARSE
+    raw = coarse and features.rows is None
+    if raw:
+        # Sums over raw kernel columns halve the work, and lose no digits that matter here.
+        features.root = None
+    function = partial(_products, features=features, view=view)
+    gram, cross, along = problem.reduce(function, _add, rank)
+    if raw:
+        features.root = root
+        gram = solve_triangular(root, solve_triangular(root, gram, lower=True).T, lower=True)
+        cross = solve_triangular(root, cross, lower=True)
+        along = solve_triangular(root, along.T, lower=True).T
+    gram -= along.T @ along
     triangle = None
     groups, degrees = [], []
     for alpha, of in zip(alphas, members, strict=True):
@@ -140,7 +209,7 @@ def whiten(rows, blocks, members, alphas, resolution):
         # machine epsilon; a ridge, or a coarse factor, does not ask for more.
         trusted, failed = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT), True
         strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
-        if strong or (alpha == 0 and resolution >= 1e-9):
+        if strong or coarse or (alpha == 0 and resolution >= 1e-9):
             trusted = max(resolution, 1e-7)
             gram[np.diag_indices(rank)] += alpha
             root, failed = lapack.dpotrf(gram, lower=1, clean=1)
@@ -149,7 +218,7 @@ def whiten(rows, blocks, members, alphas, resolution):
             projected = solve_triangular(root, cross[:, of], lower=True, check_finite=False)
         else:
             if triangle is None:
-                triangle, rotated = _projected_triangle(blocks(), len(along), rank)
+                triangle, rotated = _projected_triangle(problem, features, view, rank)
             ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
             Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
             root, projected = R.T, Q[:rank].T @ rotated[:, of]
@@ -162,17 +231,8 @@ def whiten(rows, blocks, members, alphas, resolution):
     return groups, degrees
 
 
-def _projected_triangle(blocks, p, rank):
-    """R of the features with the tail projected out, and the targets in Q's coordinates."""
-    R = triangular_factor(np.hstack(block) for block in blocks)
-    padded = np.zeros((R.shape[1], R.shape[1]))
-    padded[: len(R)] = R
-    inner = slice(p, p + rank)
-    return padded[inner, inner], padded[inner, p + rank :]
-
-
 def candidate_groups(
-    Z, rows, root, basis, targets, members, kernel, alphas, n_select, *, whitened=False
+    problem, view, rows, shift, length_scale, members, kernel, alphas, n_select, *, whitened=False
 ):
     """The representation of the candidates that makes a step of the selection cheapest.
 
@@ -182,16 +242,13 @@ def candidate_groups(
 
     Parameters
     ----------
-    Z : ndarray of shape (n, d)
-        Samples divided by the length scales.
+    problem : Problem
+    view : View
+        How the targets are seen.
     rows : ndarray of shape (n_candidates,)
-        Sorted indices of the candidates.
-    root : ndarray of shape (n, 1)
-        Root of the weights.
-    basis : ndarray of shape (n, p)
-        Orthonormal basis of the tail times root.
-    targets : ndarray of shape (n, q)
-        Targets with the tail projected out, times root.
+        Sorted indices of the candidates among the problem's rows.
+    shift, length_scale : ndarray of shape (d,)
+        By which rows are centred, and divided then.
     members : list of ndarray
         Outputs of each group.
     kernel : str
@@ -208,43 +265,37 @@ def candidate_groups(
     degrees_of_freedom : list of float or None
         Trace of the smoother that uses all candidates, without the tail, where it is known.
     """
-    n, p = basis.shape
-
-    def blocks(features, width):
-        size = max(1, BLOCK // width)
-        for start in range(0, n, size):
-            part = slice(start, start + size)
-            yield basis[part], features(part), targets[part]
-
+    n = problem.n_rows
+    Z = (problem.X[rows] - shift) / length_scale
     if not KERNELS[kernel].positive_definite:
         # The ridge on the weights of such kernels is left to the last fit.
-        def columns(part):
-            return root[part] * kernel_matrix(Z[part], Z[rows], kernel)
-
-        triangle, rotated = _projected_triangle(blocks(columns, len(rows)), p, len(rows))
+        features = Features(Z, shift, length_scale, kernel)
+        triangle, rotated = _projected_triangle(problem, features, view, len(rows))
         return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
 
     least = min(alphas)
     tol = 1e-6 if least == 0 else min(max(1e-3 * least, ROUNDING), 1e-6)
-    may_be_symmetric = n_select is not None and not whitened and len(rows) == n <= MAX_SYMMETRIC
-    # From about this rank on a step on the matrix itself makes up for the factor's price.
-    max_rank = MAX_RANK if not may_be_symmetric else max(64, int(1.4 * np.sqrt(n * n_select)))
+    every = len(rows) == n
+    may_be_symmetric = n_select is not None and not whitened and every and n <= MAX_SYMMETRIC
+    max_rank = MAX_RANK
+    if may_be_symmetric:
+        # From about this rank on a step on the matrix itself makes up for the factor's price.
+        max_rank = max(64, int(1.4 * np.sqrt(n * n_select)))
+    elif n_select is not None and not every:
+        # Candidates are a sample anyway, and every row is multiplied by the factor's square.
+        max_rank = max(MIN_RANK, int(RANK_PER_CENTER * n_select))
     resolve = n_select if least == 0 else None
     limits = {"max_rank": max_rank, "all_or_nothing": may_be_symmetric}
-    factor = pivoted_cholesky(Z[rows], kernel, tol=tol, resolve=resolve, **limits)
+    factor = pivoted_cholesky(Z, kernel, tol=tol, resolve=resolve, **limits)
     if may_be_symmetric and not factor.complete:
         K = kernel_matrix(Z, Z, kernel).T
-        weights = root[:, 0] ** 2
+        block = problem.block(slice(None))
+        basis, targets = view.of(block)
+        weights = block.root[:, 0] ** 2
         pairs = zip(members, alphas, strict=True)
         groups = [SymmetricCandidates(K, weights, basis, targets[:, of], a) for of, a in pairs]
         return groups, None
-    pivot_rows, pivots = factor.rows[factor.pivots], rows[factor.pivots]
-
-    def features(part):
-        if len(rows) == n:
-            return root[part] * factor.rows[part]
-        K = kernel_matrix(Z[pivots], Z[part], kernel)
-        return root[part] * solve_triangular(pivot_rows, K, lower=True, overwrite_b=True).T
-
-    rank = len(pivots)
-    return whiten(factor.rows, lambda: blocks(features, rank), members, alphas, factor.residual)
+    root = np.asfortranarray(factor.rows[factor.pivots])
+    known = factor.rows if every else None
+    features = Features(Z[factor.pivots], shift, length_scale, kernel, root, known)
+    return whiten(problem, view, factor, features, members, alphas)

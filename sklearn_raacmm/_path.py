@@ -25,33 +25,24 @@ class Path(NamedTuple):
         return solution
 
 
-def triangular_factor(parts):
-    """R of the QR factorisation of stacked blocks of rows, each seen once.
-
-    Parameters
-    ----------
-    parts : iterable of ndarray of shape (n_i, m)
-
-    Returns
-    -------
-    ndarray of shape (min(m, sum of n_i), m)
-        Upper triangular (or trapezoidal); its signs are arbitrary.
-    """
-    R = None
-    for part in parts:
-        block = part if R is None else np.vstack([R, part])
-        R = qr(block, mode="r", overwrite_a=True, check_finite=False)[0][: block.shape[1]]
-    return R
+def triangular_factor(rows):
+    """R of the QR factorisation, upper triangular or trapezoidal; its signs are arbitrary."""
+    return qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][: rows.shape[1]]
 
 
-def nested_least_squares(parts, n_tail, penalty_root, alphas, within):
+def stack_triangles(upper, lower):
+    """The triangular factor of two blocks of rows from those of each."""
+    return triangular_factor(np.vstack([upper, lower]))
+
+
+def nested_least_squares(R, n_tail, penalty_root, alphas, within):
     """Solve every nested subset, with no use of the running figures of the selection.
 
     Parameters
     ----------
-    parts : iterable of ndarray of shape (n_i, p + k + n_outputs)
-        Blocks of rows of the polynomial tail, which is not penalised, the members in order, and the
-        targets; all times root weight.
+    R : ndarray of shape (<= p + k + n_outputs, p + k + n_outputs)
+        Triangular factor of the polynomial tail, which is not penalised, the members in order, and
+        the targets; all times root weight. Everything depends on the rows through it only.
     n_tail : int
         Number p of columns of the tail.
     penalty_root : ndarray of shape (m, k)
@@ -66,8 +57,6 @@ def nested_least_squares(parts, n_tail, penalty_root, alphas, within):
     Path
     """
     q, p, k = len(alphas), n_tail, penalty_root.shape[1]
-    # Everything that follows depends on the rows through this triangle only.
-    R = triangular_factor(parts)
     columns, targets = R[: p + k, : p + k], R[:, p + k :]
     beyond = np.square(targets[p + k :]).sum(axis=0)
     targets = targets[: p + k]
@@ -113,17 +102,19 @@ def penalise(rows, n_tail, penalty_root, alpha):
     return qr(stacked, mode="economic", check_finite=False)
 
 
-def leave_one_out(tail, columns, targets, path, within):
-    """Sum of squared leave-one-out residuals (PRESS) after 0, 1, ... k members, (k + 1, n_outputs).
+def leave_one_out(tail, columns, targets, path):
+    """Sum of squared leave-one-out residuals (PRESS) of some rows after 0, 1, ... k members.
 
     Parameters
     ----------
     tail, columns, targets : ndarray of shape (n, p), (n, k), (n, n_outputs)
         All times root weight.
     path : Path
-        Of these data.
-    within : ndarray of shape (n_outputs,)
-        As for `nested_least_squares`.
+        Of all rows.
+
+    Returns
+    -------
+    ndarray of shape (k + 1, n_outputs)
     """
     p, k = tail.shape[1], columns.shape[1]
     press = np.empty((k + 1, targets.shape[1]))
@@ -138,7 +129,7 @@ def leave_one_out(tail, columns, targets, path, within):
                 residual = residual - direction * path.rotated[p + m - 1, i]
                 leverage = leverage + direction * direction
             press[m, i] = np.square(residual / np.maximum(1 - leverage, 1e-10)).sum()
-    return press + within
+    return press
 
 
 def size_scores(path, criterion, spread, n_total, press=None):

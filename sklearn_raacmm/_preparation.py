@@ -1,9 +1,58 @@
-"""Weighted data as the network's numerics want them: distinct rows, the tail projected out."""
+"""Weighted data as the network's numerics want them: distinct rows, the tail projected out.
 
+All that the numerics need of the rows is a sum over them, or a triangular factor, which blocks of
+rows contribute to one after another. So they ask a problem to `reduce` a function over blocks, and
+do not know whether the rows are in memory (`Problem`) or elsewhere (`_chunks.ChunkedProblem`).
+"""
+
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import qr
+
+# Numbers in a block of rows: 64 MB.
+BLOCK = 2**23
+
+
+class Block(NamedTuple):
+    """Some rows of a problem."""
+
+    X: np.ndarray  # (m, d) rows as given
+    root: np.ndarray  # (m, 1) root of their weights
+    tail: np.ndarray  # (m, p) polynomial tail times root
+    basis: np.ndarray  # (m, p) the same, orthonormal over all rows
+    targets: np.ndarray  # (m, q) targets times root
+    part: slice  # which of the problem's rows, where it holds them
+
+
+class View(NamedTuple):
+    """Targets as a selection wants to see them."""
+
+    outputs: np.ndarray  # those that vary
+    projection: np.ndarray | None  # (p, q) to project the tail out; None to leave it where it is
+    scale: np.ndarray  # (q,) by which they are divided
+    within: np.ndarray  # (q,) sum of squares in these units that no model can explain
+    total: np.ndarray  # (q,) sum of squares in these units, without the former
+
+    def of(self, block):
+        """Orthonormal basis of the tail, and targets."""
+        targets = block.targets[:, self.outputs]
+        if self.projection is None:
+            return block.basis[:, :0], targets / self.scale
+        return block.basis, (targets - block.basis @ self.projection) / self.scale
+
+
+def view_of(problem, centred=True):
+    """Targets that vary, about the tail and in units of their spread; or as they are."""
+    outputs = np.flatnonzero(problem.spread > 0)
+    scale = problem.spread[outputs] if centred else np.ones(len(outputs))
+    within = problem.within[outputs] / scale**2
+    total = problem.n_total * (problem.spread[outputs] / scale) ** 2 - within
+    projection = problem.projection[:, outputs]
+    if not centred:
+        total += np.square(projection).sum(axis=0)
+    return View(outputs, projection if centred else None, scale, within, total)
 
 
 class Problem(NamedTuple):
@@ -18,21 +67,58 @@ class Problem(NamedTuple):
     tail: np.ndarray  # (n, p) polynomial tail times root
     basis: np.ndarray  # (n, p) orthonormal basis of it
     tail_map: np.ndarray  # (p, d + 1) its coefficients to those of (1, x)
+    projection: np.ndarray  # (p, q) targets along the basis
     spread: np.ndarray  # (q,) root mean square of the targets about the tail, 0 for a constant
 
-    def centred(self):
-        """Targets with the tail projected out, times root, in units of their spread.
+    view = view_of
 
-        Outputs that do not vary about the tail are left out.
+    @property
+    def n_rows(self):
+        return len(self.X)
+
+    @property
+    def n_tail(self):
+        return self.tail.shape[1]
+
+    @property
+    def sample(self):
+        """Rows that stand for all: all."""
+        return self
+
+    def block(self, part):
+        """Some rows."""
+        arrays = self.X, self.root, self.tail, self.basis, self.targets
+        return Block(*(a[part] for a in arrays), part)
+
+    def reduce(self, function, combine, width):
+        """Combine the function of every block of rows, one after another.
+
+        Parameters
+        ----------
+        function : callable
+            Of a `Block`.
+        combine : callable
+            Of two results.
+        width : int
+            Numbers a row that the function holds in memory.
         """
-        varying = self.spread > 0
-        centred = self.targets[:, varying]
-        centred = centred - self.basis @ (self.basis.T @ centred)
-        return centred / self.spread[varying], (self.within[varying] / self.spread[varying] ** 2)
+        size = max(1, BLOCK // max(1, width))
+        starts = range(0, len(self.X), size)
+        return reduce(combine, (function(self.block(slice(i, i + size))) for i in starts))
 
 
-def prepare(X, Y, weights, degree):
-    """Merge repeated rows and set up the polynomial tail.
+class Merged(NamedTuple):
+    """Distinct rows in sorted order."""
+
+    X: np.ndarray  # (n, d)
+    first: np.ndarray  # (n,) where each was first seen
+    weights: np.ndarray  # (n,) summed
+    Y: np.ndarray  # (n, q) weighted means
+    within: np.ndarray  # (n, q) weighted sum of squares about them
+
+
+def merge(X, Y, weights, within=None):
+    """Merge repeated rows, and drop rows without weight.
 
     The result depends on the weighted data alone: not on the order of the rows, and not on whether
     a row is repeated or weighted.
@@ -42,35 +128,59 @@ def prepare(X, Y, weights, degree):
     X : ndarray of shape (n_samples, d)
     Y : ndarray of shape (n_samples, q)
     weights : ndarray of shape (n_samples,)
-        Not negative, not all zero.
-    degree : {-1, 0, 1}
+        Not negative.
+    within : ndarray of shape (n_samples, q), optional
+        Sum of squares lost when rows were merged before.
 
     Returns
     -------
-    Problem
+    Merged
     """
     kept = np.flatnonzero(weights > 0)
     X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
     distinct, first, inverse = np.unique(X, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
     n = len(distinct)
-    summed = np.bincount(inverse, weights=weights, minlength=n)
-    mean = np.column_stack([np.bincount(inverse, weights=weights * y, minlength=n) for y in Y.T])
-    mean /= summed[:, None]
-    within = weights @ np.square(Y - mean[inverse])
 
-    root = np.sqrt(summed)[:, None]
-    tail, tail_map = _polynomial(distinct, summed, degree)
+    def summed(values):
+        return np.bincount(inverse, weights=values, minlength=n)
+
+    total = summed(weights)
+    mean = np.column_stack([summed(weights * y) for y in Y.T]) / total[:, None]
+    about = weights[:, None] * np.square(Y - mean[inverse])
+    if within is not None:
+        about += within[kept]
+    within = np.column_stack([summed(column) for column in about.T])
+    return Merged(distinct, kept[first], total, mean, within)
+
+
+def prepare(merged, degree):
+    """Set up the polynomial tail.
+
+    Parameters
+    ----------
+    merged : Merged
+    degree : {-1, 0, 1}
+
+    Returns
+    -------
+    Problem
+    """
+    X, first, weights, Y, within = merged
+    within = within.sum(axis=0)
+    root = np.sqrt(weights)[:, None]
+    tail, tail_map = _polynomial(X, weights, degree)
     tail = root * tail
     basis = qr(tail, mode="economic", check_finite=False)[0] if tail.size else tail
-    targets = root * mean
-    about = targets - basis @ (basis.T @ targets)
-    n_total = summed.sum()
+    targets = root * Y
+    projection = basis.T @ targets
+    about = targets - basis @ projection
+    n_total = weights.sum()
     spread = np.sqrt((np.square(about).sum(axis=0) + within) / n_total)
     # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * np.abs(mean).max(axis=0)] = 0.0
+    spread[spread <= 1e-13 * np.abs(Y).max(axis=0)] = 0.0
     return Problem(
-        distinct, kept[first], root, n_total, targets, within, tail, basis, tail_map, spread
+        X, first, root, n_total, targets, within, tail, basis, tail_map, projection, spread
     )
 
 
@@ -84,14 +194,23 @@ def _polynomial(X, weights, degree):
     if degree == 0:
         used = np.empty(0, dtype=int)
     else:
-        used = np.flatnonzero(scale > 1e-13 * np.abs(X).max(axis=0))
-        # Features that are combinations of others add nothing to the span.
-        R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
-        size = np.abs(R.diagonal())
-        used = np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
+        used = independent_features(X, center, scale, np.abs(X).max(axis=0))
     tail = np.column_stack([np.ones(n), (X[:, used] - center[used]) / scale[used]])
+    return tail, tail_coefficients(d, used, center, scale)
+
+
+def independent_features(X, center, scale, largest):
+    """Features that vary and are not combinations of others, which add nothing to the span."""
+    used = np.flatnonzero(scale > 1e-13 * largest)
+    R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
+    size = np.abs(R.diagonal())
+    return np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
+
+
+def tail_coefficients(d, used, center, scale):
+    """From coefficients of (1, (x - center) / scale) to those of (1, x), (1 + used, d + 1)."""
     tail_map = np.zeros((1 + len(used), d + 1))
     tail_map[0, 0] = 1.0
     tail_map[1:, 0] = -center[used] / scale[used]
     tail_map[np.arange(1, 1 + len(used)), 1 + used] = 1 / scale[used]
-    return tail, tail_map
+    return tail_map

@@ -35,6 +35,7 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 # Rows of the first stage; rows and iterations of those that follow, and their inducing rows.
 COARSE_ROWS = 300
 FINE = ((1000, 25), (3000, 12), (3000, 12))
+SAMPLE_ROWS = FINE[-1][0]
 INDUCING = 600
 # Nats a target value by which the coarse stage's answer has to be better than noise alone, or the
 # search starts once more: half of the variance explained.
@@ -313,7 +314,7 @@ def tune(
     def draw(size):
         return np.arange(n) if n <= size else np.sort(random_state.permutation(n)[:size])
 
-    most = min(n, FINE[-1][0])
+    most = min(n, SAMPLE_ROWS)
     # The whole process on few rows. Even the nearest of many neighbours is about sqrt(d) standard
     # deviations away, so that starts are in units of it.
     rows = draw(COARSE_ROWS)

@@ -1,5 +1,6 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
+from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
@@ -8,10 +9,18 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_raacmm._candidates import BLOCK, candidate_groups
+from sklearn_raacmm._candidates import Features, candidate_groups
+from sklearn_raacmm._chunks import ArrayChunks, chunked_problem, dask_chunks, is_dask
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
-from sklearn_raacmm._path import leave_one_out, nested_least_squares, penalise, size_scores
-from sklearn_raacmm._preparation import prepare
+from sklearn_raacmm._path import (
+    leave_one_out,
+    nested_least_squares,
+    penalise,
+    size_scores,
+    stack_triangles,
+    triangular_factor,
+)
+from sklearn_raacmm._preparation import merge, prepare
 from sklearn_raacmm._selection import (
     exchange,
     forward_selection,
@@ -25,7 +34,7 @@ from sklearn_raacmm._sklearn import (
     _fit_context,
     one_blas_thread,
 )
-from sklearn_raacmm._tuning import tune
+from sklearn_raacmm._tuning import SAMPLE_ROWS, tune
 from sklearn_raacmm._versioned import VersionedEstimator
 
 # Rows drawn as candidate centres where there are more: their factor fits in memory.
@@ -33,6 +42,8 @@ _MAX_CANDIDATES = 10_000
 # Centres tried where their number is not given. A minimum needs the whole path.
 _MAX_CENTERS = dict.fromkeys(("posterior", "error_reduction", "mse"), 2000)
 _MAX_CENTERS |= dict.fromkeys(("gcv", "loo", "bic"), 500)
+# Data of more rows are read in blocks, and repeated rows not merged.
+IN_MEMORY_ROWS = 100_000
 # Kernel values held at a time while predicting: they stay in a core's cache.
 _CHUNK = 2**18
 # Ratio of ridges up to which outputs see the candidates alike.
@@ -288,24 +299,22 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             If X or y hold NaN or infinity, a weight is negative or all are 0, `length_scale` does
             not fit the features, or fewer distinct rows than `n_centers` are there.
         """
-        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
-        weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
-        width = check_length_scale(self.length_scale, X.shape[1])
         rng = check_random_state(self.random_state)
-        problem = prepare(X, y.reshape(len(y), -1).astype(np.float64), weights, self.degree)
+        problem = self._problem(X, y, sample_weight, rng)
+        width = check_length_scale(self.length_scale, self.n_features_in_)
 
         vars(self).pop("_posterior_", None)
         self.length_scale_, self.alpha_ = self._tune(problem, width, rng)
-        Z = (problem.X - problem.X.mean(axis=0)) / self.length_scale_
-        order, self.stop_reason_ = self._select(problem, Z, rng)
+        shift = problem.X.mean(axis=0)
+        order, self.stop_reason_ = self._select(problem, shift, rng)
+        Z = (problem.X[order] - shift) / self.length_scale_
         definite = KERNELS[self.kernel].positive_definite
-        inner = kernel_matrix(Z[order], Z[order], self.kernel)
-        root = psd_root(inner) if definite else np.eye(len(order))
-        p = problem.tail.shape[1]
-        path = nested_least_squares(
-            self._blocks(problem, Z, order), p, root, self.alpha_, problem.within
-        )
-        k, self.criterion_path_ = self._size(problem, Z, order, path)
+        root = psd_root(kernel_matrix(Z, Z, self.kernel)) if definite else np.eye(len(order))
+        columns = Features(Z, shift, self.length_scale_, self.kernel)
+        p = problem.n_tail
+        R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
+        path = nested_least_squares(R, p, root, self.alpha_, problem.within)
+        k, self.criterion_path_ = self._size(problem, columns, path)
 
         self.n_iter_ = len(order)
         self.centers_ = problem.X[order[:k]]
@@ -331,18 +340,30 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         # One triangle, packed, from which those of all outputs follow.
         size = min(len(path.rows), p + k)
         self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
-        if y.ndim == 1:
+        if self._flat:
             for name in _PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
         return self
 
-    def _blocks(self, problem, Z, order):
-        """Rows of the tail, the centres' columns and the targets, times root weight, in blocks."""
-        size = max(1, BLOCK // max(1, len(order)))
-        for start in range(0, len(Z), size):
-            part = slice(start, start + size)
-            columns = problem.root[part] * kernel_matrix(Z[part], Z[order], self.kernel)
-            yield np.hstack([problem.tail[part], columns, problem.targets[part]])
+    def _problem(self, X, y, sample_weight, rng):
+        """The data, checked: in memory, or in blocks where they are many or elsewhere."""
+        held = max(_MAX_CANDIDATES if self.candidates is None else self.candidates, SAMPLE_ROWS)
+        if is_dask(X):
+            chunks = dask_chunks(X, y, sample_weight)
+            if len(chunks) > IN_MEMORY_ROWS:
+                self.n_features_in_ = X.shape[1]
+                self._flat = y.ndim == 1
+                return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
+            X, y = X.compute(), np.asarray(y)
+            sample_weight = None if sample_weight is None else np.asarray(sample_weight)
+        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        self._flat = y.ndim == 1
+        Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
+        if len(X) <= IN_MEMORY_ROWS:
+            return prepare(merge(X, Y, weights), self.degree)
+        chunks = ArrayChunks(X, Y, weights)
+        return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
 
     def _tune(self, problem, width, rng):
         """Widths, and the ridge of every output, found where they are not given."""
@@ -350,12 +371,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
         if width is not None and alpha is not None:
             return width, alphas
-        targets, within = problem.centred()
+        sample = problem.sample
+        view, rows = sample.view(), sample.block(slice(None))
         tuned = tune(
-            problem.X,
-            targets / problem.root,
-            np.square(problem.root[:, 0]),
-            within,
+            sample.X,
+            view.of(rows)[1] / sample.root,
+            np.square(sample.root[:, 0]),
+            view.within,
             self.kernel,
             length_scale=width,
             isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
@@ -363,7 +385,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             random_state=rng,
         )
         if alpha is None:
-            alphas[problem.spread > 0] = tuned.alpha
+            alphas[view.outputs] = tuned.alpha
         return tuned.length_scale if width is None else width, alphas
 
     def _criterion(self):
@@ -381,9 +403,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             return "posterior" if applies and self.selection == "ols" else "gcv"
         return self.criterion
 
-    def _select(self, problem, Z, rng):
-        """Indices of the centres among the rows of Z, in order, and why there are no more."""
-        n, criterion = len(Z), self._criterion()
+    def _select(self, problem, shift, rng):
+        """Indices of the centres among the problem's rows, in order, and why there are no more."""
+        n, criterion = len(problem.X), self._criterion()
         most = _MAX_CANDIDATES if self.candidates is None else self.candidates
         rows = np.arange(n) if n <= most else np.sort(rng.permutation(n)[:most])
         if criterion is None:
@@ -396,23 +418,19 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         else:
             limit = _MAX_CENTERS[criterion] if self.max_centers is None else self.max_centers
             n_select = min(limit, len(rows))
-        targets, within = problem.centred()
-        basis, score = problem.basis, total_score
-        if not targets.shape[1]:
+        view, score = problem.view(centred=self.selection == "ols"), total_score
+        if not len(view.outputs):
             # Nothing varies: no centre is needed, and any is as good as another.
             return (rows[:n_select], "n_centers") if criterion is None else (rows[:0], "criterion")
+        members, alphas = group_alphas(self.alpha_[view.outputs])
         if self.selection == "newrb":
-            targets, basis = problem.targets[:, problem.spread > 0], problem.basis[:, :0]
-        members, alphas = group_alphas(self.alpha_[problem.spread > 0])
-        if self.selection == "newrb":
-            squared_norms = np.square(targets).sum(axis=0)
-            score = squared_ratio_score(squared_norms[np.concatenate(members)])
+            score = squared_ratio_score(view.total[np.concatenate(members)])
         groups, dof = candidate_groups(
-            Z,
+            problem,
+            view,
             rows,
-            problem.root,
-            basis,
-            targets,
+            shift,
+            self.length_scale_,
             members,
             self.kernel,
             alphas,
@@ -425,7 +443,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             enough = []
             for candidates, of, free in zip(groups, members, dof, strict=True):
                 explained = np.square(candidates.target).sum(axis=0)
-                left = np.square(targets[:, of]).sum(axis=0) + within[of] - explained
+                left = view.total[of] + view.within[of] - explained
                 noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
                 candidates.target = candidates.target / np.sqrt(noise)
                 # Less than half a parameter's worth of function is none.
@@ -439,12 +457,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             "enough": "criterion",
         }
         # With newrb the tail joins only now: together they must not outnumber the rows.
-        room = n - problem.basis.shape[1]
+        room = problem.n_rows - problem.n_tail
         if self.alpha_.min() == 0 and len(indices) > room:
             return rows[indices[:room]], "dependent"
         return rows[indices], stop.get(found.stop, found.stop)
 
-    def _size(self, problem, Z, order, path):
+    def _size(self, problem, columns, path):
         """Number of centres to keep, and the criterion along the path."""
         criterion = self._criterion()
         tried = len(path.dof) - 1
@@ -452,8 +470,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             return tried, np.empty(0)
         press = None
         if criterion == "loo":
-            columns = problem.root * kernel_matrix(Z, Z[order], self.kernel)
-            press = leave_one_out(problem.tail, columns, problem.targets, path, problem.within)
+            function = partial(_press, columns, path)
+            press = problem.reduce(function, np.add, 3 * tried) + problem.within
         scores = size_scores(path, criterion, problem.spread, problem.n_total, press)
         if criterion == "posterior":
             # The forward pass has stopped by it; what is shown is the objective it lowers.
@@ -560,6 +578,15 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
             variance[:, i] += noise[i] * of_weights[id(R)]
         return variance
+
+
+def _triangle(columns, block):
+    """Triangular factor of the tail, the centres' columns and the targets on some rows."""
+    return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
+
+
+def _press(columns, path, block):
+    return leave_one_out(block.tail, columns(block), block.targets, path)
 
 
 def check_length_scale(length_scale, n_features):
