@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -221,3 +222,29 @@ def test_real_tracker(example, capsys, ur10, monkeypatch):
     for inputs in ("pose angles", "all joints, cos and sin"):
         assert len(cells(output, inputs, "RBF network")) == 7
     assert Path("real_tracker.png").read_bytes().startswith(PNG)
+
+
+def test_live_arm(example, capsys, monkeypatch):
+    module = example("plot_live_arm")
+    monkeypatch.setattr(module, "make_single_point", lambda **_: make_single_point(8, 15))
+    module.main(["--seconds", "0.05"])
+    output = capsys.readouterr().out
+    rows = [line.split() for line in output.splitlines()]
+    table = {row[0]: row for row in rows if row and row[0] in ("predict", "ONNX", "C,")}
+    assert ("ONNX" in table) != ("ONNX is left out" in output)
+    assert ("C," in table) != ("C is left out" in output)
+    for row in table.values():
+        assert float(row[-1]) < 1e-12  # mm from what predict says
+        median, slow = map(float, row[-5:-3])
+        assert 0 < median <= slow
+    # Training poses are known, and on the way out of them the model gives up.
+    given_up = re.search(r"stays uncorrected: (\d+)% of that way", output)
+    assert 0 < int(given_up[1]) < 100
+    assert Path("live_arm.png").read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e9"])
+def test_live_arm_refuses_before_the_work(example, capsys, seconds):
+    with pytest.raises(SystemExit, match="2"):
+        example("plot_live_arm").main(["--seconds", seconds])
+    assert "--seconds must be between 0.01 and 3600" in capsys.readouterr().err
