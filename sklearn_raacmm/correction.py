@@ -95,11 +95,12 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         Blocks of neighbouring positions that the check leaves out in turn.
 
     fade : float or "auto", default="auto"
-        Shrink each stage's correction c by ``c^2 / (c^2 + (fade * s)^2)``, with s its posterior
-        standard deviation at this pose, both as lengths of vectors: nearly 1 where the data know c,
-        towards 0 where they do not. 0: not at all. "auto" lets the check decide where it is made,
-        for s supposes independent errors and real ones are not: the strongest fading that costs
-        nothing, to its standard error, at the positions left out; 1 otherwise.
+        Shrink each stage's correction by ``r^2 / (r^2 + (fade * s)^2)``, with s its posterior
+        standard deviation at this pose and r the root mean square of the training residuals, both
+        as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
+        all. "auto" lets the check decide where it is made, for s supposes independent errors and
+        real ones are not: the strongest fading that costs nothing, to its standard error, at the
+        positions left out; 1 otherwise.
 
     cap : float or None, default=0.99
         No correction is longer than this quantile of the lengths of the training residuals. Where
@@ -127,6 +128,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     fade_ : float
         The factor of the standard deviation in use.
+
+    residual_rms_mm_ : float
+        Root mean square length of the training residuals.
 
     cap_mm_ : float
         Longest correction.
@@ -236,11 +240,14 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         codes = check_offsets(first.offsets, y, weights, groups)
         lengths = check_lengths(lengths, weights, codes, groups)
+        kept = weights > 0
+        X, y, weights = X[kept], y[kept], weights[kept]
+        codes = None if codes is None else codes[kept]
         self.check_ = None
         self.use_ = MODELS[-1] if self.use == "auto" else self.use
         self.fade_ = 1.0 if self.fade == "auto" else float(self.fade)
         if groups is not None and self.use != "none" and "auto" in (self.use, self.fade):
-            positions = _encode_groups(groups)[1]
+            positions = np.unique(_encode_groups(groups)[1][kept], return_inverse=True)[1].ravel()
             if positions.max() > 1:
                 self._check(X, y, weights, positions, codes, lengths)
         self._fit(X, y, weights, codes, lengths, self.use_)
@@ -255,12 +262,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if use == MODELS[-1]:
             self._fit_network(X, y, weights, codes, lengths)
         size = np.linalg.norm(y, axis=1)
+        self.residual_rms_mm_ = float(np.sqrt(np.average(np.square(size), weights=weights)))
         self.cap_mm_ = np.inf
         if self.cap is not None:
-            self.cap_mm_ = float(np.quantile(size, self.cap))
+            self.cap_mm_ = _quantile(size, self.cap, weights)
             if codes is not None:
-                own = np.linalg.norm(_faded(self._parts(X, use), 0.0), axis=1)
-                own = _CAP_OF_OFFSETS * float(np.quantile(own, self.cap))
+                own = np.linalg.norm(sum(value for value, _ in self._parts(X, use)), axis=1)
+                own = _CAP_OF_OFFSETS * _quantile(own, self.cap, weights)
                 self.cap_mm_ = max(self.cap_mm_, own)
 
     def _fit_network(self, X, y, weights, codes, lengths):
@@ -307,9 +315,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     def _check(self, X, y, weights, positions, codes, lengths):
         """Mean deviations at positions left out in blocks, by every model and fading."""
         points = self.arm_.forward(X)
-        counts = np.bincount(positions)
-        means = np.stack([np.bincount(positions, p) / counts for p in points.T], axis=1)
-        n_folds = min(self.n_folds, len(counts))
+        total = np.bincount(positions, weights)
+        means = np.stack([np.bincount(positions, weights * p) / total for p in points.T], axis=1)
+        n_folds = min(self.n_folds, len(total))
         blocks = KMeans(n_folds, n_init=4, random_state=0).fit_predict(means)[positions]
         fades = _FADES if self.fade == "auto" else (self.fade_,)
         models = MODELS if self.use == "auto" else ("none", self.use)
@@ -323,11 +331,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             for i, name in enumerate(models):
                 parts = fold._parts(X[test], name)
                 for j, fade in enumerate(fades):
-                    left[i, j, test] -= _capped(_faded(parts, fade), fold.cap_mm_)
-        errors = np.empty((len(models), len(fades), len(counts)))
+                    left[i, j, test] -= fold._guarded(parts, fade)
+        errors = np.empty((len(models), len(fades), len(total)))
         for i, j in np.ndindex(errors.shape[:2]):
             deviation = np.linalg.norm(_centred(left[i, j], weights, codes), axis=1)
-            errors[i, j] = np.bincount(positions, deviation) / counts
+            errors[i, j] = np.bincount(positions, weights * deviation) / total
         # Of fadings as good as the best the strongest.
         best = [e[e.mean(axis=1).argmin()] for e in errors]
         fading = [
@@ -340,7 +348,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         table["fade"] = np.take(fades, fading)
         gains = errors[0] - errors
         table["gain_mm"] = gains.mean(axis=1)
-        table["gain_se_mm"] = gains.std(axis=1, ddof=1) / np.sqrt(len(counts))
+        table["gain_se_mm"] = gains.std(axis=1, ddof=1) / np.sqrt(len(total))
         self.check_ = table
         chosen = 0
         if self.use != "auto":
@@ -379,7 +387,19 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     def _correction(self, X, use):
         parts = self._parts(X, use)
         variance = sum(np.square(std) for _, std in parts)
-        return _capped(_faded(parts, self.fade_), self.cap_mm_), np.sqrt(variance)
+        return self._guarded(parts, self.fade_), np.sqrt(variance)
+
+    def _guarded(self, parts, fade):
+        """Sum of the stages, faded and capped."""
+        total = 0.0
+        for value, std in parts:
+            doubt = np.square(fade * std).sum(axis=1, keepdims=True)
+            # Wiener's factor for errors of this size known to this uncertainty. With the length of
+            # the correction for their size it would not vanish far away, where both grow.
+            size = self.residual_rms_mm_**2
+            total = total + value * (size / np.maximum(size + doubt, 1e-300))
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        return total * np.minimum(1.0, self.cap_mm_ / np.maximum(length, 1e-300))
 
     def _parts(self, X, use):
         """Mean and standard deviation of each stage in use."""
@@ -399,19 +419,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         return tags
 
 
-def _faded(parts, fade):
-    """Sum of the stages' corrections, each shrunk where it is uncertain."""
-    total = 0.0
-    for value, std in parts:
-        size, doubt = (np.square(v).sum(axis=1, keepdims=True) for v in (value, std))
-        total = total + value * (size / np.maximum(size + fade**2 * doubt, 1e-300))
-    return total
-
-
-def _capped(vectors, longest):
-    """Vectors shortened to at most this length."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300))
+def _quantile(values, share, weights):
+    """Least of the values below or at which lies this share of the weights."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(below, share * below[-1] * (1 - 1e-12))]])
 
 
 def _clearly_better(errors, others):

@@ -62,7 +62,7 @@ def test_the_stages_add_up(cones):
         axis=1,
     )
     assert_allclose(model.predict(theta), first + second, atol=1e-12)
-    assert np.square(first + second - truth).sum() < 0.6 * np.square(first - truth).sum()
+    assert np.square(first + second - truth).sum() < 0.7 * np.square(first - truth).sum()
 
 
 def test_it_says_which_model_to_use(cones):
@@ -93,12 +93,29 @@ def test_noise_is_not_corrected(cones):
 def test_no_correction_is_longer_than_the_cap(cones):
     theta, y, _, _ = cones
     model = small(use="harmonics+network", cap=0.5).fit(theta, y)
-    assert model.cap_mm_ == pytest.approx(np.median(np.linalg.norm(y, axis=1)))
+    lengths = np.sort(np.linalg.norm(y, axis=1))
+    assert model.cap_mm_ == lengths[len(lengths) // 2 - 1]
     far = np.random.default_rng(1).uniform(-3, 3, (500, 6))
     for X in (theta, far):
         assert np.linalg.norm(model.predict(X), axis=1).max() <= model.cap_mm_ * (1 + 1e-12)
     free = clone(model).set_params(cap=None).fit(theta, y)
     assert np.linalg.norm(free.predict(far), axis=1).max() > model.cap_mm_
+
+
+def test_weights_are_repeats(cones):
+    """With the check, the cap and the offsets, as scikit-learn's own check has it without."""
+    theta, y, groups, _ = cones
+    y = position_residuals(y, groups)
+    weights = np.random.default_rng(0).integers(0, 3, len(y))
+    repeat = np.repeat(np.arange(len(y)), weights)
+    model = ArmResidualRegressor(ARM, harmonics=JointHarmonicRegressor(n_harmonics=2), n_folds=2)
+    model.set_params(use="harmonics", harmonics__offsets=True)
+    weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
+    repeated = clone(model).fit(theta[repeat], y[repeat], groups=groups[repeat])
+    assert weighted.cap_mm_ == pytest.approx(repeated.cap_mm_, rel=1e-6)
+    for name in weighted.check_.dtype.names[1:]:
+        assert_allclose(weighted.check_[name], repeated.check_[name], rtol=1e-6)
+    assert_allclose(weighted.predict(theta), repeated.predict(theta), atol=1e-7)
 
 
 def test_corrections_fade_away_from_the_data(cones):
@@ -183,7 +200,7 @@ def test_fading_is_that_of_the_formula(cones):
     theta, y, _, _ = cones
     model = small(use="harmonics", fade=3.0, cap=None).fit(theta, y)
     value, std = model.harmonics_.predict(theta, return_std=True)
-    size, doubt = np.square(value).sum(axis=1), np.square(std).sum(axis=1)
+    size, doubt = np.square(y).sum(axis=1).mean(), np.square(std).sum(axis=1)
     assert model.fade_ == 3.0
     assert_allclose(model.predict(theta), value * (size / (size + 9 * doubt))[:, None], atol=1e-12)
 
