@@ -467,8 +467,8 @@ def test_bad_calls_are_refused(data, tmp_path):
         export_c(fitted, path, dtype="float64")
     with pytest.raises(ValueError, match="std must be"):
         export_c(fitted, path, std="yes")
-    with pytest.raises(TypeError, match="nmae"):
-        export_c(fitted, path, nmae="arm")
+    with pytest.raises(TypeError, match="names"):
+        export_c(fitted, path, names="arm")
     with pytest.raises(ValueError, match="regressor at its end"):
         export_c(PoseFeatures(data.arm).fit(data.data), path)
     fitted.coef_[0, 0] = 1e300
