@@ -22,6 +22,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.intersphinx",
     "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # formulas without a network, too
     "numpydoc",
     "myst_parser",
     "sphinx_copybutton",
@@ -45,6 +46,9 @@ nitpick_ignore_regex = [("py:.*", r"metadata_routing"), ("std:.*", r"metadata_ro
 html_theme = "pydata_sphinx_theme"
 html_title = "sklearn_raacmm"
 html_show_sourcelink = False
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
+html_sidebars = {page: [] for page in ("index", "get_started", "benchmarks")}
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,

@@ -108,6 +108,7 @@ def main():
     top_view(right)
     for ax in (left, right):
         ax.set_aspect("equal")
+        ax.set_anchor("N")  # titles at one height
         ax.axis("off")
     path = Path(__file__).parent / "images" / "arm.svg"
     figure.savefig(path, metadata={"Date": None})
