@@ -103,3 +103,32 @@ class GalleryArguments:
     def __repr__(self):
         """Say the same every time, or everything would be built again."""
         return f"GalleryArguments({self.SMALLER})"
+
+
+class GalleryOrder:
+    """Order of the gallery: arms first, then how the method works, then the network by itself."""
+
+    FIRST = (
+        "plot_own_csv",
+        "plot_simulated_arm",
+        "plot_arm_poses",
+        "plot_real_arm",
+        "plot_real_tracker",
+        "plot_compare_regressors",
+        "plot_paper_figures",
+        "plot_periodicity",
+        "plot_ols_path",
+        "plot_grid_search",
+        "plot_live_arm",
+        "plot_rbf_network",
+        "plot_newrb",
+    )
+
+    def __init__(self, source_folder):
+        pass
+
+    def __call__(self, filename):
+        """Key to sort a file by."""
+        stem = Path(filename).stem
+        place = self.FIRST.index(stem) if stem in self.FIRST else len(self.FIRST)
+        return place, stem

@@ -75,7 +75,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "auto_examples",
     "filename_pattern": "/plot_" if have_real_data else "/plot_(?!real)",
     "ignore_pattern": r"(^|/)_",
-    "within_subsection_order": "ExampleTitleSortKey",
+    "within_subsection_order": "_sphinx.GalleryOrder",
     "reset_argv": GalleryArguments(home),
     "doc_module": ("sklearn_raacmm",),
     "backreferences_dir": "generated/backreferences",

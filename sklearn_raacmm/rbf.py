@@ -196,6 +196,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     merged, and rows are sorted, so that neither row order nor writing a row twice instead of
     doubling its weight matters.
 
+    Outputs share widths and centres. Where one waves many times while another waves once, fit one
+    network for each: ``MultiOutputRegressor(RBFNetRegressor())``.
+
     To repeat MATLAB's ``newrb(P, T, goal, spread, MN)`` use ``RBFNetRegressor(MN,
     length_scale=spread / sqrt(2 * log(2)), alpha=0, selection="newrb")``, with
     ``n_centers="auto", max_centers=MN, criterion="mse", tol=goal`` where the goal is to stop it.
