@@ -2,8 +2,8 @@
 
 They are those of Gao et al. (2020), doi 10.1177/1729881420925638: single-point repeatability,
 gauge lengths before and after, and the residuals against the pose. The printed figures are lost in
-every copy at hand, so the layout is our own. One more looks at the poses in space. matplotlib is
-imported when something is drawn.
+every copy at hand, so the layout is our own. Two more look at the poses in space and at the
+harmonics that a model found in the encoders. matplotlib is imported when something is drawn.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -23,12 +23,19 @@ from sklearn_raacmm._drawing import (
     room_for_legend,
     subtract,
 )
+from sklearn_raacmm._harmonic_display import HarmonicDisplay
 from sklearn_raacmm._points import check_points
 from sklearn_raacmm._poses_display import ArmPosesDisplay
 from sklearn_raacmm._residual_display import ResidualDisplay
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 
-__all__ = ["ArmPosesDisplay", "LengthErrorDisplay", "RepeatabilityDisplay", "ResidualDisplay"]
+__all__ = [
+    "ArmPosesDisplay",
+    "HarmonicDisplay",
+    "LengthErrorDisplay",
+    "RepeatabilityDisplay",
+    "ResidualDisplay",
+]
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 

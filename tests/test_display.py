@@ -5,13 +5,15 @@ import sys
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression
 
-from sklearn_raacmm import Arm
+from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.display import (
     ArmPosesDisplay,
+    HarmonicDisplay,
     LengthErrorDisplay,
     RepeatabilityDisplay,
     ResidualDisplay,
@@ -315,3 +317,36 @@ def test_matplotlib_is_imported_when_something_is_drawn():
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert run.stdout.strip() == "Displays need matplotlib: pip install matplotlib.", run.stderr
+
+
+def test_harmonics_are_drawn_joint_by_joint():
+    """Bars against a simulation of the coefficients' own distribution."""
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-2, 2, (300, 6))
+    error = np.zeros_like(theta)
+    error[:, 1] = 6 * np.cos(theta[:, 1] - 0.5)
+    error[:, 3] = 4 * np.sin(17 * theta[:, 3])
+    y = np.einsum("nij,nj->ni", arm.jacobian(theta), error * np.pi / 180 / 3600)
+    y += rng.normal(scale=0.003, size=y.shape)
+    first = JointHarmonicRegressor(arm, gravity=False, kinematics=False, wobble=False)
+    whole = ArmResidualRegressor(arm, harmonics=first, use="harmonics").fit(theta, y)
+    display = HarmonicDisplay.from_estimator(whole)
+    table = whole.harmonics_.harmonics_
+    size = (len(table), 100_000)
+    cos, sin = (
+        rng.normal(table[f"{part}_arcsec"][:, None], table[f"{part}_sd_arcsec"][:, None], size)
+        for part in ("cos", "sin")
+    )
+    assert_allclose(display.amplitude_sd, np.hypot(cos, sin).std(axis=1), rtol=0.02)
+    phase = np.rad2deg(np.arctan2(sin, cos))
+    phase = (phase - table["phase_deg"][:, None] + 180) % 360 - 180
+    assert_allclose(display.phase_sd, phase.std(axis=1), rtol=0.02)
+    drawn = [len(ax.containers) for ax in display.axes_[:, 0]]
+    assert drawn == [0, 1, 0, 1, 0, 0]
+    points = display.axes_[3, 1].containers[0].lines[0].get_xydata()
+    fourth = table[table["joint"] == 4]
+    assert_allclose(points, np.column_stack([fourth["order"], fourth["phase_deg"]]))
+    assert HarmonicDisplay.from_estimator(whole.harmonics_).n_joints == 6
+    with pytest.raises(TypeError, match="got LinearRegression"):
+        HarmonicDisplay.from_estimator(LinearRegression().fit(theta, y))
