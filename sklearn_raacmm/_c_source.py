@@ -6,10 +6,14 @@
 import hashlib
 from typing import NamedTuple
 
+import numpy as np
+
 import sklearn_raacmm
-from sklearn_raacmm import _c_steps
+from sklearn_raacmm import _c_arm, _c_steps
 from sklearn_raacmm._c_text import Numbers, comment_text
 from sklearn_raacmm._chain import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
+from sklearn_raacmm.correction import ArmResidualRegressor
+from sklearn_raacmm.harmonics import JointHarmonicRegressor
 from sklearn_raacmm.pose import PoseFeatures
 from sklearn_raacmm.rbf import RBFNetRegressor
 from sklearn_raacmm.target import CylindricalResidualTarget
@@ -82,11 +86,42 @@ class _Writer:
             self._load()
             text, self.n_outputs = _c_steps.linear(self.numbers, step, self.size)
             self._put(text, "linear(x, y);", type(step).__name__)
+        elif isinstance(step, JointHarmonicRegressor | ArmResidualRegressor):
+            self._of_angles(path, step)
         else:
             raise ValueError(
                 f"{path} is a {type(step).__name__}, which cannot be exported: only {KNOWN} and "
                 "pipelines of these can."
             )
+
+    def _of_angles(self, path, step):
+        if self.loaded:
+            raise ValueError(
+                f"{path} comes after another transformer, which cannot be exported: it has to see "
+                "the joint angles."
+            )
+        self.n_outputs = 3
+        if isinstance(step, JointHarmonicRegressor):
+            text = _c_arm.error_model(self.numbers, step, self.std)
+            about = f"JointHarmonicRegressor: {len(step.coef_)} terms"
+            self._put(text, f"error_model(arm, y{self._v});", about)
+            return
+        # How much a stage is trusted depends on its standard deviation.
+        doubted = self.std or step.fade_ > 0
+        stages = ["none", "harmonics", "harmonics+network"].index(step.use_)
+        if stages > 0:
+            self.parts.append(_c_arm.error_model(self.numbers, step.harmonics_, doubted))
+        if stages > 1:
+            if step.features == "pose":
+                pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
+                self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
+            self.parts.append(_c_steps.azimuth_direction(self.numbers))
+            self.parts.append(_c_steps.network(self.numbers, step.network_, doubted, False)[0])
+            self.parts.append(_c_steps.rotation(self.numbers, doubted))
+        text = _c_arm.guarded_sum(self.numbers, step, self.std)
+        self._put(text, f"guarded_sum(arm, y{self._v});", f"ArmResidualRegressor: {step.use_}")
+        # A pose without features has no correction at all.
+        self.statements += [f"valid = all_finite(y, {self.n_outputs}) && valid;"]
 
     @property
     def _v(self):
@@ -127,7 +162,7 @@ class _Writer:
         """The function that calls all others."""
         real, q = self.numbers.real, self.n_outputs
         arm = "struct arm_state *arm, " if self.arm is not None else ""
-        lines = [f"{real} x[{self.x_size}];"]
+        lines = [f"{real} x[{self.x_size}];"] if self.loaded else []
         if any("cs" in statement for statement in self.statements):
             lines.append(f"{real} cs[2];")
         lines.append(f"int valid = all_finite(input, {self.n_inputs});")

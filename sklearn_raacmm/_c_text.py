@@ -51,13 +51,13 @@ class Numbers:
 
     def __init__(self, dtype):
         self.real = dtype
-        self._type = np.float64 if dtype == "double" else np.float32
+        self.literal_type = np.float64 if dtype == "double" else np.float32
         self.suffix = "" if dtype == "double" else "f"
 
     def literal(self, value):
         """One number."""
         with np.errstate(over="ignore"):
-            number = self._type(value)
+            number = self.literal_type(value)
         if not np.isfinite(number):
             raise ValueError(
                 f"The model holds {float(value):g}, which is not a finite {self.real}: it cannot "

@@ -115,4 +115,5 @@ def n_outputs(network):
 
 
 _KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, RBFNetRegressor, *LINEAR)
-KNOWN = ", ".join(known.__name__ for known in _KNOWN)
+KNOWN = ", ".join([known.__name__ for known in _KNOWN])
+KNOWN += ", JointHarmonicRegressor, ArmResidualRegressor"

@@ -49,7 +49,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         Fitted. A pipeline, in either of the two forms of :class:`CylindricalResidualTarget`, of
         :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler or
         RobustScaler, and :class:`RBFNetRegressor`, LinearRegression or Ridge; or one of these
-        regressors by itself.
+        regressors, :class:`JointHarmonicRegressor` or :class:`ArmResidualRegressor` by itself.
 
     path : str or path-like
         The C file, ending in ".c"; the header beside it ends in ".h". Both are written beside
@@ -77,7 +77,8 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
 
     std : bool, default=False
         Also write the standard deviation, by which the caller can tell poses that the model knows
-        from those it does not. Its tables grow with the square of the number of centres.
+        from those it does not. Its tables grow with the square of the number of centres (or terms);
+        those of an :class:`ArmResidualRegressor` that fades are there in any case.
 
     card : ModelCard or str, default=None
         Facts to repeat in the comment at the top, see :func:`describe`. Characters other than

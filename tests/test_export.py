@@ -21,7 +21,16 @@ from sklearn.preprocessing import (
     StandardScaler,
 )
 
-from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+    _arm_terms,
+)
+from sklearn_raacmm._arm_terms import term_columns
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import export_c, fingerprint
@@ -298,15 +307,19 @@ def test_a_direction_that_is_given_is_checked(build):
 
 @pytest.mark.parametrize("compiler", COMPILERS or ["none"])
 def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
-    model = form_b(data.arm).fit(data.data, data.target)
-    X = angles_everywhere(6)
+    first = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False)
+    both = ArmResidualRegressor(data.arm, harmonics=first, network=network(degree=-1))
+    X = angles_everywhere(6, 100)
     # C++ has its own rules on constants and names; the functions keep their C names.
-    plus = build(model, compiler, ["-x", "c++", *STRICT], std=True)
-    np.testing.assert_allclose(plus("correct", X, 3), model.predict(X), rtol=0, atol=1e-12)
+    strict = ["-x", "c++", *STRICT]
     trapping = ["-std=c99", *STRICT, "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
-    call = build(model, compiler, trapping, std=True)
-    call("correct_std", np.concatenate([X, [[np.nan] * 6]]), 3, n_results=2)
-    call("point", X, 3)
+    for model in (form_b(data.arm), both):
+        model.fit(data.data, data.target)
+        for flags in (strict, trapping):
+            call = build(model, compiler, flags, std=True)
+            np.testing.assert_allclose(call("correct", X, 3), model.predict(X), rtol=0, atol=1e-11)
+            call("correct_std", np.concatenate([X, [[np.nan] * 6]]), 3, n_results=2)
+            call("point", X, 3)
 
 
 def test_two_models_in_one_program(build, data, tmp_path):
@@ -475,3 +488,83 @@ def test_bad_calls_are_refused(data, tmp_path):
     with pytest.raises(ValueError, match=r"1e\+300.*not a finite float"):
         export_c(fitted, path, dtype="float")
     assert not path.exists()
+
+
+# -- the arm's own error model --------------------------------------------------------------------
+
+
+def harmonics(arm, **params):
+    return JointHarmonicRegressor(arm, **{"n_harmonics": 5, **params})
+
+
+def agree(call, model, X, with_std=True):
+    """Compare with predict to a share of the terms' size: coefficients may nearly cancel."""
+    mean, std = model.predict(X, return_std=True)
+    first = getattr(model, "harmonics_", model)
+    first = first if hasattr(first, "coef_") else model
+    terms = np.abs(term_columns(first.arm_, X, first._terms())) @ np.abs(first.coef_)
+    atol = 1e-12 + 1e-13 * terms.max()
+    np.testing.assert_allclose(call("correct", X, 3), mean, rtol=0, atol=atol)
+    points = first.arm_.forward(X) - mean
+    np.testing.assert_allclose(call("point", X, 3), points, rtol=0, atol=5e-12 + atol)
+    if with_std:
+        got_mean, got_std = call("correct_std", X, 3, n_results=2)
+        np.testing.assert_allclose(got_mean, mean, rtol=0, atol=atol)
+        np.testing.assert_allclose(got_std, std, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "panda"])
+@pytest.mark.parametrize("families", ["gravity", "kinematics", "wobble", ""])
+def test_joint_harmonics(build, name, families):
+    arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3)
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (150, arm.n_joints))
+    # Of which a model of each family makes something.
+    y = np.stack([np.sin(X[:, 1]), np.cos(2 * X[:, 2]), np.sin(X[:, 3])], axis=1) * 0.05
+    of = {family: family in families for family in ("gravity", "kinematics", "wobble")}
+    model = harmonics(arm, **of).fit(X, y)
+    assert np.ptp(model.predict(X), axis=0).min() > 1e-3
+    agree(build(model, std=True), model, np.concatenate([X[:20], angles_everywhere(len(X[0]), 50)]))
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"features": "pose", "use": "harmonics+network", "fade": 1.0},
+        {"features": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
+        {"features": "all", "use": "harmonics+network", "fade": 0.0, "cap": None},
+        {"use": "harmonics", "fade": 2.0},
+        {"use": "none"},
+    ],
+    ids=str,
+)
+def test_arm_residuals(build, data, params):
+    arm = data.arm
+    first = harmonics(arm, gravity=False, n_harmonics=2)
+    model = ArmResidualRegressor(arm, harmonics=first, network=network(degree=-1), **params)
+    model.fit(data.data, data.target)
+    X = np.concatenate([data.data, angles_everywhere(6, 100)])
+    agree(build(model, std=True), model, X)
+    agree(build(model), model, X, with_std=False)
+    bad = np.tile(data.data[:1], (6, 1))
+    bad[np.arange(6), np.arange(6)] = np.nan
+    assert np.isnan(build(model)("correct", bad, 3)).all()
+
+
+def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):
+    model = CylindricalResidualTarget(
+        harmonics(data.arm, gravity=False, wobble=False), azimuth=data.arm.azimuth
+    ).fit(data.data, data.target)
+    got = build(model)("correct", data.data, 3)
+    np.testing.assert_allclose(got, model.predict(data.data), rtol=0, atol=1e-12)
+    behind = make_pipeline(StandardScaler(), harmonics(data.arm, gravity=False))
+    with pytest.raises(ValueError, match=r"jointharmonicregressor comes after another transformer"):
+        build(behind.fit(data.data, data.target))
+
+
+def test_columns_that_are_not_known_are_refused(data, tmp_path, monkeypatch):
+    model = harmonics(data.arm, gravity=False, wobble=False).fit(data.data, data.target)
+    known = _arm_terms._kinematics
+    monkeypatch.setattr(_arm_terms, "_kinematics", lambda *a: 1.001 * known(*a))
+    with pytest.raises(RuntimeError, match="does not know all columns"):
+        export_c(model, tmp_path / "arm.c")
