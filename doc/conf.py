@@ -81,6 +81,7 @@ sphinx_gallery_conf = {
     "backreferences_dir": "generated/backreferences",
     "remove_config_comments": True,
     "show_memory": False,
+    "default_thumb_file": str(DOC / "images" / "paper_residuals.png"),
     "download_all_examples": False,
     "show_signature": False,
     "min_reported_time": 1,
