@@ -4,12 +4,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_raacmm._arm_checks import show
+from sklearn_raacmm._files import write_whole
 
 _FORMAT = "sklearn_raacmm.Arm"
 _FORMAT_VERSION = 1
@@ -91,11 +91,5 @@ def write_json(arm, path):
         content[key] = value.tolist() if isinstance(value, np.ndarray) else value
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     if path is not None:
-        path = Path(path).resolve()
-        beside = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-        try:
-            beside.write_text(text, encoding="utf-8")
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
+        write_whole({path: text})
     return text
