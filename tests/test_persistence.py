@@ -118,8 +118,9 @@ def interpreters():
 
 
 LOAD = """
-import sys, warnings, joblib, numpy as np
+import sys, warnings, joblib, numpy as np, sklearn.exceptions
 warnings.simplefilter("error")
+warnings.simplefilter("ignore", sklearn.exceptions.InconsistentVersionWarning)
 X = np.load(sys.argv[1])
 predicted = {name: model.predict(X) for name, model in joblib.load(sys.argv[2]).items()}
 np.savez(sys.argv[3], **predicted)
