@@ -1,5 +1,6 @@
 """Residual correction for articulated arm coordinate measuring machines."""
 
+from sklearn_raacmm._planning import next_poses
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction import ArmResidualRegressor
@@ -26,5 +27,6 @@ __all__ = [
     "calibrate",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
+    "next_poses",
     "position_residuals",
 ]
