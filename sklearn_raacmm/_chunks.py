@@ -205,7 +205,7 @@ def _join(one, other, seed, size):
     step = other.mean - one.mean
     scatter = one.scatter + other.scatter + one.weight * share * np.outer(step, step)
     both = Merged(*(np.concatenate(pair) for pair in zip(one.sample, other.sample, strict=True)))
-    joined = merge(both.X, both.Y, both.weights, both.within)
+    joined = merge(both.X, both.Y, both.weights, both.within, both.count)
     joined = joined._replace(first=both.first[joined.first])
     sample, complete = _cut(joined, seed, size)
     return _Summary(
@@ -226,10 +226,11 @@ class _Tail(NamedTuple):
     center: np.ndarray
     scale: np.ndarray
     root: np.ndarray  # (p, p) triangular factor of the tail on all rows
+    unit: float  # of weights
 
     def block(self, X, Y, weights):
         kept = weights > 0
-        X, Y, root = X[kept] + 0.0, Y[kept], np.sqrt(weights[kept])[:, None]
+        X, Y, root = X[kept] + 0.0, Y[kept], np.sqrt(weights[kept] / self.unit)[:, None]
         if self.used is None:
             tail = np.empty((len(X), 0))
         else:
@@ -252,6 +253,7 @@ class ChunkedProblem(NamedTuple):
     first: np.ndarray
     sample: Problem  # the same rows by themselves
     n_rows: int  # more than the sample has
+    unit: float
     n_total: float
     within: np.ndarray  # nothing: repeated rows are not merged
     tail_map: np.ndarray
@@ -290,14 +292,22 @@ def chunked_problem(chunks, n_features, degree, size, seed):
     -------
     ChunkedProblem or Problem
         The latter where the sample holds all rows.
+
+    Raises
+    ------
+    ValueError
+        If every weight is 0.
     """
     options = {"seed": np.uint64(seed), "size": size}
     width = 4 * n_features
     summary = chunks.reduce(partial(_summarise, **options), partial(_join, **options), width)
+    if not summary.n_rows:
+        raise ValueError("Sample weights must contain at least one non-zero number.")
     d, q = n_features, len(summary.mean) - n_features
     if summary.complete:
         return prepare(summary.sample, degree)
-    weight, mean, scatter = summary.weight, summary.mean, summary.scatter
+    weight, mean, unit = summary.n_rows, summary.mean, summary.weight / summary.n_rows
+    scatter = summary.scatter / unit
     center, scale = mean[:d], np.sqrt(scatter.diagonal()[:d] / weight)
     tail_map, used, root = np.empty((0, d + 1)), None, np.empty((0, 0))
     projection, total = np.empty((0, q)), scatter.diagonal()[d:] + weight * mean[d:] ** 2
@@ -318,13 +328,14 @@ def chunked_problem(chunks, n_features, degree, size, seed):
     spread = np.sqrt(np.maximum(total, 0.0) / weight)
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * summary.largest[d:]] = 0.0
-    tail = _Tail(used, center, scale, root)
+    tail = _Tail(used, center, scale, root, unit)
     sample = prepare(summary.sample, degree)
     return ChunkedProblem(
         sample.X,
         sample.first,
         sample,
         summary.n_rows,
+        unit,
         weight,
         np.zeros(q),
         tail_map,

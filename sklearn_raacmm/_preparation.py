@@ -60,8 +60,9 @@ class Problem(NamedTuple):
 
     X: np.ndarray  # (n, d) rows as given
     first: np.ndarray  # (n,) where each was first seen
-    root: np.ndarray  # (n, 1) root of the summed weights
-    n_total: float  # sum of the weights, the number of observations
+    root: np.ndarray  # (n, 1) root of the weights, in units of `unit`
+    unit: float  # mean weight of an observation
+    n_total: float  # number of observations, the sum of the weights in these units
     targets: np.ndarray  # (n, q) mean targets times root
     within: np.ndarray  # (q,) sum of squares lost by taking means
     tail: np.ndarray  # (n, p) polynomial tail times root
@@ -115,13 +116,15 @@ class Merged(NamedTuple):
     weights: np.ndarray  # (n,) summed
     Y: np.ndarray  # (n, q) weighted means
     within: np.ndarray  # (n, q) weighted sum of squares about them
+    count: np.ndarray  # (n,) observations: rows of the same X that differ in Y
 
 
-def merge(X, Y, weights, within=None):
+def merge(X, Y, weights, within=None, count=None):
     """Merge repeated rows, and drop rows without weight.
 
     The result depends on the weighted data alone: not on the order of the rows, and not on whether
-    a row is repeated or weighted.
+    a row is repeated or weighted. A row that says again what another has said, target and all, adds
+    weight but is not a further observation: that both have the same noise shows nothing of it.
 
     Parameters
     ----------
@@ -131,6 +134,8 @@ def merge(X, Y, weights, within=None):
         Not negative.
     within : ndarray of shape (n_samples, q), optional
         Sum of squares lost when rows were merged before.
+    count : ndarray of shape (n_samples,), optional
+        Observations that were merged into a row before.
 
     Returns
     -------
@@ -151,7 +156,16 @@ def merge(X, Y, weights, within=None):
     if within is not None:
         about += within[kept]
     within = np.column_stack([summed(column) for column in about.T])
-    return Merged(distinct, kept[first], total, mean, within)
+    if count is None:
+        observed = np.ones(n)
+        several = np.flatnonzero((np.bincount(inverse, minlength=n) > 1)[inverse])
+        if len(several):
+            pairs = np.unique(np.column_stack([inverse[several], Y[several]]), axis=0)[:, 0]
+            observed = np.maximum(np.bincount(pairs.astype(np.intp), minlength=n), 1.0)
+    else:
+        alike = np.all(within == 0.0, axis=1)
+        observed = np.where(alike, 1.0, summed(count[kept]))
+    return Merged(distinct, kept[first], total, mean, within, observed)
 
 
 def prepare(merged, degree):
@@ -166,8 +180,10 @@ def prepare(merged, degree):
     -------
     Problem
     """
-    X, first, weights, Y, within = merged
-    within = within.sum(axis=0)
+    X, first, weights, Y, within, count = merged
+    n_total = count.sum()
+    unit = weights.sum() / n_total
+    weights, within = weights / unit, within.sum(axis=0) / unit
     root = np.sqrt(weights)[:, None]
     tail, tail_map = _polynomial(X, weights, degree)
     tail = root * tail
@@ -175,12 +191,11 @@ def prepare(merged, degree):
     targets = root * Y
     projection = basis.T @ targets
     about = targets - basis @ projection
-    n_total = weights.sum()
     spread = np.sqrt((np.square(about).sum(axis=0) + within) / n_total)
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * np.abs(Y).max(axis=0)] = 0.0
     return Problem(
-        X, first, root, n_total, targets, within, tail, basis, tail_map, projection, spread
+        X, first, root, unit, n_total, targets, within, tail, basis, tail_map, projection, spread
     )
 
 

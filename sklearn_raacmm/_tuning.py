@@ -63,7 +63,7 @@ def negative_log_likelihood(Z, X, Y, weights, n_total, within, kernel, log_width
         Targets without their polynomial tail.
     weights : ndarray of shape (n,)
     n_total : float
-        Number of observations, the sum of the weights.
+        Number of observations, the sum of their weights.
     within : ndarray of shape (q,)
         Sum of squares that merging repeated rows took out of Y.
     kernel : str
@@ -134,14 +134,13 @@ def leave_one_out_error(X, Y, weights, kernel, log_width, log_alpha):
     if KERNELS[kernel].positive_definite:
         A = blas.dtrsm(1.0, _root(K), A.T, side=1, lower=1, trans_a=1).T
     Yw = root[:, None] * Y
-    values, vectors = np.linalg.eigh(A @ A.T)
-    rotated = vectors.T @ A
+    values, vectors = np.linalg.eigh(A.T @ A)
     error = 0.0
     for i, alpha in enumerate(np.exp(log_alpha)):
-        inverse = 1 / (np.maximum(values, 0.0) + alpha)
-        residual = Yw[:, i] - rotated.T @ (inverse * (rotated @ Yw[:, i]))
-        leverage = inverse @ np.square(rotated)
-        error += np.sum(np.square(residual / np.maximum(1 - leverage, 1e-10)))
+        # Both as parts of what the smoother leaves, lest they be differences of near equals.
+        left = alpha / (np.maximum(values, 0.0) + alpha)
+        residual = vectors @ (left * (vectors.T @ Yw[:, i]))
+        error += np.sum(np.square(residual / (np.square(vectors) @ left)))
     return error
 
 

@@ -307,17 +307,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         width = check_length_scale(self.length_scale, self.n_features_in_)
 
         vars(self).pop("_posterior_", None)
-        self.length_scale_, self.alpha_ = self._tune(problem, width, rng)
+        self.length_scale_, alpha = self._tune(problem, width, rng)
         shift = problem.X.mean(axis=0)
-        order, self.stop_reason_ = self._select(problem, shift, rng)
+        order, self.stop_reason_ = self._select(problem, alpha, shift, rng)
         Z = (problem.X[order] - shift) / self.length_scale_
         definite = KERNELS[self.kernel].positive_definite
         root = psd_root(kernel_matrix(Z, Z, self.kernel)) if definite else np.eye(len(order))
         columns = Features(Z, shift, self.length_scale_, self.kernel)
         p = problem.n_tail
         R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
-        path = nested_least_squares(R, p, root, self.alpha_, problem.within)
-        k, self.criterion_path_ = self._size(problem, columns, path)
+        path = nested_least_squares(R, p, root, alpha, problem.within)
+        k, self.criterion_path_ = self._size(problem, alpha, columns, path)
 
         self.n_iter_ = len(order)
         self.centers_ = problem.X[order[:k]]
@@ -333,13 +333,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             polynomial[1:].T,
         )
         # The likelihood's estimates; without a ridge the residual and the targets' own variance.
-        ridged = self.alpha_ > 0
+        ridged = alpha > 0
         plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
         noise = np.where(ridged, path.objective[k] / max(problem.n_total - p, 1), plain)
-        signal = noise / np.where(ridged, self.alpha_, 1.0)
+        signal = noise / np.where(ridged, alpha, 1.0)
         self.noise_variance_ = noise
         self.signal_variance_ = np.where(ridged, signal, problem.spread**2)
-        self._tail_map = problem.tail_map
+        self.alpha_ = alpha * problem.unit
+        self._weight_unit, self._tail_map = problem.unit, problem.tail_map
         # One triangle, packed, from which those of all outputs follow.
         size = min(len(path.rows), p + k)
         self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
@@ -369,8 +370,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
 
     def _tune(self, problem, width, rng):
-        """Widths, and the ridge of every output, found where they are not given."""
-        alpha = None if isinstance(self.alpha, str) else float(self.alpha)
+        """Widths, and the ridge of every output in the problem's units, found where not given."""
+        alpha = None if isinstance(self.alpha, str) else float(self.alpha) / problem.unit
         alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
         if width is not None and alpha is not None:
             return width, alphas
@@ -384,18 +385,18 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             self.kernel,
             length_scale=width,
             isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
-            alpha=alpha,
+            alpha=None if alpha is None else alpha * problem.unit / sample.unit,
             random_state=rng,
         )
         if alpha is None:
-            alphas[view.outputs] = tuned.alpha
+            alphas[view.outputs] = tuned.alpha * sample.unit / problem.unit
         return tuned.length_scale if width is None else width, alphas
 
-    def _criterion(self):
+    def _criterion(self, alpha):
         """Name of the criterion in force; None where the number of centres is given."""
         if self.n_centers not in ("auto", None):
             return None
-        applies = np.all(self.alpha_ > 0) and KERNELS[self.kernel].positive_definite
+        applies = np.all(alpha > 0) and KERNELS[self.kernel].positive_definite
         if self.criterion == "posterior" and not (applies and self.selection == "ols"):
             raise ValueError(
                 'criterion="posterior" needs a positive definite kernel, alpha > 0 and '
@@ -406,9 +407,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             return "posterior" if applies and self.selection == "ols" else "gcv"
         return self.criterion
 
-    def _select(self, problem, shift, rng):
+    def _select(self, problem, alpha, shift, rng):
         """Indices of the centres among the problem's rows, in order, and why there are no more."""
-        n, criterion = len(problem.X), self._criterion()
+        n, criterion = len(problem.X), self._criterion(alpha)
         most = _MAX_CANDIDATES if self.candidates is None else self.candidates
         rows = np.arange(n) if n <= most else np.sort(rng.permutation(n)[:most])
         if criterion is None:
@@ -425,7 +426,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         if not len(view.outputs):
             # Nothing varies: no centre is needed, and any is as good as another.
             return (rows[:n_select], "n_centers") if criterion is None else (rows[:0], "criterion")
-        members, alphas = group_alphas(self.alpha_[view.outputs])
+        members, alphas = group_alphas(alpha[view.outputs])
         if self.selection == "newrb":
             score = squared_ratio_score(view.total[np.concatenate(members)])
         groups, dof = candidate_groups(
@@ -461,13 +462,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         }
         # With newrb the tail joins only now: together they must not outnumber the rows.
         room = problem.n_rows - problem.n_tail
-        if self.alpha_.min() == 0 and len(indices) > room:
+        if alpha.min() == 0 and len(indices) > room:
             return rows[indices[:room]], "dependent"
         return rows[indices], stop.get(found.stop, found.stop)
 
-    def _size(self, problem, columns, path):
+    def _size(self, problem, alpha, columns, path):
         """Number of centres to keep, and the criterion along the path."""
-        criterion = self._criterion()
+        criterion = self._criterion(alpha)
         tried = len(path.dof) - 1
         if criterion is None or tried == 0:
             return tried, np.empty(0)
@@ -554,7 +555,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             )
             rows = np.zeros((size, p + k))
             rows[np.triu_indices(size, m=p + k)] = self._rows
-            alphas = np.atleast_1d(self.alpha_)
+            alphas = np.atleast_1d(self.alpha_) / self._weight_unit
             triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(alphas)}
             self._posterior_ = outside, [triangles[a] for a in alphas]
         return self._posterior_

@@ -492,3 +492,36 @@ def test_a_centre_at_every_row_leaves_room_for_the_constant(selection):
     assert len(model.centers_) == 9
     assert model.stop_reason_ == "dependent"
     np.testing.assert_allclose(model.predict(X), y, atol=1e-8)
+
+
+def test_only_the_ratios_of_the_weights_matter():
+    X, y, f = smooth(150, seed=3)
+    weights = np.random.default_rng(0).uniform(0.5, 2, 150)
+    one = RBFNetRegressor(random_state=0).fit(X, y, sample_weight=weights)
+    mean, std = one.predict(X, return_std=True)
+    for factor in (1e-6, 3.0, 1e6):
+        other = RBFNetRegressor(random_state=0).fit(X, y, sample_weight=factor * weights)
+        np.testing.assert_array_equal(other.center_indices_, one.center_indices_)
+        scaled = other.predict(X, return_std=True)
+        np.testing.assert_allclose(scaled, (mean, std), rtol=1e-6)
+        assert other.alpha_ == pytest.approx(factor * one.alpha_, rel=1e-6)
+
+
+@pytest.mark.parametrize("what", ["twice", "drawn with replacement"])
+def test_a_row_that_is_there_twice_does_not_show_that_there_is_no_noise(what):
+    X, y, f = smooth(200, seed=4, noise=0.2)
+    rng = np.random.default_rng(0)
+    rows = np.tile(np.arange(200), 2) if what == "twice" else rng.integers(0, 200, 200)
+    model = RBFNetRegressor(random_state=0).fit(X[rows], y[rows])
+    assert np.sqrt(model.noise_variance_) == pytest.approx(0.2, rel=0.2)
+    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < 0.1
+
+
+def test_replicates_that_differ_show_the_noise():
+    # Five measurements at each of 15 places: the variance within places is an estimate of its own.
+    X, _, f = smooth(15, seed=5)
+    X, f = np.repeat(X, 5, axis=0), np.repeat(f, 5)
+    y = f + 0.3 * np.random.default_rng(0).standard_normal(75)
+    within = y.reshape(15, 5).var(axis=1, ddof=1).mean()
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    assert model.noise_variance_ == pytest.approx(within, rel=0.3)
