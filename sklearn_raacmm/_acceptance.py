@@ -3,6 +3,7 @@
 import numpy as np
 
 from sklearn_raacmm import _spheres
+from sklearn_raacmm._input import floats, refuse_huge, refuse_masked
 from sklearn_raacmm._points import check_groups, check_option, check_points, group_means
 
 
@@ -37,6 +38,7 @@ def gauge_lengths(points, groups, pairs):
     """
     points = check_points(points, n_coordinates=3)
     labels, position = check_groups(groups, len(points))
+    refuse_masked("pairs", pairs)
     pairs = np.asarray(pairs)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
         raise ValueError(f"pairs has shape {pairs.shape}; (n_lengths, 2) is needed.")
@@ -217,7 +219,7 @@ def articulated_location_error(points, groups=None):
 
 
 def _check_lengths(name, lengths):
-    lengths = np.atleast_1d(np.asarray(lengths, dtype=np.float64))
+    lengths = np.atleast_1d(floats(name, lengths))
     if lengths.ndim != 1 or not len(lengths):
         raise ValueError(f"{name} has shape {lengths.shape}; one value per length is needed.")
     bad = ~(np.isfinite(lengths) & (lengths > 0))
@@ -226,4 +228,5 @@ def _check_lengths(name, lengths):
             f"{name} holds {bad.sum()} of {len(bad)} values that are not positive lengths "
             f"(the first: {lengths[bad][0]})."
         )
+    refuse_huge(name, lengths)
     return lengths

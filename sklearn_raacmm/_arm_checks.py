@@ -7,32 +7,12 @@ import warnings
 
 import numpy as np
 
+from sklearn_raacmm._input import floats, show
+
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
-
-
-def show(value, limit=60):
-    """Representation of a value, short enough for a sentence."""
-    text = repr(value)
-    return text if len(text) <= limit else text[:limit] + "..."
-
-
-def floats(name, value):
-    """Numbers as float64."""
-    try:
-        array = np.asarray(value)
-        # Strings and booleans convert, but nobody means them; complex numbers lose a part.
-        if array.dtype.kind in "iuf":
-            return array.astype(np.float64, copy=False)
-        if array.dtype.kind == "O" and not any(
-            x is None or isinstance(x, str | bool) for x in array.flat
-        ):
-            return array.astype(np.float64)
-    except (TypeError, ValueError):
-        pass
-    raise ValueError(f"{name} must hold numbers, got {show(value)}.")
 
 
 def numbers(name, value, size, unit, bound, broadcast=False):

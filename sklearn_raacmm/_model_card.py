@@ -16,6 +16,7 @@ from sklearn.utils.validation import has_fit_parameter
 import sklearn_raacmm
 from sklearn_raacmm._c_source import fingerprint_of
 from sklearn_raacmm._chain import arm_of, check_fitted, leaves
+from sklearn_raacmm._input import refuse_disguised
 from sklearn_raacmm._residuals import _encode_groups
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -80,6 +81,7 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5):
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
     if X is not None:
+        refuse_disguised("X", X)
         X = check_array(X, dtype=np.float64, input_name="X")
         if X.shape[1] != first.n_features_in_:
             raise ValueError(
@@ -91,6 +93,7 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5):
             codes = _encode_groups(groups)[1]
         card["training"] = _training(X, codes, arm, unit)
         if y is not None:
+            refuse_disguised("y", y)
             y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
             check_consistent_length(X, y)
             card["error"] = _error(model, X, y, codes, groups, n_folds)

@@ -3,6 +3,8 @@
 import numpy as np
 from sklearn.utils import check_array, column_or_1d
 
+from sklearn_raacmm._input import refuse_disguised, refuse_huge, refuse_masked
+
 
 def check_option(name, value, options):
     if value not in options:
@@ -10,9 +12,11 @@ def check_option(name, value, options):
 
 
 def check_points(points, n_coordinates=None):
+    refuse_disguised("points", points)
     points = check_array(points, dtype=np.float64, ensure_2d=False, input_name="points")
     if points.ndim == 1:
         points = points[:, None]
+    refuse_huge("points", points)
     if n_coordinates not in (None, points.shape[1]):
         raise ValueError(f"points has shape {points.shape}; (n_points, {n_coordinates}) is needed.")
     return points
@@ -22,6 +26,7 @@ def check_groups(groups, n_points):
     """Labels of the positions, sorted, and the position of each point as an index into them."""
     if groups is None:
         return np.zeros(1, dtype=int), np.zeros(n_points, dtype=int)
+    refuse_masked("groups", groups)
     groups = column_or_1d(groups)
     if len(groups) != n_points:
         raise ValueError(f"groups names {len(groups)} points, but there are {n_points}.")

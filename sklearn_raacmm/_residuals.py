@@ -8,6 +8,8 @@ here are reconstructions, checked numerically.
 import numpy as np
 from sklearn.utils import check_array, check_consistent_length
 
+from sklearn_raacmm._input import floats, refuse_disguised, refuse_huge, refuse_masked
+
 
 def position_residuals(points, groups, sample_weight=None):
     """Residual of each probe point from the mean point of its position.
@@ -53,7 +55,9 @@ def position_residuals(points, groups, sample_weight=None):
            [ 0.  ,  0.  , -0.25],
            [ 0.  ,  0.  ,  0.25]])
     """
+    refuse_disguised("points", points)
     points = check_array(points, dtype=np.float64, input_name="points")
+    refuse_huge("points", points)
     if points.shape[1] != 3:
         raise ValueError(f"points must have 3 columns (x, y, z in mm), got {points.shape[1]}.")
     labels, codes = _encode_groups(groups)
@@ -61,9 +65,11 @@ def position_residuals(points, groups, sample_weight=None):
     if sample_weight is None:
         weight = np.ones(len(points))
     else:
+        refuse_disguised("sample_weight", sample_weight)
         weight = check_array(
             sample_weight, dtype=np.float64, ensure_2d=False, input_name="sample_weight"
         ).ravel()
+        refuse_huge("sample_weight", weight)
         check_consistent_length(points, weight)
         if np.any(weight < 0):
             raise ValueError(
@@ -89,6 +95,7 @@ def _encode_groups(groups):
     """Sorted labels, and for each point the index of its label; refuses missing labels."""
     if groups is None:
         raise ValueError("groups must give the position of each point, got None.")
+    refuse_masked("groups", groups)
     groups = np.asarray(groups)
     if groups.ndim != 1:
         raise ValueError(
@@ -126,6 +133,11 @@ def cartesian_to_cylindrical(vectors, azimuth):
     vectors : ndarray of shape (n_points, 3)
         Radial, tangential and axial component, in the unit given.
 
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, or something is not a finite number.
+
     See Also
     --------
     cylindrical_to_cartesian : The inverse.
@@ -141,8 +153,8 @@ def cartesian_to_cylindrical(vectors, azimuth):
     >>> cartesian_to_cylindrical([[0.0, 0.1, 0.02]], np.pi / 2).round(6)
     array([[0.1 , 0.  , 0.02]])
     """
-    direction = np.cos(azimuth), np.sin(azimuth)
-    return _to_cylindrical(_check_vectors(vectors), direction)
+    vectors = _check_vectors(vectors)
+    return _to_cylindrical(vectors, _direction(azimuth, len(vectors)))
 
 
 def cylindrical_to_cartesian(vectors, azimuth):
@@ -161,6 +173,11 @@ def cylindrical_to_cartesian(vectors, azimuth):
     vectors : ndarray of shape (n_points, 3)
         x, y and z components, in the unit given.
 
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, or something is not a finite number.
+
     See Also
     --------
     cartesian_to_cylindrical : The inverse.
@@ -175,12 +192,25 @@ def cylindrical_to_cartesian(vectors, azimuth):
     >>> cylindrical_to_cartesian([[0.1, 0.0, 0.02]], np.pi / 2).round(6)
     array([[0.  , 0.1 , 0.02]])
     """
-    direction = np.cos(azimuth), np.sin(azimuth)
-    return _to_cartesian(_check_vectors(vectors), direction)
+    vectors = _check_vectors(vectors)
+    return _to_cartesian(vectors, _direction(azimuth, len(vectors)))
+
+
+def _direction(azimuth, n):
+    """Cosine and sine of one azimuth for all vectors, or of one for each."""
+    azimuth = floats("azimuth", azimuth)
+    if azimuth.shape not in ((), (n,)):
+        raise ValueError(
+            f"azimuth must be one angle or one for each of {n} vectors, got shape {azimuth.shape}."
+        )
+    refuse_huge("azimuth", azimuth)
+    return np.cos(azimuth), np.sin(azimuth)
 
 
 def _check_vectors(vectors):
+    refuse_disguised("vectors", vectors)
     vectors = check_array(vectors, dtype=np.float64, input_name="vectors")
+    refuse_huge("vectors", vectors)
     if vectors.shape[1] != 3:
         raise ValueError(f"vectors must have 3 columns, got {vectors.shape[1]}.")
     return vectors

@@ -6,7 +6,9 @@ Public in `sklearn_raacmm.datasets`.
 import numpy as np
 from sklearn.utils import check_random_state
 
+from sklearn_raacmm._arm_checks import check_angles
 from sklearn_raacmm._arm_errors import ArmErrors
+from sklearn_raacmm._input import floats, refuse_huge
 from sklearn_raacmm.arm import Arm
 
 _ARCSEC = np.pi / (180 * 3600)  # rad
@@ -234,7 +236,7 @@ class SimulatedArm:
             In rad.
         """
         rng = check_random_state(random_state)
-        angles = np.asarray(angles, dtype=np.float64)
+        angles = check_angles(angles, 6, "rad")
         readings = angles + self.errors.encoder_noise_arcsec * _ARCSEC * rng.normal(
             size=angles.shape
         )
@@ -265,7 +267,7 @@ class SimulatedArm:
             If so many poses cannot be found.
         """
         rng = check_random_state(random_state)
-        point = np.asarray(point, dtype=np.float64)
+        point = _points("point", point, (3,))
         found = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)
@@ -308,6 +310,8 @@ class SimulatedArm:
         def forward(q):
             return self.forward(q, warming_k=warming_k)
 
+        angles = check_angles(angles, 6, "rad")
+        points = _points("points", points, (len(angles), 3))
         angles = _reach(forward, self.true_arm, angles, points, n_steps=25)
         missed = np.linalg.norm(forward(angles) - points, axis=1) > 1e-6
         if missed.any():
@@ -349,6 +353,14 @@ class SimulatedArm:
             & (angles[:, 3] <= _ELBOW_RANGE[1])
             & (np.abs(angles[:, 5]) <= _MAX_WRIST)
         )
+
+
+def _points(name, points, shape):
+    points = floats(name, points)
+    if points.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {points.shape}.")
+    refuse_huge(name, points)
+    return points
 
 
 def _reach(forward, arm, angles, points, n_steps):

@@ -10,6 +10,7 @@ import numpy as np
 
 from sklearn_raacmm._arm_checks import check_angles, floats
 from sklearn_raacmm._identification import FIELDS, MAX_ROUNDS, WEIGHTS, Fit, Problem, pack
+from sklearn_raacmm._input import refuse_huge, refuse_masked
 from sklearn_raacmm._sklearn import one_blas_thread
 from sklearn_raacmm.arm import Arm
 
@@ -313,6 +314,7 @@ def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors)
         if not np.all(np.isfinite(points)):
             row = np.argwhere(~np.isfinite(points))[0, 0]
             raise ValueError(f"points hold NaN or infinity, first in row {row}.")
+        refuse_huge("points", points)
         if lengths:
             raise ValueError("lengths are between groups; measured points have no use for them.")
         return angles, Problem(None, points, [])
@@ -333,6 +335,7 @@ def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors)
 
 
 def _check_groups(groups, n):
+    refuse_masked("groups", groups)
     groups = np.asarray(groups)
     if groups.shape != (n,):
         raise ValueError(f"groups must hold one label for each of {n} samples, got {groups.shape}.")

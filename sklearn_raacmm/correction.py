@@ -8,8 +8,9 @@ from numbers import Integral, Real
 import numpy as np
 from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.cluster import KMeans
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
+from sklearn_raacmm._input import check_data, check_features, check_weights
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root
 from sklearn_raacmm._normal_equations import Smooth
 from sklearn_raacmm._residuals import (
@@ -21,7 +22,6 @@ from sklearn_raacmm._residuals import (
 from sklearn_raacmm._sklearn import (
     Interval,
     StrOptions,
-    _check_sample_weight,
     _fit_context,
     one_blas_thread,
 )
@@ -233,10 +233,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         ValueError
             As :class:`JointHarmonicRegressor`.
         """
-        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        X, y = check_data(self, X, y)
         self.arm_ = check_arm(self.arm, X.shape[1])
         y = check_residuals(y)
-        weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        weights = check_weights(sample_weight, X)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         codes = check_offsets(first.offsets, y, weights, groups)
         lengths = check_lengths(lengths, weights, codes, groups)
@@ -380,7 +380,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             is too much where one makes up for the other.
         """
         check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
+        X = check_features(self, X, dtype=np.float64, reset=False)
         mean, std = self._correction(X, self.use_)
         return (mean, std) if return_std else mean
 

@@ -14,6 +14,7 @@ from sklearn.utils import Bunch, check_random_state
 from sklearn_raacmm._arm_errors import ArmErrors
 from sklearn_raacmm._bunch import pack
 from sklearn_raacmm._fetchers import fetch_panda_ball_socket, fetch_ur10_tracker
+from sklearn_raacmm._input import floats
 from sklearn_raacmm._residuals import position_residuals
 from sklearn_raacmm._simulation import SimulatedArm
 from sklearn_raacmm.calibration import calibrate
@@ -325,7 +326,7 @@ def _check_counts(**counts):
 
 
 def _check_lengths(lengths, machine):
-    lengths = np.atleast_1d(np.asarray(lengths, dtype=np.float64))
+    lengths = np.atleast_1d(floats("lengths", lengths))
     # Both ends in the shell: the longest gauge spans it.
     longest = 2 * _SHARE_OF_REACH[1] * machine.reach
     if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():

@@ -9,7 +9,7 @@ from numbers import Integral, Real
 import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm._arm_terms import (
     FAMILIES,
@@ -20,12 +20,12 @@ from sklearn_raacmm._arm_terms import (
     term_names,
 )
 from sklearn_raacmm._evidence import select_blocks
+from sklearn_raacmm._input import check_data, check_features, check_weights
 from sklearn_raacmm._normal_equations import length_equations, mean_columns, normal_equations
 from sklearn_raacmm._residuals import _encode_groups
 from sklearn_raacmm._sklearn import (
     Interval,
     StrOptions,
-    _check_sample_weight,
     _fit_context,
     one_blas_thread,
 )
@@ -254,10 +254,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         UserWarning
             If angles are larger than two turns: most likely degrees.
         """
-        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        X, y = check_data(self, X, y)
         self.arm_ = check_arm(self.arm, X.shape[1])
         y = check_residuals(y)
-        weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        weights = check_weights(sample_weight, X)
         codes = check_offsets(self.offsets, y, weights, groups)
         self._fit(X, y, weights, codes, check_lengths(lengths, weights, codes, groups), None)
         return self
@@ -401,7 +401,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             If X has another number of columns than the arm has joints, or holds NaN or infinity.
         """
         check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
+        X = check_features(self, X, dtype=np.float64, reset=False)
         terms = self._terms()
         mean, std = np.empty((len(X), 3)), np.empty((len(X), 3))
         for start in range(0, len(X), _CHUNK):

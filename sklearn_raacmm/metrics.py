@@ -17,6 +17,7 @@ from sklearn_raacmm._acceptance import (
     probing_form_error,
     probing_size_error,
 )
+from sklearn_raacmm._input import refuse_disguised
 from sklearn_raacmm._points import check_groups, check_option, check_points, deviations_by_group
 
 __all__ = [
@@ -341,6 +342,7 @@ class _RowScorer:
     """A scorer that looks the group of each row up by the row's content."""
 
     def __init__(self, X, groups, statistic, aggregate):
+        refuse_disguised("X", X)
         X = check_array(X, dtype=np.float64)
         self.labels, position = check_groups(groups, len(X))
         self.n_features, self.statistic, self.aggregate = X.shape[1], statistic, aggregate
@@ -354,6 +356,7 @@ class _RowScorer:
                 )
 
     def __call__(self, estimator, X, y):
+        refuse_disguised("X", X)
         rows = check_array(X, dtype=np.float64)
         position = [self.position_of_row.get(row.tobytes(), -1) for row in rows]
         n_unknown = position.count(-1)

@@ -7,9 +7,10 @@ here are reconstructions, checked numerically.
 
 import numpy as np
 from sklearn.base import TransformerMixin
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm._arm_checks import check_angles
+from sklearn_raacmm._input import check_features
 from sklearn_raacmm._kinematics import dh_theta, frame_columns, probe_of
 from sklearn_raacmm._sklearn import StrOptions, _check_feature_names_in, _fit_context
 from sklearn_raacmm._versioned import VersionedEstimator
@@ -132,7 +133,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             If the number of columns is not the arm's number of joints, or `X` holds NaN or
             infinity.
         """
-        X = validate_data(self, X, dtype=[np.float64, np.float32])
+        X = check_features(self, X, dtype=[np.float64, np.float32])
         self.arm_ = Arm.from_name("aacmm6") if self.arm is None else self.arm
         if X.shape[1] != self.arm_.n_joints:
             raise ValueError(
@@ -161,7 +162,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             `append_azimuth`, the probe on the base axis, which leaves its azimuth undefined.
         """
         check_is_fitted(self)
-        X = validate_data(self, X, dtype=[np.float64, np.float32], reset=False)
+        X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
         for start in range(0, len(X), _BATCH_ROWS):
             rows = slice(start, start + _BATCH_ROWS)

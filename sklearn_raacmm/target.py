@@ -19,6 +19,7 @@ from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_raacmm._input import refuse_disguised, refuse_huge
 from sklearn_raacmm._residuals import (
     _std_to_cartesian,
     _to_cartesian,
@@ -174,8 +175,11 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             of `X` are not a direction where they should be; if the azimuth is not one finite
             number per row.
         """
+        for name, value in (("X", X), ("y", y)):
+            refuse_disguised(name, value)
         validate_data(self, X, y, skip_check_array=True)
         y = check_array(y, ensure_2d=False, dtype="numeric", input_name="y", estimator=self)
+        refuse_huge("y", y)
         check_consistent_length(X, y)
         n_targets = 1 if y.ndim == 1 else y.shape[1]
 
@@ -225,6 +229,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
                 "return_cov=True is not supported: a covariance between rows would have to be "
                 "turned by two azimuths at once. Use return_std=True."
             )
+        refuse_disguised("X", X)
         if getattr(X, "ndim", 2) == 1:
             check_array(X, estimator=self)  # for its sentence on how to reshape
         # What validate_data does without checking the array, but for the tags of all steps within.
@@ -245,11 +250,12 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
         if self._drops_direction:
             X = X if hasattr(X, "shape") else np.asarray(X)
-            if type(X) is np.ndarray and X.ndim == 2 and X.dtype == np.float64:
+            if type(X) is np.ndarray and X.ndim == 2 and X.shape[1] > 2 and X.dtype == np.float64:
                 tail = X[:, -2:]  # sound ones are not worth a full check
                 if np.all(np.abs(np.hypot(*tail.T) - 1) <= _NORM_TOLERANCE):
                     return X[:, :-2], (tail[:, 0], tail[:, 1])
-            return _safe_indexing(X, slice(None, -2), axis=1), _appended_direction(X)
+            direction = _appended_direction(X)
+            return _safe_indexing(X, slice(None, -2), axis=1), direction
         if self._rotates:
             azimuth = check_array(
                 self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"
