@@ -16,7 +16,15 @@ def write_whole(contents):
     ----------
     contents : dict of path-like to str or bytes
         Text is written as UTF-8 with plain line feeds, so that it is the same bytes everywhere.
+
+    Raises
+    ------
+    OSError
+        If a folder is missing or a file cannot be written.
     """
+    for path in contents:
+        if not Path(path).resolve().parent.is_dir():
+            raise FileNotFoundError(f"No such folder: {Path(path).resolve().parent}.")
     places = {}
     try:
         for path, content in contents.items():

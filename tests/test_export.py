@@ -413,6 +413,11 @@ def test_a_stem_that_is_no_name_asks_for_one(small, tmp_path):
     assert '#include "arm-7.h"' in source.read_text()
 
 
+def test_a_missing_folder_is_named(small, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"No such folder: .*nowhere\.$"):
+        export_c(small, tmp_path / "nowhere" / "arm.c")
+
+
 def test_a_failed_write_leaves_the_old_files(data, small, tmp_path, monkeypatch):
     paths = export_c(small, tmp_path / "arm.c")
     before = [path.read_bytes() for path in paths]
