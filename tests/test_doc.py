@@ -74,4 +74,4 @@ def test_the_readme_leads_somewhere_from_a_package_index(address, monkeypatch):
 def test_every_benchmark_is_on_its_page():
     text = (DOC / "benchmarks.md").read_text(encoding="utf-8")
     scripts = {path.name for path in (DOC.parent / "benchmarks").glob("bench_*.py")}
-    assert set(re.findall(r"^\| `(\w+\.py)`", text, flags=re.MULTILINE)) == scripts
+    assert scripts <= set(re.findall(r"^\| `(\w+\.py)`", text, flags=re.MULTILINE))
