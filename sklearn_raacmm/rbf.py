@@ -7,10 +7,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm._candidates import Features, candidate_groups
 from sklearn_raacmm._chunks import ArrayChunks, chunked_problem, dask_chunks, is_dask
+from sklearn_raacmm._input import LARGEST, check_data, check_features, check_weights, floats
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
 from sklearn_raacmm._path import (
     leave_one_out,
@@ -30,7 +31,6 @@ from sklearn_raacmm._selection import (
 from sklearn_raacmm._sklearn import (
     Interval,
     StrOptions,
-    _check_sample_weight,
     _fit_context,
     one_blas_thread,
 )
@@ -360,8 +360,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
             X, y = X.compute(), np.asarray(y)
             sample_weight = None if sample_weight is None else np.asarray(sample_weight)
-        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
-        weights = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        X, y = check_data(self, X, y)
+        weights = check_weights(sample_weight, X)
         self._flat = y.ndim == 1
         Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
         if len(X) <= IN_MEMORY_ROWS:
@@ -519,7 +519,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             If X has another number of features than in fit, or holds NaN or infinity.
         """
         check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
+        X = check_features(self, X, dtype=np.float64, reset=False)
         n, k = len(X), len(self.centers_)
         shift = self.centers_.mean(axis=0) if k else 0.0
         centers = (self.centers_ - shift) / self.length_scale_
@@ -597,14 +597,16 @@ def check_length_scale(length_scale, n_features):
     """Widths as an array of one a feature; None where they are to be found."""
     if isinstance(length_scale, str):
         return None
-    width = np.asarray(length_scale, dtype=np.float64)
+    width = floats("length_scale", length_scale)
     if width.ndim > 1 or (width.ndim == 1 and len(width) != n_features):
         raise ValueError(
             f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
             f"of the {n_features} features."
         )
-    if not np.all(np.isfinite(width)) or np.any(width <= 0):
-        raise ValueError(f"length_scale must be positive and finite; got {length_scale!r}.")
+    if not np.all((width >= 1 / LARGEST) & (width < np.inf)):
+        raise ValueError(
+            f"length_scale must be finite and at least {1 / LARGEST:g}; got {length_scale!r}."
+        )
     return np.broadcast_to(width, n_features).copy()
 
 
