@@ -106,7 +106,7 @@ def fetch_panda_ball_socket(
 ):
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
 
-    Downloads about 150 kB the first time. The data are those of the MUKCa project [1]_ (MIT
+    Downloads up to 100 kB the first time. The data are those of the MUKCa project [1]_ (MIT
     licence) and not part of this package.
 
     Parameters
