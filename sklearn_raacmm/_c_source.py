@@ -174,9 +174,13 @@ class _Writer:
             lines += [
                 "if (!valid && v)",
                 f"    for (int j = 0; j < {q}; ++j)",
-                "        v[j] = NAN;",
+                f"        v[j] = ({real})NAN;",
             ]
-        lines += ["if (!valid)", f"    for (int j = 0; j < {q}; ++j)", "        y[j] = NAN;"]
+        lines += [
+            "if (!valid)",
+            f"    for (int j = 0; j < {q}; ++j)",
+            f"        y[j] = ({real})NAN;",
+        ]
         body = "\n".join(f"    {line}" for line in lines)
         return (
             f"static void evaluate(const {real} input[{self.n_inputs}], {arm}{real} y[{q}]"

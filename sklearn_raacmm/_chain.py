@@ -49,6 +49,9 @@ def leaves(model, path=None):
             if step is not None and not (isinstance(step, str) and step == "passthrough"):
                 yield from leaves(step, name if path == "Pipeline" else f"{path}.{name}")
         return
+    if hasattr(model, "best_estimator_"):  # of a search: what it has found
+        yield from leaves(model.best_estimator_, path)
+        return
     yield Step(path, model)
     if isinstance(model, CylindricalResidualTarget) and hasattr(model, "regressor_"):
         yield from leaves(model.regressor_, f"{path}.regressor")

@@ -48,8 +48,9 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
     model : estimator
         Fitted. A pipeline, in either of the two forms of :class:`CylindricalResidualTarget`, of
         :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler or
-        RobustScaler, and :class:`RBFNetRegressor`, LinearRegression or Ridge; or one of these
-        regressors, :class:`JointHarmonicRegressor` or :class:`ArmResidualRegressor` by itself.
+        RobustScaler, and :class:`RBFNetRegressor`, LinearRegression or Ridge; one of these
+        regressors, :class:`JointHarmonicRegressor` or :class:`ArmResidualRegressor` by itself; or a
+        search that has found one of all these.
 
     path : str or path-like
         The C file, ending in ".c"; the header beside it ends in ".h". Both are written beside

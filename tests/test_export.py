@@ -12,6 +12,7 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import (
     MaxAbsScaler,
@@ -36,6 +37,7 @@ from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import export_c, fingerprint
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
+STRICT += ["-Wdouble-promotion", "-Wstrict-overflow=1", "-Wfloat-conversion"]
 C99 = ["-std=c99", "-O1", *STRICT]
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 AACMM = Arm.from_name("aacmm6")
@@ -320,6 +322,16 @@ def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
             np.testing.assert_allclose(call("correct", X, 3), model.predict(X), rtol=0, atol=1e-11)
             call("correct_std", np.concatenate([X, [[np.nan] * 6]]), 3, n_results=2)
             call("point", X, 3)
+
+
+def test_what_a_search_has_found(build, data):
+    search = GridSearchCV(
+        form_b(data.arm),
+        {"cylindricalresidualtarget__regressor__rbfnetregressor__n_centers": [5, 20]},
+        cv=GroupKFold(2),
+    ).fit(data.data, data.target, groups=data.groups)
+    got = build(search)("correct", data.data, 3)
+    np.testing.assert_allclose(got, search.predict(data.data), rtol=0, atol=1e-12)
 
 
 def test_two_models_in_one_program(build, data, tmp_path):

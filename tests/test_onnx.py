@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline, make_union
 from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 
@@ -23,6 +24,7 @@ from sklearn_raacmm._kernels import KERNELS
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import register_onnx, to_onnx
 
+onnx = pytest.importorskip("onnx", reason="needs the extra sklearn-raacmm[onnx]")
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra sklearn-raacmm[onnx]")
 pytest.importorskip("skl2onnx", reason="needs the extra sklearn-raacmm[onnx]")
 
@@ -144,6 +146,7 @@ def test_inside_other_estimators(data):
         CylindricalResidualTarget(network(), azimuth=None),
         form_a(arm, net=Ridge()),
         make_pipeline(form_a(arm)),
+        GridSearchCV(form_b(arm), {"posefeatures__joints": ["pose", "all"]}, cv=3),
         make_pipeline(PoseFeatures(arm), CylindricalResidualTarget(network(), azimuth=None)),
     ]
     for model in models:
@@ -199,6 +202,7 @@ def test_the_file(data, tmp_path):
     model = form_b(data.arm).fit(data.data, data.target)
     for name in ("first.onnx", "second.onnx"):
         to_onnx(model, tmp_path / name, card="what it is: ü")
+    onnx.checker.check_model(tmp_path / "first.onnx", full_check=True)
     text = (tmp_path / "first.onnx").read_bytes()
     assert text == (tmp_path / "second.onnx").read_bytes()
     session = onnxruntime.InferenceSession(text, providers=["CPUExecutionProvider"])
