@@ -119,6 +119,7 @@ class GalleryOrder:
         "plot_paper_figures",
         "plot_periodicity",
         "plot_ols_path",
+        "plot_how_many_poses",
         "plot_grid_search",
         "plot_live_arm",
         "plot_rbf_network",

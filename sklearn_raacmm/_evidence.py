@@ -24,6 +24,11 @@ _MAX_ROUNDS = 25
 # Relative change of the variances at which they have settled: a few per cent of a prior's variance
 # move no coefficient by more than a per cent of its standard deviation.
 _SETTLED = 0.02
+# Noise is known beforehand as three observations would show it, at a hundredth of the square of y:
+# with fewer rows than columns the evidence else grows without limit as all noise is explained away.
+_ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
+# Relative increase of the Gram matrix's diagonal, some hundred times its rounding.
+_JITTER = 1e-11
 
 
 class Posterior(NamedTuple):
@@ -75,6 +80,7 @@ def select_blocks(gram, moment, square, n, blocks, family, always, prior_varianc
     variance = _first_guess(gram, of_column, noise, n, prior_variance)
     floor = 1e-8 * variance
     smallest_noise = 1e-12 * noise
+    assumed = _ASSUMED_ROWS * _ASSUMED_SHARE * noise
     threshold = np.log(max(np.sum(~always), 1))
     for last in range(_MAX_ROUNDS - 1, -1, -1):
         prior = variance[of_column]
@@ -84,7 +90,8 @@ def select_blocks(gram, moment, square, n, blocks, family, always, prior_varianc
             weighted = lengths.rows.T / variance_of_lengths
             S += weighted @ lengths.rows
             r += weighted @ lengths.errors
-        S[np.diag_indices(len(S))] += 1 / prior
+        # With fewer rows than columns and hardly any noise S is singular to rounding.
+        S[np.diag_indices(len(S))] = (1 + _JITTER) * S.diagonal() + 1 / prior
         chosen, gains = _forward(S, r, blocks, always, prior, threshold)
         columns = np.concatenate([blocks[b] for b in chosen]) if chosen else np.empty(0, int)
         root = cholesky(S[np.ix_(columns, columns)], check_finite=False)
@@ -99,7 +106,8 @@ def select_blocks(gram, moment, square, n, blocks, family, always, prior_varianc
                 total = np.square(coef[of_f]).sum() / max(determined[of_f].sum(), 1e-12)
                 found[f] = max(total, floor[f])
         rss = square - 2 * coef @ moment[columns] + coef @ gram[np.ix_(columns, columns)] @ coef
-        new_noise = max(rss / max(n - determined.sum(), 1.0), smallest_noise)
+        free = max(n - determined.sum(), 0.0)
+        new_noise = max((max(rss, 0.0) + assumed) / (free + _ASSUMED_ROWS), smallest_noise)
         change = np.abs(np.log(np.append(found / variance, new_noise / noise)))
         if change.max() < _SETTLED or last == 0:
             break

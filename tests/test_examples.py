@@ -248,3 +248,15 @@ def test_live_arm_refuses_before_the_work(example, capsys, seconds):
     with pytest.raises(SystemExit, match="2"):
         example("plot_live_arm").main(["--seconds", seconds])
     assert "--seconds must be between 0.01 and 3600" in capsys.readouterr().err
+
+
+def test_how_many_poses(example, capsys, monkeypatch):
+    module = example("plot_how_many_poses")
+    for name, value in {"POSITIONS": [3, 5], "POSES": [5, 8], "FIRST": 3, "ROUNDS": 1}.items():
+        monkeypatch.setattr(module, name, value)
+    module.main(["--machines", "1", "--figure", "poses.png"])
+    output = capsys.readouterr().out
+    assert len(cells(output, "chosen")) == len(cells(output, "random")) == 2
+    # Both start from the same positions.
+    assert cells(output, "chosen")[0] == cells(output, "random")[0]
+    assert Path("poses.png").read_bytes().startswith(PNG)

@@ -462,6 +462,16 @@ def test_lengths_are_checked(eccentric):
         model.set_params(offsets=False).fit(theta, y, groups=groups, lengths=[(0, 1, 100, 1)])
 
 
+def test_few_poses_without_noise_are_no_reason_to_fail():
+    """Fifteen poses, hundreds of columns, a residual that they explain entirely."""
+    arm = ARMS["standard"]
+    for seed in range(5):
+        theta = draw_angles(arm, 15, seed=seed)
+        y = displaced(arm, theta, np.tile([0, 5.0, -3.0, 0, 0, 0], (15, 1)))
+        model = JointHarmonicRegressor(arm).fit(theta, y)
+        assert np.linalg.norm(model.predict(theta) - y) < 0.05 * np.linalg.norm(y)
+
+
 def test_offsets_are_free(eccentric):
     """A constant in every position, however large, changes nothing; without offsets it would."""
     arm, theta, y, _ = eccentric
