@@ -80,7 +80,6 @@ class GalleryArguments:
         "plot_real_arm": ["--jobs", "1"],
         "plot_real_tracker": ["--rows", "1000", "--gp-rows", "300", "--jobs", "1"],
         "plot_paper_figures": [],
-        "plot_live_arm": [],
         "plot_live_arm": ["--seconds", "1"],
     }
 
