@@ -495,7 +495,7 @@ def test_a_centre_at_every_row_leaves_room_for_the_constant(selection):
 
 
 def test_only_the_ratios_of_the_weights_matter():
-    X, y, f = smooth(150, seed=3)
+    X, y, _ = smooth(150, seed=3)
     weights = np.random.default_rng(0).uniform(0.5, 2, 150)
     one = RBFNetRegressor(random_state=0).fit(X, y, sample_weight=weights)
     mean, std = one.predict(X, return_std=True)
