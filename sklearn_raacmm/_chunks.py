@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from sklearn.utils import check_array
 
+from sklearn_raacmm._input import refuse_huge
 from sklearn_raacmm._preparation import (
     BLOCK,
     Block,
@@ -102,6 +103,8 @@ def _of_chunk(X, Y, weights, start, function, combine, width):
         ensure_non_negative=True,
         input_name="sample_weight",
     )
+    for name, array in (("X", X), ("y", Y), ("sample_weight", weights)):
+        refuse_huge(name, array)
     return ArrayChunks(X, Y, weights, start).reduce(function, combine, width)
 
 

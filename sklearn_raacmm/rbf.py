@@ -46,6 +46,8 @@ _MAX_CENTERS |= dict.fromkeys(("gcv", "loo", "bic"), 500)
 IN_MEMORY_ROWS = 100_000
 # Kernel values held at a time while predicting: they stay in a core's cache.
 _CHUNK = 2**18
+# Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
+_MAX_RANGE = 1e6
 # Ratio of ridges up to which outputs see the candidates alike.
 _ALIKE = 4.0
 _PER_OUTPUT = (
@@ -305,6 +307,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         rng = check_random_state(self.random_state)
         problem = self._problem(X, y, sample_weight, rng)
         width = check_length_scale(self.length_scale, self.n_features_in_)
+        check_not_too_narrow(width, problem.X)
 
         vars(self).pop("_posterior_", None)
         self.length_scale_, alpha = self._tune(problem, width, rng)
@@ -605,9 +608,23 @@ def check_length_scale(length_scale, n_features):
         )
     if not np.all((width >= 1 / LARGEST) & (width < np.inf)):
         raise ValueError(
-            f"length_scale must be finite and at least {1 / LARGEST:g}; got {length_scale!r}."
+            f"length_scale must be positive and finite, at least {1 / LARGEST:g}; got "
+            f"{length_scale!r}."
         )
     return np.broadcast_to(width, n_features).copy()
+
+
+def check_not_too_narrow(width, X):
+    """Refuse given widths at which rounding of the distances changes the kernel."""
+    if width is None or not len(X):
+        return
+    ranges = np.ptp(X, axis=0)
+    i = int(np.argmax(ranges / width))
+    if ranges[i] > _MAX_RANGE * width[i]:
+        raise ValueError(
+            f"length_scale is {width[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
+            f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
+        )
 
 
 def group_alphas(alphas):
