@@ -136,6 +136,8 @@ def probing_size_error(points, diameter):
     >>> round(probing_size_error(octahedron, 9.99), 6)
     0.01
     """
+    if np.ndim(diameter):
+        raise ValueError(f"diameter must be one number, got shape {np.shape(diameter)}.")
     (diameter,) = _check_lengths("diameter", diameter)
     return float(2 * _spheres.fit_sphere(check_points(points, n_coordinates=3))[1] - diameter)
 

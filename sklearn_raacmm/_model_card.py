@@ -144,6 +144,11 @@ def _training(X, codes, arm, unit):
 
 def _error(model, X, y, codes, groups, n_folds):
     """Errors before and after; the latter at positions that a copy of the model has not seen."""
+    n_outputs = np.shape(model.predict(X[:1]).ravel())[0]
+    if y.size != len(X) * n_outputs:
+        raise ValueError(
+            f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
+        )
     n_positions = 0 if codes is None else int(codes.max()) + 1
     predicted = np.empty_like(y)
     folds = min(n_folds, n_positions)

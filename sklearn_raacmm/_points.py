@@ -4,10 +4,11 @@ import numpy as np
 from sklearn.utils import check_array, column_or_1d
 
 from sklearn_raacmm._input import refuse_disguised, refuse_huge, refuse_masked
+from sklearn_raacmm._residuals import _encode_groups
 
 
 def check_option(name, value, options):
-    if value not in options:
+    if not (value is None or isinstance(value, str)) or value not in options:
         raise ValueError(f"{name}={value!r} is not one of {', '.join(map(repr, options))}.")
 
 
@@ -27,13 +28,10 @@ def check_groups(groups, n_points):
     if groups is None:
         return np.zeros(1, dtype=int), np.zeros(n_points, dtype=int)
     refuse_masked("groups", groups)
-    groups = column_or_1d(groups)
-    if len(groups) != n_points:
-        raise ValueError(f"groups names {len(groups)} points, but there are {n_points}.")
-    missing = np.array([g is None or g != g for g in groups.tolist()])
-    if missing.any():
-        raise ValueError(f"groups is missing (None or NaN) for {missing.sum()} of {n_points} rows.")
-    return np.unique(groups, return_inverse=True)
+    labels, position = _encode_groups(column_or_1d(groups))
+    if len(position) != n_points:
+        raise ValueError(f"groups names {len(position)} points, but there are {n_points}.")
+    return labels, position
 
 
 def group_means(points, position, counts):

@@ -3,11 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral, Real
+
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm._drawing import AFTER, pyplot, subtract
-from sklearn_raacmm._points import check_points, deviations_by_group
+from sklearn_raacmm._points import check_option, check_points, deviations_by_group
 from sklearn_raacmm.arm import Arm
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
@@ -154,6 +156,8 @@ class ArmPosesDisplay:
             If shapes differ, values are not finite, or the axes are flat.
         """
         arm = Arm.from_name("aacmm6") if arm is None else arm
+        if not isinstance(arm, Arm):
+            raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
         chains = arm_chains(arm, X, angle_unit)
         y = check_points(y, n_coordinates=3)
         if len(y) != len(chains):
@@ -203,6 +207,13 @@ class ArmPosesDisplay:
             ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")
         elif not hasattr(ax, "get_zlim"):
             raise ValueError('The axes are flat; make them with projection="3d".')
+        whole = isinstance(max_poses, Integral) and not isinstance(max_poses, bool)
+        if not whole or max_poses < 1:
+            raise ValueError(f"max_poses must be a whole number of at least 1, got {max_poses!r}.")
+        if isinstance(magnification, str):
+            check_option("magnification", magnification, ("auto",))
+        elif not (isinstance(magnification, Real) and 0 < magnification < np.inf):
+            raise ValueError(f'magnification must be "auto" or positive, got {magnification!r}.')
         tips = self.chains[:, -1]
         self.magnification_ = self._magnification() if magnification == "auto" else magnification
         shown = np.unique(np.linspace(0, len(tips) - 1, min(max_poses, len(tips))).astype(int))

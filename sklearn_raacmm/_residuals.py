@@ -77,6 +77,8 @@ def position_residuals(points, groups, sample_weight=None):
                 f"are (the least is {weight.min():g})."
             )
 
+        # Denormal weights have few digits left, their products with points fewer.
+        weight = weight / max(weight.max(), 1e-300) if weight.max() < 1e-200 else weight
     size = np.bincount(codes[weight > 0], minlength=len(labels))
     if np.any(size < 2):
         lonely = labels[size < 2]
@@ -101,8 +103,12 @@ def _encode_groups(groups):
         raise ValueError(
             f"groups must be one label per point, got an array of shape {groups.shape}."
         )
-    # As text: a list of names with a NaN among them is an array of text by now.
-    missing = np.isin(groups.astype(str), ["", "nan", "NaN", "None", "NaT", "<NA>"])
+    if groups.dtype.kind == "f":
+        missing = np.isnan(groups)
+    elif groups.dtype.kind in "iub":
+        missing = np.zeros(len(groups), dtype=bool)
+    else:  # as text: a list of names with a NaN among them is an array of text by now
+        missing = np.isin(groups.astype(str), ["", "nan", "NaN", "None", "NaT", "<NA>"])
     if missing.any():
         raise ValueError(
             f"groups has {missing.sum()} missing labels among {groups.size} "

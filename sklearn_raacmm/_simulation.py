@@ -3,6 +3,8 @@
 Public in `sklearn_raacmm.datasets`.
 """
 
+from numbers import Integral, Real
+
 import numpy as np
 from sklearn.utils import check_random_state
 
@@ -144,6 +146,8 @@ class SimulatedArm:
         tubes = (origin[:, 3] - origin[:, 2]) + (origin[:, 5] - origin[:, 4])
         body = (probe - origin[:, 0]) - tubes
         warming = errors.warming_k if warming_k is None else warming_k
+        if not (isinstance(warming, Real) and np.isfinite(warming)):
+            raise ValueError(f"warming_k must be a finite number, got {warming!r}.")
         return {
             "eccentricity": turned(eccentricity),
             "torsion": turned(compliance * self._torques(axes, origin)),
@@ -268,6 +272,8 @@ class SimulatedArm:
         """
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
+        if not isinstance(n_poses, Integral) or isinstance(n_poses, bool) or n_poses < 0:
+            raise ValueError(f"n_poses must be a whole number of at least 0, got {n_poses!r}.")
         found = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)

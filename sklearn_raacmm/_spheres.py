@@ -35,7 +35,8 @@ def fit_sphere(points):
 
     def jacobian(x):
         offsets = x[:3] - centred
-        lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+        # A point at the centre has no direction: the distance is smallest there, whichever way.
+        lengths = np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-300)
         return np.column_stack([offsets / lengths, -np.ones(len(points))])
 
     x = least_squares(

@@ -5,12 +5,14 @@
 
 import warnings
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 
-from sklearn_raacmm._arm_checks import check_angles, floats
+from sklearn_raacmm._arm_checks import MAX_LENGTH_MM, check_angles, floats
 from sklearn_raacmm._identification import FIELDS, MAX_ROUNDS, WEIGHTS, Fit, Problem, pack
-from sklearn_raacmm._input import refuse_huge, refuse_masked
+from sklearn_raacmm._input import refuse_huge
+from sklearn_raacmm._residuals import _encode_groups
 from sklearn_raacmm._sklearn import one_blas_thread
 from sklearn_raacmm.arm import Arm
 
@@ -20,6 +22,10 @@ __all__ = ["CalibrationResult", "calibrate"]
 _OUTLIER = 5.0
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
+# A picometre: smaller than any length is known, large enough to divide by.
+_LEAST_SD_MM = 1e-9
+# Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
+_LARGEST_PRIOR = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +217,8 @@ def calibrate(
     >>> bool(np.abs(result.arm.d[2] - truth.d[2]) < 0.02)
     True
     """
-    lengths = list(lengths)
-    free = free if isinstance(free, str) else tuple(free)
+    lengths = _listed("lengths", lengths)
+    free = _listed("free", free)
     angles, problem = _check(
         arm, angles, groups, points, lengths, free, loss, angle_unit,
         {"prior_length": prior_length, "prior_angle": prior_angle, "prior_probe": prior_probe},
@@ -300,13 +306,16 @@ def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors)
         raise ValueError("angles are empty: there is nothing to calibrate with.")
     if (groups is None) == (points is None):
         raise ValueError("give either groups, or points measured by a tracker.")
-    if isinstance(free, str) or not set(free) <= set(FIELDS):
+    if not all(isinstance(name, str) and name in FIELDS for name in free):
         raise ValueError(f"free must name some of {FIELDS}, got {free!r}.")
-    if loss not in WEIGHTS:
+    if not (isinstance(loss, str) and loss in WEIGHTS):
         raise ValueError(f"loss must be one of {sorted(WEIGHTS)}, got {loss!r}.")
     for name, value in priors.items():
-        if not (np.isscalar(value) and np.isreal(value) and 0 < value < np.inf):
-            raise ValueError(f"{name} must be a positive number, got {value!r}.")
+        if not (isinstance(value, Real) and 1 / _LARGEST_PRIOR <= value <= _LARGEST_PRIOR):
+            raise ValueError(
+                f"{name} must be a positive number from {1 / _LARGEST_PRIOR:g} to "
+                f"{_LARGEST_PRIOR:g}, got {value!r}."
+            )
     if points is not None:
         points = floats("points", points)
         if points.shape != (n, 3):
@@ -334,18 +343,21 @@ def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors)
     return angles, problem
 
 
-def _check_groups(groups, n):
-    refuse_masked("groups", groups)
-    groups = np.asarray(groups)
-    if groups.shape != (n,):
-        raise ValueError(f"groups must hold one label for each of {n} samples, got {groups.shape}.")
+def _listed(name, value):
+    """Several, as a list; one text is not several letters."""
     try:
-        labels, index = np.unique(groups, return_inverse=True)
+        return [value] if isinstance(value, str) else list(value)
     except TypeError:
-        raise ValueError("groups must hold labels of one kind, such as all strings.") from None
-    if groups.dtype.kind == "f" and np.isnan(groups).any():
-        raise ValueError(f"groups lack the label of {np.isnan(groups).sum()} samples (NaN).")
-    return list(labels), index.ravel()
+        raise ValueError(f"{name} must be a list, got {value!r}.") from None
+
+
+def _check_groups(groups, n):
+    labels, index = _encode_groups(groups)
+    if len(index) != n:
+        raise ValueError(
+            f"groups must hold one label for each of {n} samples, got {np.shape(groups)}."
+        )
+    return list(labels), index
 
 
 def _check_length(entry, labels):
@@ -359,9 +371,11 @@ def _check_length(entry, labels):
     for label in (first, second):
         if label not in labels:
             raise ValueError(f"lengths name the group {label!r}, which has no samples.")
-    if not (0 < length < np.inf and 0 < sd < np.inf) or first == second:
+    in_bounds = 0 < length <= 2 * MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
+    if not in_bounds or first == second:
         raise ValueError(
-            "a length must join two different groups and it and its standard deviation must be "
-            f"positive, got {entry!r}."
+            f"a length must join two different groups, it must be positive and at most "
+            f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
+            f"got {entry!r}."
         )
     return labels.index(first), labels.index(second), length, sd

@@ -224,6 +224,8 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     """
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+    if target_opset is not None and not isinstance(target_opset, int | dict):
+        raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
     check_fitted(model)
     register_onnx()
     from skl2onnx import to_onnx as convert

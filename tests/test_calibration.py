@@ -384,7 +384,7 @@ def test_ur10(ur10):
         ({"groups": None}, "either groups, or points"),
         ({"points": np.zeros((6, 3))}, "either groups, or points"),
         ({"groups": [0, 0, 1]}, r"6 samples, got \(3,\)"),
-        ({"groups": [0, 0, 1, 1, np.nan, 2]}, "lack the label of 1 samples"),
+        ({"groups": [0, 0, 1, 1, np.nan, 2]}, "1 missing labels among 6"),
         ({"groups": np.array([0, "a", 1, 1, 2, 2], dtype=object)}, "labels of one kind"),
         ({"groups": np.arange(6)}, "each of the 6 groups has one point"),
         ({"groups": None, "points": np.zeros((6, 2))}, r"\(6, 3\), got \(6, 2\)"),
@@ -395,9 +395,9 @@ def test_ur10(ur10):
         ({"lengths": [(0, 1, 50.0, 0.0)]}, "must be positive"),
         ({"lengths": [(1, 1, 50.0, 0.1)]}, "two different groups"),
         ({"free": ("theta",)}, "free must name some of"),
-        ({"free": "probe"}, "free must name some of"),
+        ({"free": "probes"}, "free must name some of"),
         ({"loss": "l1"}, "loss must be one of"),
-        ({"prior_length": 0}, "prior_length must be a positive number, got 0"),
+        ({"prior_length": 0}, "prior_length must be a positive number from 1e-09 .*, got 0"),
     ],
 )
 def test_bad_input_gets_one_clear_sentence(change, message):

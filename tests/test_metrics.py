@@ -307,7 +307,7 @@ OK_GROUPS = [1, 1, 2, 2]
         ),
         (
             lambda: metrics.single_point_repeatability(OK_POINTS, [1, 1, np.nan, 2]),
-            "missing .* for 1 of 4",
+            "1 missing labels among 4",
         ),
         (lambda: metrics.single_point_repeatability(OK_POINTS, statistic="3s"), "'3s' is not one"),
         (lambda: metrics.single_point_repeatability(OK_POINTS, aggregate="sum"), "'sum' is not"),
