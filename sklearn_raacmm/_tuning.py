@@ -36,6 +36,8 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 COARSE_ROWS = 300
 FINE = ((1000, 25), (3000, 12), (3000, 12))
 SAMPLE_ROWS = FINE[-1][0]
+# Logarithm by which widths may fall before the inducing rows no longer do.
+MARGIN = 0.35
 INDUCING = 600
 # Nats a target value by which the coarse stage's answer has to be better than noise alone, or the
 # search starts once more: half of the variance explained.
@@ -302,7 +304,7 @@ def tune(
     def minimise(theta, rows, inducing, max_iter):
         # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as
         # the cost of a step allows.
-        nats = np.clip(1e-11 * len(inducing) ** 2 * len(rows), 1e-4, 3e-3)
+        nats = np.clip(1e-11 * len(inducing) ** 2 * len(rows), 1e-4, 1e-2)
         options = {"maxiter": max_iter, "ftol": nats / (weights[rows].sum() * q)}
         result = minimize(
             objective, theta, (rows, inducing), "L-BFGS-B", jac=True, bounds=bounds, options=options
@@ -342,7 +344,7 @@ def tune(
         # so many that what they leave unexplained is small beside the noise.
         log_width, log_alpha = unpack(theta)
         tol = np.clip(0.03 * np.exp(log_alpha.min()), ROUNDING, 1e-2)
-        inducing = _inducing(X, rows, 0.7 * np.exp(log_width), kernel, tol)
+        inducing = _inducing(X, rows, np.exp(log_width - MARGIN), kernel, tol)
         return minimise(theta, rows, inducing, max_iter)
 
     for size, max_iter in FINE if n > len(rows) else ():
@@ -358,9 +360,10 @@ def tune(
             if at_other < value:
                 theta, value, start = other, at_other, from_other
             unclear = False
-        # Widths of ignored features drift without effect.
-        felt = np.append(before[:n_widths] < np.log(20), [True] * n_alphas)
-        if len(rows) == most and not np.any(np.abs(theta - before)[felt] > 0.15):
+        # The inducing rows did for what has been found, unless a width fell by more than they
+        # allow for. Widths of ignored features drift without effect.
+        fell = np.append(before[:n_widths] < np.log(20), [True] * n_alphas) * (before - theta)
+        if len(rows) == most and not np.any(fell > MARGIN):
             break
     log_width, log_alpha = unpack(theta)
     if n_widths and n_alphas and n > 1 and _links_nothing(X / np.exp(log_width), kernel):
