@@ -126,15 +126,16 @@ def plot(times, share, length, std, limit):
         slowest = np.sort(taken)[::-1]
         left.step(1e6 * slowest, np.arange(1, len(slowest) + 1) / len(slowest), label=name)
     left.axvline(1e6 * DEADLINE, color="0.3", ls="--")
-    left.annotate("next reading", (1e6 * DEADLINE, 0.02), rotation=90, ha="right", va="center")
+    left.annotate("next reading", (1.1e6 * DEADLINE, 0.2), rotation=90, va="center")
     left.set(
         xscale="log",
         yscale="log",
         xlabel="time to the answer, µs",
         ylabel="share of answers that took longer",
         title="One row a millisecond",
+        xlim=(0.5, None),  # room for the legend
     )
-    left.legend()
+    left.legend(loc="lower left")
     refused = std > limit
     right.plot(share, 1e3 * length, color="tab:blue", label="correction")
     right.fill_between(
