@@ -29,10 +29,12 @@ from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.harmonics import (
     JointHarmonicRegressor,
+    centred,
     check_arm,
     check_lengths,
     check_offsets,
     check_residuals,
+    quantile,
 )
 from sklearn_raacmm.pose import PoseFeatures
 from sklearn_raacmm.rbf import RBFNetRegressor
@@ -258,6 +260,8 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         self.harmonics_ = clone(first).set_params(arm=self.arm_)
         self.harmonics_.n_features_in_, self.harmonics_.arm_ = X.shape[1], self.arm_
         self.harmonics_._fit(X, y, weights, codes, lengths, None)
+        # Outliers teach neither the network nor how long a correction may be.
+        weights = weights * self.harmonics_.pose_weight_
         self.network_ = None
         if use == MODELS[-1]:
             self._fit_network(X, y, weights, codes, lengths)
@@ -265,28 +269,28 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         self.residual_rms_mm_ = float(np.sqrt(np.average(np.square(size), weights=weights)))
         self.cap_mm_ = np.inf
         if self.cap is not None:
-            self.cap_mm_ = _quantile(size, self.cap, weights)
+            self.cap_mm_ = quantile(size, self.cap, weights)
             if codes is not None:
                 own = np.linalg.norm(sum(value for value, _ in self._parts(X, use)), axis=1)
-                own = _CAP_OF_OFFSETS * _quantile(own, self.cap, weights)
+                own = _CAP_OF_OFFSETS * quantile(own, self.cap, weights)
                 self.cap_mm_ = max(self.cap_mm_, own)
 
     def _fit_network(self, X, y, weights, codes, lengths):
         network = RBFNetRegressor(degree=-1, random_state=0) if self.network is None else None
         network = clone(self.network) if network is None else network
         F, direction = self._features(X)
-        left = y - _centred(self.harmonics_.predict(X), weights, codes)
+        left = y - centred(self.harmonics_.predict(X), weights, codes)
         self.network_ = network.fit(F, _to_cylindrical(left, direction), weights)
         if not self.joint or not len(network.centers_):
             return
         if np.any(network.linear_coef_) or not KERNELS[network.kernel].positive_definite:
             return  # not a smooth error with a covariance
         self.harmonics_._fit(X, y, weights, codes, lengths, self._smooth())
-        left = y - _centred(self.harmonics_.predict(X), weights, codes)
+        left = y - centred(self.harmonics_.predict(X), weights, codes)
         if codes is not None:
             # What the network says of each position's mean, which the residuals have lost.
             mean = _to_cartesian(network.predict(F), direction)
-            left = left + mean - _centred(mean, weights, codes)
+            left = left + mean - centred(mean, weights, codes)
         alpha = network.alpha_ if np.ndim(network.alpha_) == 0 else "auto"
         again = clone(network).set_params(length_scale=network.length_scale_, alpha=alpha)
         self.network_ = again.fit(F, _to_cylindrical(left, direction), weights)
@@ -334,7 +338,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
                     left[i, j, test] -= fold._guarded(parts, fade)
         errors = np.empty((len(models), len(fades), len(total)))
         for i, j in np.ndindex(errors.shape[:2]):
-            deviation = np.linalg.norm(_centred(left[i, j], weights, codes), axis=1)
+            deviation = np.linalg.norm(centred(left[i, j], weights, codes), axis=1)
             errors[i, j] = np.bincount(positions, weights * deviation) / total
         # Of fadings as good as the best the strongest.
         best = [e[e.mean(axis=1).argmin()] for e in errors]
@@ -419,23 +423,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         return tags
 
 
-def _quantile(values, share, weights):
-    """Least of the values below or at which lies this share of the weights."""
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(below, share * below[-1] * (1 - 1e-12))]])
-
-
 def _clearly_better(errors, others):
     """Whether errors (n_positions,) are smaller by more than the standard error of the gain."""
     gain = others - errors
     return gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
-
-
-def _centred(vectors, weights, codes):
-    """Vectors less the mean of their position, where positions have offsets."""
-    if codes is None:
-        return vectors
-    total = np.maximum(np.bincount(codes, weights=weights), 1e-300)
-    means = np.stack([np.bincount(codes, weights=weights * v) / total for v in vectors.T], axis=1)
-    return vectors - means[codes]

@@ -41,6 +41,13 @@ _CHUNK = 2048
 # single-point test have such means by construction, to rounding (or to the digits of a file).
 _CENTRED = 1e-3
 
+# Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
+# errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
+_OUTLIER = 5.5
+_MEDIAN_OF_CHI3 = 1.5382
+_ROBUST_ROUNDS = 4
+_SETTLED_WEIGHT = 0.05
+
 _HARMONIC_DTYPE = np.dtype(
     [
         ("joint", "i4"),
@@ -97,6 +104,11 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         `y` was measured against a tracker. "auto" finds out: the positions' mean residuals are
         zero, or not.
 
+    loss : {"tukey", "squared"}, default="tukey"
+        "tukey": where poses lie farther off than 5.5 standard deviations, all are weighed by
+        Tukey's biweight, which gives those none, and the model is fitted again. "squared": least
+        squares, which a slipped probe pulls along.
+
     Attributes
     ----------
     harmonics_ : structured ndarray of shape (n_chosen,)
@@ -129,6 +141,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     column_harmonics_ : ndarray of shape (n_chosen, 2)
         Joint from 1 and order of the harmonics in that order.
 
+    pose_weight_ : ndarray of shape (n_samples,)
+        What the loss left of the weight of each training pose: 0 for outliers.
+
     arm_ : Arm
         The arm in use.
 
@@ -158,9 +173,18 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     gauges, where leaving the scale to the prior made them larger. Known lengths are observations
     of their own, beside the noise of the two mean points.
 
+    The scale of Tukey's biweight is the median distance; all poses count fully where none is far
+    off [1]_. On simulated arms with 4 % slipped poses it was as good as without them, and never
+    worse on clean ones, nor on two Pandas, one of which holds outliers.
+
     Standard deviations suppose independent noise. Where a smooth error is left they are too small.
 
     The harmonic form is that of encoder eccentricity; the composition of the model is our own.
+
+    References
+    ----------
+    .. [1] A. E. Beaton, J. W. Tukey, "The fitting of power series, meaning polynomials, illustrated
+       on band-spectroscopic data", Technometrics 16(2), 1974, 147-185.
 
     Examples
     --------
@@ -192,6 +216,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         "wobble": ["boolean"],
         "prior_sd": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"})],
         "offsets": ["boolean", StrOptions({"auto"})],
+        "loss": [StrOptions({"squared", "tukey"})],
     }
 
     def __init__(
@@ -204,6 +229,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         wobble=True,
         prior_sd="auto",
         offsets="auto",
+        loss="tukey",
     ):
         self.arm = arm
         self.n_harmonics = n_harmonics
@@ -212,6 +238,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         self.wobble = wobble
         self.prior_sd = prior_sd
         self.offsets = offsets
+        self.loss = loss
 
     @one_blas_thread
     @_fit_context(prefer_skip_nested_validation=True)
@@ -263,6 +290,25 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         return self
 
     def _fit(self, X, y, weights, codes, lengths, smooth):
+        """Fit, and fit again without what is too far off."""
+        factor = np.ones(len(y))
+        for rounds_left in range(_ROBUST_ROUNDS, -1, -1):
+            self._fit_weighted(X, y, weights * factor, codes, lengths, smooth)
+            if self.loss == "squared" or not rounds_left:
+                break
+            left = y - self._predict(X)[0]
+            distance = np.linalg.norm(centred(left, weights * factor, codes), axis=1)
+            scale = quantile(distance, 0.5, weights) / _MEDIAN_OF_CHI3
+            share = np.square(distance / max(_OUTLIER * scale, 1e-300))
+            new = np.square(np.maximum(1 - share, 0.0))
+            far = np.any((share >= 1) & (weights > 0))
+            settled = np.abs(new - factor).max() < _SETTLED_WEIGHT
+            if not scale > 0 or settled or (rounds_left == _ROBUST_ROUNDS and not far):
+                break
+            factor = new
+        self.pose_weight_ = factor
+
+    def _fit_weighted(self, X, y, weights, codes, lengths, smooth):
         kept = weights > 0
         X, y, weights = X[kept], y[kept], weights[kept]
         self.offsets_ = codes is not None
@@ -402,6 +448,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         """
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
+        mean, std = self._predict(X, return_std)
+        return (mean, std) if return_std else mean
+
+    def _predict(self, X, return_std=False):
         terms = self._terms()
         mean, std = np.empty((len(X), 3)), np.empty((len(X), 3))
         for start in range(0, len(X), _CHUNK):
@@ -410,13 +460,29 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             mean[rows] = columns @ self.coef_
             if return_std:
                 std[rows] = np.sqrt(np.square(columns @ self._half).sum(axis=2))
-        return (mean, std) if return_std else mean
+        return mean, std
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = False
         tags.regressor_tags.poor_score = True
         return tags
+
+
+def centred(vectors, weights, codes):
+    """Vectors less the mean of their position, where positions have offsets."""
+    if codes is None:
+        return vectors
+    total = np.maximum(np.bincount(codes, weights=weights), 1e-300)
+    means = np.stack([np.bincount(codes, weights=weights * v) / total for v in vectors.T], axis=1)
+    return vectors - means[codes]
+
+
+def quantile(values, share, weights):
+    """Least of the values below or at which lies this share of the weights."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(below, share * below[-1] * (1 - 1e-12))]])
 
 
 def check_arm(arm, n_columns):

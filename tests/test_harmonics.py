@@ -462,6 +462,31 @@ def test_lengths_are_checked(eccentric):
         model.set_params(offsets=False).fit(theta, y, groups=groups, lengths=[(0, 1, 100, 1)])
 
 
+def test_slipped_poses_are_left_out(eccentric):
+    """As good as without them, and equal to least squares where there are none."""
+    arm, theta, y, truth = eccentric
+    groups = np.arange(len(y)) % 20
+    rng = np.random.default_rng(4)
+    bad = rng.random(len(y)) < 0.05
+    slipped = y + np.where(bad[:, None], rng.normal(0, 0.5, y.shape), 0.0)
+    model = JointHarmonicRegressor(arm, n_harmonics=20)
+    new = draw_angles(arm, 200, seed=8)
+    for offsets in (False, True):
+        model.set_params(offsets=offsets)
+        clean = clone(model).fit(theta[~bad], y[~bad], groups=groups[~bad])
+        robust = clone(model).fit(theta, slipped, groups=groups)
+        plain = clone(model).set_params(loss="squared").fit(theta, slipped, groups=groups)
+        assert np.all(robust.pose_weight_[bad & (np.abs(slipped - y).max(axis=1) > 0.1)] == 0)
+        assert np.mean(robust.pose_weight_[~bad]) > 0.8
+        expected = clean.predict(new)
+        errors = [np.abs(m.predict(new) - expected).mean() for m in (robust, plain)]
+        assert errors[0] < 0.2 * errors[1]
+    same = model.set_params(offsets=False).fit(
+        theta, truth + np.random.default_rng(5).normal(0, 0.003, y.shape)
+    )
+    assert_array_equal(same.pose_weight_, 1)
+
+
 def test_few_poses_without_noise_are_no_reason_to_fail():
     """Fifteen poses, hundreds of columns, a residual that they explain entirely."""
     arm = ARMS["standard"]
