@@ -1,0 +1,335 @@
+"""Every public function that takes an array, given arrays that are odd, and arrays that are wrong.
+
+`DOORS` lists the functions, each with an argument that is right; `SAME` forms that hold the same
+numbers, which must not matter; `WRONG` forms that are wrong, which must end in a sentence. Warnings
+are errors in this suite, so that none can come from deep inside NumPy.
+"""
+
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.sparse
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+    calibrate,
+    cartesian_to_cylindrical,
+    cylindrical_to_cartesian,
+    datasets,
+    display,
+    export,
+    metrics,
+    position_residuals,
+)
+
+
+def weyl(n_rows, n_columns):
+    """Evenly spread numbers in (0, 1) that depend on no generator."""
+    roots = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0][:n_columns])
+    return np.arange(1, n_rows + 1)[:, None] * roots % 1
+
+
+ARM = Arm.from_name("aacmm6")
+ANGLES = 3 * (weyl(40, 6) - 0.5)
+GROUPS = np.repeat(np.arange(8), 5)
+POINTS = ARM.forward(ANGLES)
+RESIDUALS = 0.05 * np.cos(ANGLES[:, [1, 3, 2]] - ANGLES[:, [2, 1, 3]])
+CENTRED = position_residuals(RESIDUALS, GROUPS)
+WEIGHTS = np.arange(1.0, 41)
+COLUMNS = PoseFeatures(ARM, append_azimuth=True).fit_transform(ANGLES)
+MACHINE = datasets.SimulatedArm()
+
+
+def network(**params):
+    return RBFNetRegressor(5, **{"length_scale": 1.0, "alpha": 0.01} | params)
+
+
+def harmonics():
+    return JointHarmonicRegressor(ARM, n_harmonics=2, gravity=False, kinematics=False, wobble=False)
+
+
+def both():
+    return ArmResidualRegressor(
+        ARM, harmonics=harmonics(), network=network(), use="harmonics+network", fade=0
+    )
+
+
+def cylindrical():
+    return CylindricalResidualTarget(network())
+
+
+def doors():
+    """Name of each door, an argument that is right, and the function of it, giving numbers."""
+    yield "Arm.forward", ANGLES, ARM.forward
+    yield "Arm.frames", ANGLES, ARM.frames
+    yield "Arm.jacobian", ANGLES, ARM.jacobian
+    yield "Arm.azimuth", ANGLES, ARM.azimuth
+    yield "Arm, a", ARM.a, lambda v: ARM.replace(a=v).a
+    yield "Arm, alpha", ARM.alpha, lambda v: ARM.replace(alpha=v).alpha
+    yield "Arm, probe", ARM.probe, lambda v: ARM.replace(probe=v).probe
+    degrees = np.rad2deg(ARM.alpha)
+    yield "from_degrees, alpha", degrees, lambda v: Arm.from_degrees(ARM.a, v, ARM.d).alpha
+    yield "PoseFeatures.transform", ANGLES, PoseFeatures(ARM).fit(ANGLES).transform
+    yield "PoseFeatures.fit", ANGLES, PoseFeatures(ARM).fit_transform
+    for name, make, X in (
+        ("RBFNetRegressor", network, ANGLES),
+        ("JointHarmonicRegressor", harmonics, ANGLES),
+        ("ArmResidualRegressor", both, ANGLES),
+        ("CylindricalResidualTarget", cylindrical, COLUMNS),
+    ):
+
+        def fitted(X, y, known=X, make=make, **options):
+            return make().fit(X, y, **options).predict(known)
+
+        yield f"{name}.fit, X", X, lambda v, fitted=fitted: fitted(v, RESIDUALS)
+        yield f"{name}.fit, y", RESIDUALS, lambda v, fitted=fitted, X=X: fitted(X, v)
+        yield (
+            f"{name}.fit, sample_weight",
+            WEIGHTS,
+            lambda v, fitted=fitted, X=X: fitted(X, RESIDUALS, sample_weight=v),
+        )
+        yield f"{name}.predict", X, make().fit(X, RESIDUALS).predict
+    widths = np.arange(1.0, 7.0)
+    yield "length_scale", widths, lambda v: network(length_scale=v).fit(ANGLES, RESIDUALS).coef_
+    free = {"free": ["probe"]}
+    yield "calibrate, angles", ANGLES, lambda v: calibrate(ARM, v, points=POINTS, **free).values
+    yield "calibrate, points", POINTS, lambda v: calibrate(ARM, ANGLES, points=v, **free).values
+    yield "position_residuals", POINTS, lambda v: position_residuals(v, GROUPS)
+    yield (
+        "position_residuals, sample_weight",
+        WEIGHTS,
+        lambda v: position_residuals(POINTS, GROUPS, v),
+    )
+    angle = ANGLES[:, 0]
+    yield "cartesian_to_cylindrical", RESIDUALS, lambda v: cartesian_to_cylindrical(v, angle)
+    yield "azimuth there", angle, lambda v: cartesian_to_cylindrical(RESIDUALS, v)
+    yield "azimuth back", angle, lambda v: cylindrical_to_cartesian(RESIDUALS, v)
+    measures = metrics
+    yield "2S", POINTS, lambda v: measures.single_point_repeatability(v, GROUPS)
+    yield "axes", POINTS, lambda v: measures.axis_repeatability(v, GROUPS)
+    yield "report", POINTS, lambda v: measures.repeatability_report(v, GROUPS).axis_2s_x
+    kept = {"groups": GROUPS}
+    yield "scatter", RESIDUALS, lambda v: measures.within_position_scatter(POINTS, v, **kept)
+    yield "R2", POINTS, lambda v: measures.within_position_r2_score(v, RESIDUALS, **kept)
+    yield "gauge", POINTS, lambda v: measures.gauge_lengths(v, GROUPS, [[0, 1]])
+    lengths = np.array([300.0, 500.0])
+    yield "measured", lengths, lambda v: measures.length_error(v, [300, 500])
+    yield "calibrated", lengths, lambda v: measures.length_error([300, 500], v)
+    yield "size", POINTS, lambda v: measures.probing_size_error(v, 10)
+    yield "form", POINTS, measures.probing_form_error
+    yield "location", POINTS, measures.articulated_location_error
+    fit = network().fit(ANGLES, RESIDUALS)
+    yield (
+        "scorer",
+        ANGLES,
+        lambda v: measures.repeatability_scorer(v, GROUPS)(fit, np.asarray(v, float), RESIDUALS),
+    )
+    yield "make_gauge", lengths, lambda v: datasets.make_gauge(v, 1, 2).lengths
+    yield "SimulatedArm.forward", ANGLES, MACHINE.forward
+    yield "SimulatedArm.read", ANGLES, lambda v: MACHINE.read(v, 0)
+    yield "SimulatedArm.solve", ANGLES, lambda v: MACHINE.solve(v, MACHINE.forward(ANGLES))
+    near = MACHINE.forward(ANGLES)
+    yield "SimulatedArm.solve, points", near, lambda v: MACHINE.solve(ANGLES, v)
+    cone = np.array([400.0, 0.0, 300.0])
+    yield "SimulatedArm.find_poses", cone, lambda v: MACHINE.find_poses(v, 2, 0)
+    rep = display.RepeatabilityDisplay.from_predictions
+    yield "RepeatabilityDisplay", POINTS, lambda v: rep(v, RESIDUALS, groups=GROUPS).after
+    res = display.ResidualDisplay.from_predictions
+    yield "ResidualDisplay", ANGLES, lambda v: res(v, RESIDUALS, arm=ARM).before
+    poses = display.ArmPosesDisplay.from_predictions
+    yield "ArmPosesDisplay", ANGLES, lambda v: poses(v, RESIDUALS, arm=ARM).chains
+    yield "describe", ANGLES, lambda v: export.describe(fit, v)["training"]["rows"]
+
+
+def label_doors():
+    """The same for labels of positions."""
+    yield "JointHarmonicRegressor", lambda v: harmonics().fit(ANGLES, CENTRED, groups=v).coef_
+    yield "ArmResidualRegressor", lambda v: both().fit(ANGLES, CENTRED, groups=v).predict(ANGLES)
+    yield "calibrate", lambda v: calibrate(ARM, ANGLES, v, free=["probe"]).values
+    yield "position_residuals", lambda v: position_residuals(POINTS, v)
+    yield "2S", lambda v: metrics.single_point_repeatability(POINTS, v)
+    yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
+    yield "gauge", lambda v: metrics.gauge_lengths(POINTS, v, [np.asarray(v)[[0, 5]]])
+    yield "location", lambda v: metrics.articulated_location_error(POINTS, v)
+    fit = network().fit(ANGLES, RESIDUALS)
+    yield "scorer", lambda v: metrics.repeatability_scorer(ANGLES, v)(fit, ANGLES, RESIDUALS)
+    rep = display.RepeatabilityDisplay.from_predictions
+    yield "RepeatabilityDisplay", lambda v: rep(POINTS, RESIDUALS, groups=v).after
+    yield "describe", lambda v: export.describe(fit, ANGLES, groups=v)["training"]["positions"]
+
+
+def with_second(value):
+    """A form with something else in the second place."""
+
+    def put(x):
+        x = np.array(x, dtype=object if isinstance(value, str | None) else None)
+        x.flat[1] = value
+        return x
+
+    return put
+
+
+def masked(x):
+    x = np.ma.array(x)
+    x[1] = np.ma.masked
+    return x
+
+
+def read_only(x):
+    x = np.array(x)
+    x.flags.writeable = False
+    return x
+
+
+SAME = {
+    "read-only": read_only,
+    "every other row of a larger array": lambda x: np.repeat(x, 2, axis=0)[::2],
+    "backwards": lambda x: np.ascontiguousarray(x[::-1])[::-1],
+    "Fortran": np.asfortranarray,
+    "big-endian": lambda x: x.astype(x.dtype.newbyteorder(">")),
+    "list": lambda x: x.tolist(),
+    "objects": lambda x: x.astype(object),
+    "long double": lambda x: x.astype(np.longdouble),
+    "nothing masked": np.ma.array,
+    "frame": lambda x: pd.DataFrame(x) if x.ndim == 2 else pd.Series(x),
+}
+NARROW = {"float32": np.float32, "float16": np.float16, "integers": int, "unsigned": np.uint16}
+# What is wrong, and what the sentence says, at whichever door.
+SHAPE = "shape|dim|columns|features|number|array|must hold|sample|empty|rows|must be between"
+WRONG = {
+    "NaN": (with_second(np.nan), "NaN|nan|finite"),
+    "infinity": (with_second(np.inf), "inf|finite"),
+    "minus infinity": (with_second(-np.inf), "inf|finite|egative"),
+    "too large": (with_second(1e300), r"1e\+|two turns|bounds|between|numbers above"),
+    "masked": (masked, "masked"),
+    "complex": (lambda x: x + 1j, "omplex|must hold numbers"),
+    "dates": (lambda x: np.full(x.shape, np.datetime64("2020-01-01")), "dates or times"),
+    "durations": (lambda x: np.full(x.shape, np.timedelta64(1, "s")), "dates or times"),
+    "None inside": (with_second(None), "NaN|must hold numbers|missing"),
+    "text inside": (with_second("one"), "must hold numbers|could not convert|float"),
+    "text": (lambda x: "angles", "must hold|convert|scalar|array|1 dimension|str|samples|features"),
+    "a data set": (lambda x: {"data": x}, "must be an array, got dict"),
+    "sparse": (
+        lambda x: scipy.sparse.csr_array(np.atleast_2d(x)),
+        "[Ss]parse|must hold numbers|length_scale",
+    ),
+    "no rows": (lambda x: x[:0], SHAPE),
+    "no columns": (lambda x: np.empty((len(x), 0)), SHAPE),
+    "three dimensions": (lambda x: x.reshape(1, *x.shape, *(1,) * (2 - x.ndim)), SHAPE),
+    "ragged": (lambda x: [[1.0, 2.0], [1.0]], "inhomogeneous|must hold numbers|samples|features"),
+}
+FINE = {
+    # No poses have no points.
+    ("Arm.forward", "no rows"),
+    ("Arm.frames", "no rows"),
+    ("Arm.jacobian", "no rows"),
+    ("Arm.azimuth", "no rows"),
+    ("SimulatedArm.forward", "no rows"),
+    ("SimulatedArm.read", "no rows"),
+    # Infinitely wide is a feature that does not count; wider than can be told apart, too.
+    ("length_scale", "too large"),
+    # Of a model without an arm the card says no more than the number of rows.
+    ("describe", "too large"),
+}
+DOORS = {name: (x, function) for name, x, function in doors()}
+LABEL_DOORS = dict(label_doors())
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    plt.close("all")
+
+
+@pytest.mark.parametrize("form", SAME)
+@pytest.mark.parametrize("door", DOORS)
+def test_form_of_the_same_numbers_does_not_matter(door, form):
+    x, function = DOORS[door]
+    np.testing.assert_allclose(
+        function(SAME[form](x)), function(np.array(x)), rtol=1e-9, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("form", NARROW)
+@pytest.mark.parametrize("door", DOORS)
+def test_narrow_types_are_worth_what_they_hold(door, form):
+    x, function = DOORS[door]
+    if form in ("integers", "unsigned"):
+        x = np.round(np.abs(x) + 1)
+    narrow = x.astype(NARROW[form])
+    wide = np.array(narrow, dtype=float)
+    if door.startswith("CylindricalResidualTarget") and x is COLUMNS and form != "float32":
+        with pytest.raises(ValueError, match="norm other than 1"):
+            function(narrow)  # no direction is left of cosine and sine
+        return
+    # Features in float32 come out in float32.
+    tolerance = 1e-5 if door.startswith(("PoseFeatures", "ResidualDisplay")) else 1e-9
+    try:
+        expected = function(wide)
+    except (ValueError, UserWarning) as error:  # such as integers that are no lengths
+        with pytest.raises(type(error)):
+            function(narrow)
+        return
+    np.testing.assert_allclose(function(narrow), expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("kind", WRONG)
+@pytest.mark.parametrize("door", DOORS)
+def test_wrong_arrays_get_a_sentence(door, kind):
+    x, function = DOORS[door]
+    spoil, sentence = WRONG[kind]
+    if (door, kind) in FINE:
+        assert np.all(np.isfinite(function(spoil(x))))
+        return
+    # UserWarning: more than two turns.
+    with pytest.raises((ValueError, TypeError, UserWarning)) as caught:
+        function(spoil(x))
+    assert caught.type.__module__ in ("builtins", "sklearn.utils._param_validation")
+    assert re.search(sentence, str(caught.value)), str(caught.value)
+
+
+WRONG_LABELS = {
+    "NaN": (lambda g: np.where(np.arange(40) == 1, np.nan, g), "missing label"),
+    "None": (with_second(None), "missing label"),
+    "masked": (masked, "masked"),
+    "pandas' NA": (lambda g: pd.Series(g, dtype="Int64").where(g != 3), "missing label"),
+    "empty text": (lambda g: np.where(g == 2, "", g.astype(str)), "missing label"),
+    "numbers and text": (with_second("A"), "one kind"),
+    "too few": (lambda g: g[:-1], "39"),
+    "two columns": (lambda g: np.stack([g, g], axis=1), "shape|1d array"),
+}
+SAME_LABELS = {
+    "text": lambda g: np.array(list("abcdefgh"))[g],
+    "float16": lambda g: g.astype(np.float16),
+    "objects": lambda g: g.astype(object),
+    "list": lambda g: g.tolist(),
+    "series": lambda g: pd.Series(g, index=g[::-1]),
+    "categories": lambda g: pd.Categorical(g),
+    "dates": lambda g: np.datetime64("2020-01-01") + g,
+    "read-only": read_only,
+}
+
+
+@pytest.mark.parametrize("kind", WRONG_LABELS)
+@pytest.mark.parametrize("door", LABEL_DOORS)
+def test_wrong_labels_get_a_sentence(door, kind):
+    spoil, sentence = WRONG_LABELS[kind]
+    with pytest.raises(ValueError, match=sentence):
+        LABEL_DOORS[door](spoil(GROUPS))
+
+
+@pytest.mark.parametrize("form", SAME_LABELS)
+@pytest.mark.parametrize("door", LABEL_DOORS)
+def test_what_labels_are_does_not_matter(door, form):
+    function = LABEL_DOORS[door]
+    np.testing.assert_allclose(
+        function(SAME_LABELS[form](GROUPS)), function(GROUPS), rtol=1e-9, atol=1e-12
+    )
