@@ -15,10 +15,10 @@ from sklearn.utils import check_array
 
 from sklearn_raacmm._input import refuse_huge
 from sklearn_raacmm._preparation import (
-    BLOCK,
     Block,
     Merged,
     Problem,
+    block_rows,
     independent_features,
     merge,
     prepare,
@@ -51,7 +51,7 @@ class ArrayChunks:
 
     def reduce(self, function, combine, width):
         """Combine function(X, Y, weights, start) of blocks, which holds `width` numbers a row."""
-        size = max(1, min(BLOCK // max(1, width), CHUNK_ROWS))
+        size = min(block_rows(width), CHUNK_ROWS)
         parts = (slice(i, i + size) for i in range(0, len(self.X), size))
         rows = ((*(np.asarray(a[p]) for a in (self.X, self.Y, self.weights)), p) for p in parts)
         return reduce(combine, (function(X, Y, w, self.start + p.start) for X, Y, w, p in rows))

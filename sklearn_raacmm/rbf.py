@@ -9,25 +9,18 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm._candidates import Features, candidate_groups
+from sklearn_raacmm._candidates import Features
+from sklearn_raacmm._centers import MAX_CANDIDATES, Settings, choose_centers, choose_size
 from sklearn_raacmm._chunks import ArrayChunks, chunked_problem, dask_chunks, is_dask
 from sklearn_raacmm._input import LARGEST, check_data, check_features, check_weights, floats
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
 from sklearn_raacmm._path import (
-    leave_one_out,
     nested_least_squares,
     penalise,
-    size_scores,
     stack_triangles,
     triangular_factor,
 )
 from sklearn_raacmm._preparation import merge, prepare
-from sklearn_raacmm._selection import (
-    exchange,
-    forward_selection,
-    squared_ratio_score,
-    total_score,
-)
 from sklearn_raacmm._sklearn import (
     Interval,
     StrOptions,
@@ -37,19 +30,12 @@ from sklearn_raacmm._sklearn import (
 from sklearn_raacmm._tuning import SAMPLE_ROWS, tune
 from sklearn_raacmm._versioned import VersionedEstimator
 
-# Rows drawn as candidate centres where there are more: their factor fits in memory.
-_MAX_CANDIDATES = 10_000
-# Centres tried where their number is not given. A minimum needs the whole path.
-_MAX_CENTERS = dict.fromkeys(("posterior", "error_reduction", "mse"), 2000)
-_MAX_CENTERS |= dict.fromkeys(("gcv", "loo", "bic"), 500)
 # Data of more rows are read in blocks, and repeated rows not merged.
 IN_MEMORY_ROWS = 100_000
 # Kernel values held at a time while predicting: they stay in a core's cache.
 _CHUNK = 2**18
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
 _MAX_RANGE = 1e6
-# Ratio of ridges up to which outputs see the candidates alike.
-_ALIKE = 4.0
 _PER_OUTPUT = (
     "coef_",
     "intercept_",
@@ -72,8 +58,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     with K the kernel matrix of the centres. Centres are added one at a time, each the one that
     lowers this objective most (orthogonal least squares [1]_). By default the widths
     :math:`\ell` (one a feature) and the ridge :math:`\alpha` maximise the marginal likelihood
-    of a low-rank Gaussian process [2]_, and centres are added until the network is as good as that
-    process.
+    of a low-rank Gaussian process [2]_ times a weak prior against narrow widths, and centres are
+    added until the network is as good as that process.
 
     Parameters
     ----------
@@ -196,7 +182,16 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     -----
     The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows are
     merged, and rows are sorted, so that neither row order nor writing a row twice instead of
-    doubling its weight matters.
+    doubling its weight matters. Of weights only the ratios count for what is found by itself: a row
+    that is there twice, target and all, is one observation of twice the weight.
+
+    Several outputs share widths and centres. Where they differ much in how fast they vary, give
+    each a network of its own: :class:`~sklearn.multioutput.MultiOutputRegressor`.
+
+    More than 100 000 rows are read in blocks, also from a memory-mapped file, in time linear in
+    their number and in memory that does not depend on it: centres and the rows that decide on the
+    widths then come from a sample, drawn by a hash of the rows' content, and repeated rows are
+    merged in that sample only. `fit` takes dask arrays, too; each chunk is worked on where it is.
 
     Outputs share widths and centres. Where one waves many times while another waves once, fit one
     network for each: ``MultiOutputRegressor(RBFNetRegressor())``.
@@ -284,7 +279,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_features)
+        X : array-like or dask array of shape (n_samples, n_features)
             Training rows.
 
         y : array-like of shape (n_samples,) or (n_samples, n_outputs)
@@ -312,7 +307,19 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         vars(self).pop("_posterior_", None)
         self.length_scale_, alpha = self._tune(problem, width, rng)
         shift = problem.X.mean(axis=0)
-        order, self.stop_reason_ = self._select(problem, alpha, shift, rng)
+        settings = Settings(
+            self.kernel,
+            None if self.n_centers == "auto" else self.n_centers,
+            self.criterion,
+            self.tol,
+            self.max_centers,
+            self.candidates,
+            self.selection,
+            self.refine,
+        )
+        order, self.stop_reason_ = choose_centers(
+            problem, alpha, shift, self.length_scale_, settings, rng
+        )
         Z = (problem.X[order] - shift) / self.length_scale_
         definite = KERNELS[self.kernel].positive_definite
         root = psd_root(kernel_matrix(Z, Z, self.kernel)) if definite else np.eye(len(order))
@@ -320,7 +327,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         p = problem.n_tail
         R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
-        k, self.criterion_path_ = self._size(problem, alpha, columns, path)
+        k, self.criterion_path_, reached = choose_size(problem, alpha, columns, path, settings)
+        if reached:
+            self.stop_reason_ = "criterion"
 
         self.n_iter_ = len(order)
         self.centers_ = problem.X[order[:k]]
@@ -354,7 +363,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def _problem(self, X, y, sample_weight, rng):
         """The data, checked: in memory, or in blocks where they are many or elsewhere."""
-        held = max(_MAX_CANDIDATES if self.candidates is None else self.candidates, SAMPLE_ROWS)
+        held = max(MAX_CANDIDATES if self.candidates is None else self.candidates, SAMPLE_ROWS)
         if is_dask(X):
             chunks = dask_chunks(X, y, sample_weight)
             if len(chunks) > IN_MEMORY_ROWS:
@@ -394,101 +403,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         if alpha is None:
             alphas[view.outputs] = tuned.alpha * sample.unit / problem.unit
         return tuned.length_scale if width is None else width, alphas
-
-    def _criterion(self, alpha):
-        """Name of the criterion in force; None where the number of centres is given."""
-        if self.n_centers not in ("auto", None):
-            return None
-        applies = np.all(alpha > 0) and KERNELS[self.kernel].positive_definite
-        if self.criterion == "posterior" and not (applies and self.selection == "ols"):
-            raise ValueError(
-                'criterion="posterior" needs a positive definite kernel, alpha > 0 and '
-                f'selection="ols"; got kernel={self.kernel!r}, alpha={self.alpha!r}, '
-                f"selection={self.selection!r}."
-            )
-        if self.criterion == "auto":
-            return "posterior" if applies and self.selection == "ols" else "gcv"
-        return self.criterion
-
-    def _select(self, problem, alpha, shift, rng):
-        """Indices of the centres among the problem's rows, in order, and why there are no more."""
-        n, criterion = len(problem.X), self._criterion(alpha)
-        most = _MAX_CANDIDATES if self.candidates is None else self.candidates
-        rows = np.arange(n) if n <= most else np.sort(rng.permutation(n)[:most])
-        if criterion is None:
-            if self.n_centers > len(rows):
-                raise ValueError(
-                    f"n_centers={self.n_centers}, but there are only {len(rows)} distinct "
-                    "candidate rows."
-                )
-            n_select = self.n_centers
-        else:
-            limit = _MAX_CENTERS[criterion] if self.max_centers is None else self.max_centers
-            n_select = min(limit, len(rows))
-        view, score = problem.view(centred=self.selection == "ols"), total_score
-        if not len(view.outputs):
-            # Nothing varies: no centre is needed, and any is as good as another.
-            return (rows[:n_select], "n_centers") if criterion is None else (rows[:0], "criterion")
-        members, alphas = group_alphas(alpha[view.outputs])
-        if self.selection == "newrb":
-            score = squared_ratio_score(view.total[np.concatenate(members)])
-        groups, dof = candidate_groups(
-            problem,
-            view,
-            rows,
-            shift,
-            self.length_scale_,
-            members,
-            self.kernel,
-            alphas,
-            n_select if criterion is None else None,
-            whitened=self.refine,
-        )
-        enough = None
-        if criterion == "posterior":
-            # Gains in units of each output's noise, as the likelihood counts them.
-            enough = []
-            for candidates, of, free in zip(groups, members, dof, strict=True):
-                explained = np.square(candidates.target).sum(axis=0)
-                left = view.total[of] + view.within[of] - explained
-                noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
-                candidates.target = candidates.target / np.sqrt(noise)
-                # Less than half a parameter's worth of function is none.
-                enough.extend(explained / noise - self.tol * free if free > 0.5 else 0 * noise)
-        found = forward_selection(groups, n_select, score=score, enough=enough)
-        indices = found.indices
-        if self.refine and len(indices) > 0:
-            indices = exchange(groups, indices)[0]
-        stop = {
-            "n_select": "n_centers" if criterion is None else "max_centers",
-            "enough": "criterion",
-        }
-        # With newrb the tail joins only now: together they must not outnumber the rows.
-        room = problem.n_rows - problem.n_tail
-        if alpha.min() == 0 and len(indices) > room:
-            return rows[indices[:room]], "dependent"
-        return rows[indices], stop.get(found.stop, found.stop)
-
-    def _size(self, problem, alpha, columns, path):
-        """Number of centres to keep, and the criterion along the path."""
-        criterion = self._criterion(alpha)
-        tried = len(path.dof) - 1
-        if criterion is None or tried == 0:
-            return tried, np.empty(0)
-        press = None
-        if criterion == "loo":
-            function = partial(_press, columns, path)
-            press = problem.reduce(function, np.add, 3 * tried) + problem.within
-        scores = size_scores(path, criterion, problem.spread, problem.n_total, press)
-        if criterion == "posterior":
-            # The forward pass has stopped by it; what is shown is the objective it lowers.
-            return tried, scores
-        if criterion not in ("mse", "error_reduction"):
-            return int(np.argmin(scores)) + 1, scores
-        reached = np.flatnonzero(scores <= self.tol)
-        if len(reached) > 0:
-            self.stop_reason_ = "criterion"
-        return int(reached[0]) + 1 if len(reached) > 0 else tried, scores
 
     def predict(self, X, return_std=False, with_noise=True):
         """Predict targets.
@@ -592,10 +506,6 @@ def _triangle(columns, block):
     return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
 
 
-def _press(columns, path, block):
-    return leave_one_out(block.tail, columns(block), block.targets, path)
-
-
 def check_length_scale(length_scale, n_features):
     """Widths as an array of one a feature; None where they are to be found."""
     if isinstance(length_scale, str):
@@ -625,25 +535,3 @@ def check_not_too_narrow(width, X):
             f"length_scale is {width[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
             f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
         )
-
-
-def group_alphas(alphas):
-    """Outputs whose ridges are alike, to select for together, and the ridge of each group.
-
-    Returns
-    -------
-    members : list of ndarray
-        Indices, together all of them in order of their ridge.
-    shared : list of float
-        Geometric mean of the members' ridges.
-    """
-    order = np.argsort(alphas, kind="stable")
-    members, shared = [], []
-    for i in order:
-        if members and alphas[i] <= _ALIKE * alphas[members[-1][0]]:
-            members[-1].append(i)
-        else:
-            members.append([i])
-    for of in members:
-        shared.append(float(np.exp(np.mean(np.log(alphas[of])))) if alphas[of[0]] > 0 else 0.0)
-    return [np.array(of) for of in members], shared

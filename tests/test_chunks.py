@@ -58,7 +58,7 @@ def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, mon
     whole = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     # All rows are candidates here too, but seen through sums over blocks.
     monkeypatch.setattr(rbf, "IN_MEMORY_ROWS", 1000)
-    monkeypatch.setattr(rbf, "_MAX_CANDIDATES", 3949)
+    monkeypatch.setattr("sklearn_raacmm._centers.MAX_CANDIDATES", 3949)
     blocks = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     np.testing.assert_array_equal(blocks.center_indices_, whole.center_indices_)
     np.testing.assert_allclose(blocks.predict(X), whole.predict(X), atol=1e-9)
@@ -116,7 +116,7 @@ def test_rows_that_repeat_are_merged_where_they_all_fit(few_in_memory):
 def test_rows_of_a_file_are_not_read_into_memory(tmp_path, monkeypatch):
     n = 200_000
     # Blocks as small beside this file as the usual ones are beside one that is worth a file.
-    monkeypatch.setattr("sklearn_raacmm._chunks.BLOCK", 2**18)
+    monkeypatch.setattr("sklearn_raacmm._preparation.SMALL_BLOCK", 2**16)
     monkeypatch.setattr("sklearn_raacmm._chunks.CHUNK_ROWS", 2**12)
     rng = np.random.default_rng(0)
     X = np.memmap(tmp_path / "X", dtype=np.float64, mode="w+", shape=(n, 12))
