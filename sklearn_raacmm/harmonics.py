@@ -11,6 +11,7 @@ from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_raacmm._arm_checks import check_angles
 from sklearn_raacmm._arm_terms import (
     FAMILIES,
     HARMONIC,
@@ -445,9 +446,15 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             If the model is not fitted.
         ValueError
             If X has another number of columns than the arm has joints, or holds NaN or infinity.
+
+        Warns
+        -----
+        UserWarning
+            If angles are larger than two turns: most likely degrees.
         """
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
+        check_angles(X, X.shape[1], "rad")  # warns of degrees
         mean, std = self._predict(X, return_std)
         return (mean, std) if return_std else mean
 
