@@ -304,8 +304,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         width = check_length_scale(self.length_scale, self.n_features_in_)
         check_not_too_narrow(width, problem.X)
 
-        vars(self).pop("_posterior_", None)
-        self.length_scale_, alpha = self._tune(problem, width, rng)
+        length_scale, alpha = self._tune(problem, width, rng)
         shift = problem.X.mean(axis=0)
         settings = Settings(
             self.kernel,
@@ -317,20 +316,20 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             self.selection,
             self.refine,
         )
-        order, self.stop_reason_ = choose_centers(
-            problem, alpha, shift, self.length_scale_, settings, rng
-        )
-        Z = (problem.X[order] - shift) / self.length_scale_
+        order, stop_reason = choose_centers(problem, alpha, shift, length_scale, settings, rng)
+        Z = (problem.X[order] - shift) / length_scale
         definite = KERNELS[self.kernel].positive_definite
         root = psd_root(kernel_matrix(Z, Z, self.kernel)) if definite else np.eye(len(order))
-        columns = Features(Z, shift, self.length_scale_, self.kernel)
+        columns = Features(Z, shift, length_scale, self.kernel)
         p = problem.n_tail
         R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
-        k, self.criterion_path_, reached = choose_size(problem, alpha, columns, path, settings)
-        if reached:
-            self.stop_reason_ = "criterion"
+        k, scores, reached = choose_size(problem, alpha, columns, path, settings)
 
+        # Only now: who interrupts a fit keeps the model of the last one.
+        vars(self).pop("_posterior_", None)
+        self.length_scale_, self.criterion_path_ = length_scale, scores
+        self.stop_reason_ = "criterion" if reached else stop_reason
         self.n_iter_ = len(order)
         self.centers_ = problem.X[order[:k]]
         self.center_indices_ = problem.first[order[:k]]
