@@ -1,0 +1,333 @@
+"""Laws that hold for every arm, every set of points, every data: tried on many drawn at random.
+
+Hypothesis draws them, the same ones every time.
+"""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+
+from sklearn_raacmm import (
+    Arm,
+    CylindricalResidualTarget,
+    RBFNetRegressor,
+    cartesian_to_cylindrical,
+    cylindrical_to_cartesian,
+    position_residuals,
+)
+from sklearn_raacmm.metrics import (
+    articulated_location_error,
+    gauge_lengths,
+    probing_form_error,
+    probing_size_error,
+    single_point_repeatability,
+    within_position_r2_score,
+    within_position_scatter,
+)
+
+examples = settings(derandomize=True, max_examples=25, deadline=None, database=None)
+few_examples = settings(examples, max_examples=10)
+
+seeds = st.integers(0, 2**32 - 1)
+angles = st.floats(-np.pi, np.pi)
+
+
+def mm(limit=2000.0):
+    return st.floats(-limit, limit)
+
+
+def listed(numbers, size):
+    return st.lists(numbers, min_size=size, max_size=size)
+
+
+@st.composite
+def arms(draw, n_joints=6, convention=None):
+    """Any arm at all: also folded, flat and of no length."""
+    return Arm(
+        a=draw(listed(mm(), n_joints)),
+        alpha=draw(listed(angles, n_joints)),
+        d=draw(listed(mm(), n_joints)),
+        theta_offset=draw(listed(angles, n_joints)),
+        probe=draw(listed(mm(), 3)),
+        convention=convention or draw(st.sampled_from(["standard", "modified"])),
+        joint_signs=draw(listed(st.sampled_from([-1, 1]), n_joints)),
+        pose_joints=(1, 2),
+        pose_frames=(0, n_joints),
+        name=draw(st.text()),
+    )
+
+
+@st.composite
+def motions(draw):
+    """A rotation matrix and a shift in mm."""
+    turn = Rotation.from_rotvec(draw(listed(angles, 3))).as_matrix()
+    return turn, np.array(draw(listed(mm(), 3)))
+
+
+@st.composite
+def positions(draw, least=2):
+    """Points (n, 3) in mm, of two to five positions with different numbers of points, shuffled."""
+    rng = np.random.default_rng(draw(seeds))
+    counts = draw(st.lists(st.integers(least, 9), min_size=2, max_size=5))
+    groups = rng.permutation(np.repeat(np.arange(len(counts)), counts))
+    centers = rng.uniform(-1000, 1000, (len(counts), 3))
+    scatter = 10.0 ** draw(st.integers(-3, 2))
+    return centers[groups] + scatter * rng.normal(size=(len(groups), 3)), groups, rng
+
+
+# -- the arm ---------------------------------------------------------------------------------------
+
+
+@examples
+@given(arms(), listed(angles, 6), angles)
+def test_a_turn_of_the_base_turns_the_point_about_z(arm, q, turn):
+    if arm.convention == "modified":  # its first axis is turned by its own twist first
+        arm = arm.replace(alpha=[0.0, *arm.alpha[1:]])
+        arm = arm.replace(a=[0.0, *arm.a[1:]])
+    q = np.array([q, q])
+    q[1, 0] += turn
+    before, after = arm.forward(q)
+    about_z = Rotation.from_euler("z", arm.joint_signs[0] * turn).as_matrix()
+    assert_allclose(after, about_z @ before, atol=1e-8)
+
+
+@examples
+@given(arms(), listed(angles, 6), st.integers(2, 4))
+def test_an_arm_is_its_first_joints_and_then_the_others(arm, q, split):
+    q = np.array([q])
+
+    def part(joints):
+        fields = ("a", "alpha", "d", "theta_offset", "joint_signs")
+        n = len(arm.a[joints])
+        return arm.replace(
+            **{name: getattr(arm, name)[joints] for name in fields},
+            pose_joints=(1, 2),
+            pose_frames=(0, n),
+        )
+
+    hand = part(slice(split, None)).forward(q[:, split:])[0]
+    frame = part(slice(None, split)).frames(q[:, :split])[0, -1]
+    assert_allclose(arm.forward(q)[0], frame[:, :3] @ hand + frame[:, 3], atol=1e-8)
+
+
+@examples
+@given(arms(convention="standard"), listed(angles, 6))
+def test_modified_parameters_of_a_standard_arm_are_those_of_the_row_before(arm, q):
+    last = Rotation.from_euler("x", arm.alpha[-1]).as_matrix()
+    modified = arm.replace(
+        a=[0.0, *arm.a[:-1]],
+        alpha=[0.0, *arm.alpha[:-1]],
+        probe=last @ arm.probe + [arm.a[-1], 0, 0],
+        convention="modified",
+    )
+    assert_allclose(modified.forward([q]), arm.forward([q]), atol=1e-8)
+    assert_allclose(modified.jacobian([q]), arm.jacobian([q]), atol=1e-8)
+
+
+@examples
+@given(arms(), listed(angles, 6))
+def test_frames_are_rigid_and_carry_the_probe(arm, q):
+    rotation, origin = np.split(arm.frames([q])[0], [3], axis=2)
+    assert_allclose(rotation @ rotation.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (7, 3, 3)),
+                    atol=1e-12)  # fmt: skip
+    assert_allclose(np.linalg.det(rotation), 1)
+    assert_allclose(arm.forward([q])[0], rotation[-1] @ arm.probe + origin[-1, :, 0], atol=1e-8)
+
+
+@examples
+@given(arms())
+def test_json_brings_back_the_same_arm(arm):
+    assert Arm.from_json(arm.to_json()) == arm
+    # What other programs make of it is the same, too.
+    assert Arm.from_json(json.dumps(json.loads(arm.to_json()))) == arm
+
+
+# -- residuals -------------------------------------------------------------------------------------
+
+
+@examples
+@given(listed(st.tuples(mm(1.0), mm(1.0), mm(1.0)), 5), listed(st.floats(-20, 20), 5))
+def test_cylindrical_frame_there_and_back(vectors, azimuth):
+    there = cartesian_to_cylindrical(vectors, azimuth)
+    assert_allclose(np.linalg.norm(there, axis=1), np.linalg.norm(vectors, axis=1), atol=1e-14)
+    assert_allclose(cylindrical_to_cartesian(there, azimuth), vectors, atol=1e-14)
+    whole_turn = np.add(azimuth, 2 * np.pi)
+    assert_allclose(cartesian_to_cylindrical(vectors, whole_turn), there, atol=1e-13)
+
+
+@examples
+@given(positions(), st.booleans())
+def test_residuals_sum_to_zero_and_ignore_where_positions_are(data, weighted):
+    points, groups, rng = data
+    weights = rng.uniform(0.1, 3, len(points)) if weighted else np.ones(len(points))
+    residuals = position_residuals(points, groups, weights)
+    sums = np.zeros((groups.max() + 1, 3))
+    np.add.at(sums, groups, weights[:, None] * residuals)
+    assert_allclose(sums, 0, atol=1e-9)
+    elsewhere = points + rng.uniform(-1000, 1000, (groups.max() + 1, 3))[groups]
+    assert_allclose(position_residuals(elsewhere, groups, weights), residuals, atol=1e-9)
+    assert_allclose(position_residuals(residuals, groups, weights), residuals, atol=1e-9)
+
+
+@few_examples
+@given(seeds, angles)
+def test_turning_the_arm_with_its_residuals_turns_the_corrections(seed, turn):
+    rng = np.random.default_rng(seed)
+    azimuth = rng.uniform(-np.pi, np.pi, 40)
+    shape = rng.uniform(-1, 1, (40, 2))
+    y = cylindrical_to_cartesian(np.sin(shape @ rng.normal(size=(2, 3))), azimuth)
+    model = CylindricalResidualTarget(RBFNetRegressor(6, length_scale=1.0, alpha=1e-3))
+
+    def corrections(turn):
+        X = np.column_stack([shape, np.cos(azimuth + turn), np.sin(azimuth + turn)])
+        about_z = Rotation.from_euler("z", turn).as_matrix()
+        return model.fit(X, y @ about_z.T).predict(X) @ about_z
+
+    assert_allclose(corrections(turn), corrections(0.0), atol=1e-7)
+
+
+# -- orthogonal least squares ----------------------------------------------------------------------
+
+
+@st.composite
+def regressions(draw):
+    rng = np.random.default_rng(draw(seeds))
+    n, d, q = draw(st.integers(20, 60)), draw(st.integers(1, 3)), draw(st.integers(1, 3))
+    X = rng.uniform(-1, 1, (n, d))
+    Y = np.sin(3 * X @ rng.normal(size=(d, q))) + 0.1 * rng.normal(size=(n, q))
+    return X, Y, rng
+
+
+def ols(n_centers, X, Y, weights=None, width=0.4, **params):
+    params = {"alpha": 0.0, "degree": 0} | params
+    return RBFNetRegressor(n_centers, length_scale=width, **params).fit(X, Y, weights)
+
+
+def unexplained(model, X, Y):
+    """Mean over outputs of the share of their variance that is left."""
+    return np.mean(np.mean((Y - model.predict(X)) ** 2, axis=0) / np.var(Y, axis=0))
+
+
+@examples
+@given(regressions(), st.integers(1, 8))
+def test_error_reductions_sum_to_what_is_explained(data, n_centers):
+    X, Y, _ = data
+    model = ols(n_centers, X, Y)
+    assert np.all(model.error_reduction_ > -1e-12)
+    assert_allclose(1 - model.error_reduction_.sum(), unexplained(model, X, Y), atol=1e-8)
+
+
+@examples
+@given(regressions())
+def test_every_centre_more_leaves_less(data):
+    X, Y, _ = data
+    models = [ols(k, X, Y) for k in range(1, 7)]
+    left = [unexplained(model, X, Y) for model in models]
+    assert np.all(np.diff(left) < 1e-9)
+    for fewer, more in pairwise(models):  # greedy: the same, and one more
+        assert_array_equal(fewer.center_indices_, more.center_indices_[:-1])
+
+
+@examples
+@given(regressions(), st.floats(-6, 6), st.floats(-6, 6), mm(100))
+def test_units_and_zero_do_not_matter(data, of_x, of_y, shift):
+    X, Y, _ = data
+    in_mm = ols(5, X, Y, alpha=1e-3)
+    x_unit, y_unit = 10**of_x, 10**of_y
+    other = ols(5, x_unit * (X + shift), y_unit * (Y - shift), width=0.4 * x_unit, alpha=1e-3)
+    assert_array_equal(other.center_indices_, in_mm.center_indices_)
+    prediction = other.predict(x_unit * (X + shift)) / y_unit + shift
+    assert_allclose(prediction, in_mm.predict(X), atol=1e-6)
+
+
+@examples
+@given(regressions())
+def test_row_order_does_not_matter(data):
+    X, Y, rng = data
+    order = rng.permutation(len(X))
+    model, shuffled = ols(5, X, Y), ols(5, X[order], Y[order])
+    assert_array_equal(order[shuffled.center_indices_], model.center_indices_)
+    assert_array_equal(shuffled.coef_, model.coef_)
+
+
+@examples
+@given(regressions())
+def test_a_repeat_is_a_weight(data):
+    X, Y, rng = data
+    times = rng.integers(0, 4, len(X))
+    assume(np.sum(times > 0) > 8)
+    repeated = ols(5, np.repeat(X, times, axis=0), np.repeat(Y, times, axis=0), alpha=1e-3)
+    weighted = ols(5, X, Y, times, alpha=1e-3)
+    assert_array_equal(repeated.centers_, weighted.centers_)
+    assert_allclose(repeated.predict(X), weighted.predict(X), atol=1e-8)
+
+
+@few_examples
+@given(regressions(), st.sampled_from(["gaussian", "matern52", "rational_quadratic"]))
+def test_a_centre_at_every_row_interpolates(data, kernel):
+    X, Y, _ = data
+    assume(X.shape[1] > 1)
+    model = ols(len(X), X, Y, width=0.1, degree=-1, kernel=kernel)
+    assert_allclose(model.predict(X), Y, atol=1e-6)
+
+
+# -- measures --------------------------------------------------------------------------------------
+
+
+@examples
+@given(positions(), motions(), st.sampled_from(["2s", "max", "mean"]))
+def test_where_the_part_stands_does_not_matter(data, motion, statistic):
+    points, groups, rng = data
+    turn, shift = motion
+    moved = points @ turn.T + shift
+    options = {"statistic": statistic, "aggregate": None}
+    measure = single_point_repeatability(points, groups, **options)
+    assert_allclose(single_point_repeatability(moved, groups, **options), measure, atol=1e-9)
+    pairs = [[0, 1]]
+    length = gauge_lengths(points, groups, pairs)
+    assert_allclose(gauge_lengths(moved, groups, pairs), length, atol=1e-8)
+    diameter = articulated_location_error(points)
+    assert_allclose(articulated_location_error(moved), diameter, atol=1e-8)
+    # A correction turns, but does not shift, with the points.
+    correction = rng.normal(size=points.shape)
+    scatter = within_position_scatter(points, correction, groups=groups, **options)
+    turned = within_position_scatter(moved, correction @ turn.T, groups=groups, **options)
+    assert_allclose(turned, scatter, atol=1e-9)
+    score = within_position_r2_score(points, correction, groups=groups)
+    turned = within_position_r2_score(moved, correction @ turn.T, groups=groups)
+    assert turned == pytest.approx(score, rel=1e-6)
+
+
+@examples
+@given(positions(), st.permutations(range(5)), st.floats(-3, 3))
+def test_names_order_and_units_of_positions_do_not_matter(data, names, unit):
+    points, groups, rng = data
+    order = rng.permutation(len(points))
+    measure = single_point_repeatability(points, groups)
+    renamed = np.array(list("vwxyz"))[list(names)][groups]
+    assert single_point_repeatability(points, renamed) == pytest.approx(measure, rel=1e-9)
+    shuffled = single_point_repeatability(points[order], groups[order])
+    assert shuffled == pytest.approx(measure, rel=1e-9)
+    scaled = single_point_repeatability(points * 10**unit, groups)
+    assert scaled == pytest.approx(measure * 10**unit, rel=1e-7)
+
+
+@examples
+@given(seeds, motions(), st.floats(0.5, 50))
+def test_spheres_are_the_same_from_every_side(seed, motion, radius):
+    directions = np.random.default_rng(seed).normal(size=(12, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rough = radius + 0.01 * np.random.default_rng(seed).uniform(-1, 1, (12, 1))
+    turn, shift = motion
+    points = rough * directions
+    moved = points @ turn.T + shift
+    assert_allclose(probing_size_error(radius * directions + shift, 2 * radius), 0, atol=1e-7)
+    assert_allclose(probing_size_error(moved, 20), probing_size_error(points, 20), atol=1e-7)
+    form = probing_form_error(points)
+    assert_allclose(probing_form_error(moved), form, atol=1e-7)
