@@ -71,7 +71,7 @@ def curves(machine, seed):
 
 def main(argv=None):
     """Run the job."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[1].strip())
+    parser = argparse.ArgumentParser(description="How many positions and poses.")
     parser.add_argument("--machines", type=int, default=4, help="simulated arms (default: 4)")
     parser.add_argument("--figure", type=figure_file, help="file to save the figure to")
     args = parser.parse_args(argv)
