@@ -22,22 +22,27 @@ def _gaussian_slope(s):
     return -0.5 * np.exp(-0.5 * s)
 
 
+def _distance(s):
+    # Rounding may make the squared distance of near rows negative.
+    return np.sqrt(np.maximum(s, 0.0))
+
+
 def _matern32(s):
-    d = _SQRT3 * np.sqrt(s)
+    d = _SQRT3 * _distance(s)
     return (1 + d) * np.exp(-d)
 
 
 def _matern32_slope(s):
-    return -1.5 * np.exp(-_SQRT3 * np.sqrt(s))
+    return -1.5 * np.exp(-_SQRT3 * _distance(s))
 
 
 def _matern52(s):
-    d = _SQRT5 * np.sqrt(s)
+    d = _SQRT5 * _distance(s)
     return (1 + d + 5 / 3 * s) * np.exp(-d)
 
 
 def _matern52_slope(s):
-    d = _SQRT5 * np.sqrt(s)
+    d = _SQRT5 * _distance(s)
     return -5 / 6 * (1 + d) * np.exp(-d)
 
 
@@ -99,7 +104,7 @@ def squared_distances(A, B):
     """Squared Euclidean distances between the rows of A (n, d) and B (m, d), as one matrix product.
 
     ``|a|^2 + |b|^2 - 2 a.b`` as ``[-2a, |a|^2, 1] . [b, 1, |b|^2]``. The inputs should be centred:
-    the absolute error is about machine epsilon times the largest squared norm.
+    the absolute error is about machine epsilon times the largest squared norm, also below zero.
     """
     left = np.empty((len(A), A.shape[1] + 2))
     np.multiply(A, -2.0, out=left[:, :-2])
@@ -109,8 +114,7 @@ def squared_distances(A, B):
     right[:, :-2] = B
     right[:, -2] = 1.0
     right[:, -1] = np.einsum("ij,ij->i", B, B)
-    s = left @ right.T
-    return np.maximum(s, 0.0, out=s)
+    return left @ right.T
 
 
 def kernel_matrix(A, B, kernel):
