@@ -56,13 +56,11 @@ BUILT_IN = {
 
 def read_json(cls, source):
     """Arm of class `cls` from a path or from text."""
-    if isinstance(source, str) and source.lstrip().startswith("{"):
-        text, where = source, "the JSON text"
-    else:
-        text, where = Path(source).read_text(encoding="utf-8"), str(source)
+    is_text = isinstance(source, str) and source.lstrip().startswith("{")
+    where = "the JSON text" if is_text else str(source)
     try:
-        content = json.loads(text)
-    except ValueError as error:
+        content = json.loads(source if is_text else Path(source).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, or nested without end
         raise ValueError(f"{where} is not valid JSON: {error}.") from None
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise ValueError(f'{where} is not an arm: it needs "format": "{_FORMAT}".')
@@ -74,12 +72,15 @@ def read_json(cls, source):
     missing = [key for key in _JSON_KEYS.values() if key not in content]
     if missing:
         raise ValueError(f"{where} lacks the field {missing[0]!r}.")
+    unknown = sorted(set(content) - {*_JSON_KEYS.values(), "format", "format_version"})
+    if unknown:  # a slip of the pen, or what this version would leave out of account
+        raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
     for key in _JSON_KEYS.values():  # true and false would pass for 1 and 0
         if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
             raise ValueError(f"{where}: {key} must hold numbers, got {show(content[key])}.")
     try:
         return cls(**{field: content[key] for field, key in _JSON_KEYS.items()})
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise ValueError(f"{where}: {error}") from None
 
 

@@ -73,7 +73,7 @@ def floats(name, value):
             x is None or isinstance(x, str | bool) for x in array.flat
         ):
             return array.astype(np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # the last of whole numbers above 1e308
         pass
     raise ValueError(f"{name} must hold numbers, got {show(value)}.")
 

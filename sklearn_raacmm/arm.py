@@ -113,8 +113,9 @@ class Arm:
             raise ValueError(
                 f"convention must be 'standard' or 'modified', got {self.convention!r}."
             )
-        if not isinstance(self.name, str):
-            raise ValueError(f"name must be a string, got {self.name!r}.")
+        # Halves of characters, which only escapes in JSON can bring, cannot be written to a file.
+        if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
+            raise ValueError(f"name must be a string of whole characters, got {self.name!r}.")
         for field, value in checked.items():
             object.__setattr__(self, field, value)
 

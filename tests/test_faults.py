@@ -1,0 +1,271 @@
+"""What goes wrong around the library: interrupts, killed workers, full disks, damaged files.
+
+Whoever interrupts gets his prompt back, what was saved before stays whole, what is damaged is
+refused, and nothing that is read is run.
+"""
+
+import ast
+import errno
+import io
+import json
+import os
+import pickle
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import joblib
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.pipeline import make_pipeline
+
+import sklearn_raacmm
+from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+from sklearn_raacmm.export import export_c, to_onnx
+
+ARM = Arm.from_name("aacmm6")
+ANGLES = np.arange(1, 41)[:, None] * np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0]) % 1 - 0.5
+RESIDUALS = 0.05 * np.cos(ANGLES[:, :3])
+
+
+@pytest.fixture(scope="module")
+def model():
+    steps = PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget(RBFNetRegressor(5))
+    return make_pipeline(*steps).fit(ANGLES, RESIDUALS)
+
+
+def run(script, tmp_path):
+    """Run a script in a session of its own; return what it says, once all its processes ended."""
+    place = tmp_path / "script.py"
+    place.write_text(script)
+    said = tmp_path / "said"
+    with said.open("wb") as out:
+        process = subprocess.Popen(
+            [sys.executable, place], stdout=out, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        try:
+            code = process.wait(timeout=100)
+        finally:
+            left_over = not _ended(process.pid)
+    text = said.read_text()
+    assert code == 0, text
+    assert not left_over, text
+    return text
+
+
+def _ended(session, seconds=20):
+    """Whether all processes of a session end by themselves, which workers do a little later."""
+    for _ in range(20 * seconds):
+        try:
+            os.killpg(session, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+INTERRUPTED = """
+import os, signal, threading
+import numpy as np
+from sklearn_raacmm import RBFNetRegressor
+
+rng = np.random.default_rng(0)
+X, y = rng.uniform(size=(6000, 3)), rng.normal(size=(6000, 3))
+model = RBFNetRegressor(2000, length_scale=0.05, alpha=0.01)
+threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+try:
+    model.fit(X, y)
+except KeyboardInterrupt:
+    print("interrupted")
+print(hasattr(model, "coef_"))
+fresh = RBFNetRegressor(20, length_scale=0.5, alpha=0.01).fit(X[:200], y[:200])
+model.set_params(n_centers=20, length_scale=0.5).fit(X[:200], y[:200])
+print(np.array_equal(model.predict(X[:9]), fresh.predict(X[:9])))
+"""
+
+KILLED = """
+import os, signal
+import numpy as np
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+from sklearn.model_selection import GridSearchCV
+from sklearn_raacmm import RBFNetRegressor
+
+class Killed(RBFNetRegressor):
+    def fit(self, X, y):
+        if self.n_centers == 7:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().fit(X, y)
+
+rng = np.random.default_rng(0)
+X, y = rng.uniform(size=(60, 2)), rng.normal(size=60)
+search = GridSearchCV(Killed(length_scale=0.5, alpha=0.01), {"n_centers": [5, 7]}, n_jobs=2, cv=2)
+try:
+    search.fit(X, y)
+except TerminatedWorkerError:
+    print("killed")
+search.param_grid = {"n_centers": [5, 6]}
+print(search.fit(X, y).best_estimator_.predict(X).shape)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_interrupt_in_the_middle_of_a_fit(tmp_path):
+    assert run(INTERRUPTED, tmp_path).split() == ["interrupted", "False", "True"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_killed_worker_of_a_grid_search(tmp_path):
+    said = run(KILLED, tmp_path).splitlines()
+    assert [line for line in said if line in ("killed", "(60,)")] == ["killed", "(60,)"]
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_full_disk_leaves_what_was_there(model, tmp_path, monkeypatch, share):
+    def save():
+        ARM.to_json(tmp_path / "arm.json")
+        yield
+        export_c(model, tmp_path / "model.c")
+        yield
+        to_onnx(model, tmp_path / "model.onnx")
+
+    list(save())
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert len(before) == 4
+
+    class Full(io.FileIO):
+        def write(self, data):
+            super().write(bytes(data)[: int(share * len(data))])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(
+        Path, "write_bytes", lambda self, data: Full(self, "w").write(data), raising=True
+    )
+    for act in (
+        lambda: ARM.replace(name="other").to_json(tmp_path / "arm.json"),
+        lambda: export_c(model, tmp_path / "model.c", name="other"),
+        lambda: to_onnx(model, tmp_path / "model.onnx", dtype="float"),
+    ):
+        with pytest.warns(ResourceWarning), pytest.raises(OSError, match="No space left"):
+            act()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("compress", [0, 3])
+def test_model_that_was_cut_short_does_not_load(model, tmp_path, share, compress):
+    path = tmp_path / "model.joblib"
+    joblib.dump(model, path, compress=compress)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises((pickle.UnpicklingError, EOFError, ValueError, OSError)):
+        joblib.load(path)
+
+
+def test_compressed_model_with_a_changed_byte_does_not_load(model, tmp_path):
+    path = tmp_path / "model.joblib"
+    joblib.dump(model, path, compress=3)  # zlib ends in a checksum
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 255
+    path.write_bytes(content)
+    with pytest.raises((zlib.error, pickle.UnpicklingError, EOFError, ValueError, OSError)):
+        joblib.load(path)
+
+
+# -- files of arms ---------------------------------------------------------------------------------
+
+TEXT = ARM.to_json()
+
+
+def changed(**fields):
+    return json.dumps(json.loads(TEXT) | fields)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (changed(format_version=2), "format_version 2, this version reads 1"),
+        (changed(format_version="1"), "format_version '1'"),
+        (changed(a_m=[1, 2, 3, 4, 5, 6]), "unknown field 'a_m'"),
+        (changed(d_mm=[10**400] * 6), "d must hold numbers"),
+        (changed(d_mm=[1e5 + 1] * 6), r"d\[0\] = 100001 is out of bounds"),
+        (changed(alpha_rad=[-90] * 6), "or are they degrees"),
+        (changed(a_mm={"0": 1}), "a must|a_mm must"),
+        (changed(probe_mm=[[0, 0, 1]]), r"3 numbers, got shape \(1, 3\)"),
+        (changed(joint_signs=[0] * 6), "must be -1 or 1"),
+        (changed(pose_joints=[3, 1e300]), "pose_joints must be two"),
+        (changed(pose_frames="25"), "pose_frames must be two"),
+        (changed(convention=["standard"]), "convention must be"),
+        (changed(name="\ud800"), "whole characters"),
+        (changed(name=7), "name must be"),
+        (TEXT[:-20], "not valid JSON"),
+        ('{"a":' * 10**5, "not valid JSON"),
+        (TEXT.replace("[", "[\"__import__('os').abort()\",", 1), "a must hold numbers"),
+        ("[]", None),
+    ],
+)
+def test_damaged_arm_gets_one_clear_sentence(text, message, tmp_path):
+    path = tmp_path / "arm.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message or "not an arm") as caught:
+        Arm.from_json(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_arm_in_another_encoding(tmp_path):
+    path = tmp_path / "arm.json"
+    path.write_text(changed().replace("aacmm6", "Messarm für 6"), encoding="utf-16")
+    with pytest.raises(ValueError, match=r"arm.json is not valid JSON: 'utf-8' codec"):
+        Arm.from_json(path)
+
+
+plain = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
+anything = st.recursive(plain, lambda x: st.lists(x) | st.dictionaries(st.text(), x), max_leaves=8)
+
+
+@settings(derandomize=True, max_examples=150, deadline=None, database=None)
+@given(st.sampled_from(sorted(json.loads(TEXT))), anything)
+def test_any_file_is_an_arm_within_bounds_or_refused(field, value):
+    try:
+        arm = Arm.from_json(changed(**{field: value}))
+    except ValueError:
+        return
+    for lengths in (arm.a, arm.d, arm.probe):
+        assert np.all(np.abs(lengths) <= 1e5)
+    for angles in (arm.alpha, arm.theta_offset):
+        assert np.all(np.abs(angles) <= 2 * np.pi)
+    assert np.all(np.isfinite(arm.forward(np.zeros((1, arm.n_joints)))))
+
+
+# -- nothing that is read is run -------------------------------------------------------------------
+
+RUNS_DATA = {
+    "eval", "exec", "compile", "__import__", "pickle", "cPickle", "dill", "cloudpickle", "marshal",
+    "shelve", "joblib", "importlib", "import_module", "subprocess", "system", "popen", "yaml",
+    "allow_pickle", "loads_pickle", "runpy", "ctypes",
+}  # fmt: skip
+MODULES = sorted(Path(sklearn_raacmm.__file__).parent.glob("**/*.py"))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
+def test_nothing_is_evaluated_imported_or_unpickled(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    named = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name):
+            named.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            named.add(node.attr)
+        elif isinstance(node, ast.keyword):
+            named.add(node.arg)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
+            named.update(part for name in names for part in name.split("."))
+    assert not named & RUNS_DATA
