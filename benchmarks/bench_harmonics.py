@@ -1,14 +1,24 @@
-"""What each idea of a correction is worth on real arms, at positions that no stage has seen.
+"""What each idea of a correction is worth, at positions that no stage has seen.
 
-Run ``python benchmarks/bench_harmonics.py [--rows N] [sets ...]`` with the real data in
-``../shared/data`` beside the project, or in the folder that SKLEARN_RAACMM_DATA names. `sets` are
-some of ur10-goal, ur10-space, panda_3, panda_2 (default: all); `--rows` draws so many of the UR10's
-11 911 poses.
+Run ``python benchmarks/bench_harmonics.py [--rows N] [--inputs] [sets ...]``. `sets` are some of
 
-Every fold calibrates the arm on its own training rows. The settings of every method are its
+- sim-gravity, sim-typical, sim-eccentricity: simulated arms, ten positions of 40 poses in five
+  folds; gauges of 500 mm corrected by a model of all positions;
+- panda_3, panda_2: real, every placement left out once;
+- ur10-goal, ur10-space: real, five folds of goal positions, at random or of neighbours; `--rows`
+  draws so many of the 11 911 poses;
+- corners: simulated, trained in one corner of the volume and used elsewhere;
+- grid: panda_3, every placement left out once: its distances to the others, and of its pair;
+- octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
+
+The real data are looked for in ``../shared/data`` beside the project, or in the folder that
+SKLEARN_RAACMM_DATA names. `--inputs` compares what the network is given instead.
+
+Every real fold calibrates the arm on its own training rows. The settings of every method are its
 defaults, or found inside the training rows. Entries are in mm: mean deviation over test poses with
 the half width of a 95 % interval of its paired difference to no correction, by resampling positions
-(seed 0); maximum; mean over positions of 2S about zero (tracker) or about the position's mean.
+(seed 0); maximum; mean over positions of 2S about zero (tracker) or about the position's mean; mean
+absolute error of 500 mm gauges.
 """
 
 import argparse
@@ -16,12 +26,14 @@ import importlib.util
 import os
 import sys
 import warnings
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from sklearn.cluster import KMeans
+from sklearn.model_selection import GroupKFold
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
 from sklearn_raacmm import (
     Arm,
@@ -33,34 +45,60 @@ from sklearn_raacmm import (
     calibrate,
     position_residuals,
 )
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.metrics import gauge_lengths
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
 
 
-def network(arm, joints):
+def network(arm, **inputs):
     return CylindricalResidualTarget(
-        make_pipeline(PoseFeatures(arm, joints=joints), StandardScaler(), RBFNetRegressor()),
+        make_pipeline(
+            PoseFeatures(arm, **inputs), StandardScaler(), RBFNetRegressor(random_state=0)
+        ),
         azimuth=arm.azimuth,
     )
+
+
+def all_but_the_first(arm):
+    """Network on the cosines and sines of all joints but the first."""
+    drop = FunctionTransformer(_without_first)
+    features = make_pipeline(PoseFeatures(arm, joints="all", encoding="periodic"), drop)
+    return CylindricalResidualTarget(
+        make_pipeline(features, StandardScaler(), RBFNetRegressor(random_state=0)),
+        azimuth=arm.azimuth,
+    )
+
+
+def _without_first(X):
+    return X[:, 2:]
 
 
 def methods(arm):
     """Name, estimator, and whether it takes groups."""
     bare = {"gravity": False, "kinematics": False, "wobble": False}
-    yield "network, 3 pose inputs (the paper's)", network(arm, "pose"), False
-    yield "network, all joints", network(arm, "all"), False
+    squared = JointHarmonicRegressor(arm, loss="squared")
+    free = {"use": "harmonics+network", "fade": 0, "cap": None}
+    yield "network, 3 pose inputs (the paper's)", network(arm), False
+    yield "network, all joints", network(arm, joints="all", encoding="periodic"), False
     yield "harmonics alone", JointHarmonicRegressor(arm, **bare), True
     yield "+ gravity", JointHarmonicRegressor(arm, **{**bare, "gravity": True}), True
-    no_offsets = JointHarmonicRegressor(arm, offsets=False)
-    yield "+ kinematics, wobble; no offsets", no_offsets, True
-    yield "+ kinematics, wobble (default)", JointHarmonicRegressor(arm), True
-    free = {"use": "harmonics+network", "fade": 0, "cap": None}
-    yield "default + network", ArmResidualRegressor(arm, **free), True
-    yield "default + network, joint", ArmResidualRegressor(arm, joint=True, **free), True
-    yield "default + guards", ArmResidualRegressor(arm, use="harmonics"), True
-    yield "default + network + guards", ArmResidualRegressor(arm, use="harmonics+network"), True
-    yield "chosen by its own check", ArmResidualRegressor(arm), True
+    yield "+ kinematics", JointHarmonicRegressor(arm, wobble=False), True
+    yield "+ wobble: JointHarmonicRegressor", JointHarmonicRegressor(arm), True
+    yield "same, no offsets", JointHarmonicRegressor(arm, offsets=False), True
+    yield "same, least squares", squared, True
+    yield "same, and a network, no guards", ArmResidualRegressor(arm, **free), True
+    yield "ArmResidualRegressor", ArmResidualRegressor(arm), True
+
+
+def methods_of_inputs(arm):
+    """The same network with other inputs."""
+    for joints in ("pose", "all"):
+        for encoding in ("angle", "periodic"):
+            name = f"joints={joints!r}, encoding={encoding!r}"
+            yield name, network(arm, joints=joints, encoding=encoding), False
+    yield "all but joint 1, encoding='periodic'", all_but_the_first(arm), False
 
 
 def readers():
@@ -116,14 +154,48 @@ def statistics(left, groups, reference):
     return length.mean(), (high - low) / 2, length.max(), two_s[counts > 1].mean()
 
 
-def run(name, n_rows):
+def simulated_folds(mix):
+    cone = make_single_point(10, 40, machine=mix, random_state=0)
+    for train, _ in GroupKFold(5).split(cone.data, groups=cone.groups):
+        mask = np.isin(np.arange(len(cone.data)), train)
+        yield cone.arm, cone.data, cone.target, cone.groups, mask
+
+
+def gauge_errors(mix, chosen):
+    """Mean absolute error of 500 mm gauges by each model of all positions."""
+    cone = make_single_point(10, 40, machine=mix, random_state=0)
+    gauge = make_gauge(machine=mix, random_state=0)
+    long = gauge.lengths == 500
+
+    def error(correction):
+        lengths = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs)
+        return np.abs(lengths - gauge.lengths)[long].mean()
+
+    found = {"no correction": error(0.0)}
+    for title, model, takes_groups in chosen(cone.arm):
+        extra = {"groups": cone.groups} if takes_groups else {}
+        found[title] = error(model.fit(cone.data, cone.target, **extra).predict(gauge.data))
+    short = np.isin(gauge.groups, gauge.pairs[~long])
+    theta = np.vstack([cone.data, gauge.data[short]])
+    y = np.vstack([cone.target, gauge.target[short]])
+    groups = np.r_[cone.groups, 100 + gauge.groups[short]]
+    known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[~long]]
+    model = JointHarmonicRegressor(cone.arm).fit(theta, y, groups=groups, lengths=known)
+    found["JointHarmonicRegressor, 300 mm known"] = error(model.predict(gauge.data))
+    return found
+
+
+def run(name, n_rows, chosen):
     tracked = name.startswith("ur10")
-    folds = ur10_folds(name.split("-")[1], n_rows) if tracked else panda_folds(name)
+    if tracked:
+        folds = ur10_folds(name.split("-")[1], n_rows)
+    else:
+        folds = simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
     lefts, labels = {}, []
     for arm, theta, y, groups, train in folds:
         labels.append(groups[~train])
         lefts.setdefault("no correction", []).append(y[~train])
-        for title, model, takes_groups in methods(arm):
+        for title, model, takes_groups in chosen(arm):
             extra = {"groups": groups[train]} if takes_groups else {}
             left = y[~train] - model.fit(theta[train], y[train], **extra).predict(theta[~train])
             if not tracked:
@@ -132,24 +204,160 @@ def run(name, n_rows):
         print(f"  {name}: fold done", file=sys.stderr, flush=True)
     groups = np.concatenate(labels)
     reference = np.linalg.norm(np.concatenate(lefts["no correction"]), axis=1)
+    gauges = gauge_errors(name[4:], chosen) if name.startswith("sim") else {}
     print(f"\n{name}: {len(groups)} poses, {len(np.unique(groups))} positions")
-    print(f"{'':<40}{'mean':>8}{'+-':>8}{'max':>8}{'2S':>8}")
+    print(f"{'':<40}{'mean':>8}{'+-':>8}{'max':>8}{'2S':>8}" + f"{'500 mm':>8}" * bool(gauges))
     for title, parts in lefts.items():
         mean, half, largest, two_s = statistics(np.concatenate(parts), groups, reference)
-        print(f"{title:<40}{mean:8.4f}{half:8.4f}{largest:8.3f}{two_s:8.4f}")
+        text = f"{title:<40}{mean:8.4f}{half:8.4f}{largest:8.3f}{two_s:8.4f}"
+        print(text + (f"{gauges.pop(title):8.4f}" if gauges else ""))
+    for title, error in gauges.items():
+        print(f"{title:<72}{error:8.4f}")
+    sys.stdout.flush()
+
+
+def corners():
+    """Simulated arms, trained on a third of the positions: what is left elsewhere."""
+    ratios = {}
+    for mix in ("gravity", "typical", "eccentricity"):
+        for seed in range(3):
+            test = make_single_point(30, 25, machine=mix, random_state=seed)
+            place = test.simulation.positions - test.simulation.machine.shoulder
+            x, y, z = place.T
+            where = {
+                "one side": np.abs(np.arctan2(y, x)),
+                "near": (place**2).sum(axis=1),
+                "far": -(place**2).sum(axis=1),
+                "low": z,
+                "high": -z,
+            }
+            for corner, order in where.items():
+                train = np.isin(test.groups, np.argsort(order)[:10])
+                for reference in ("position's mean", "tracker"):
+                    tracked = reference == "tracker"
+                    target = test.points - test.simulation.true_points if tracked else test.target
+                    model = ArmResidualRegressor(test.arm)
+                    model.fit(test.data[train], target[train], groups=test.groups[train])
+                    left = target[~train] - model.predict(test.data[~train])
+                    if not tracked:
+                        left = position_residuals(left, test.groups[~train])
+                    before, after = (
+                        np.linalg.norm(part, axis=1).mean() for part in (target[~train], left)
+                    )
+                    ratios.setdefault((reference, corner), []).append(after / before)
+    print("\ncorners: mean deviation elsewhere over that without correction, 9 simulated arms")
+    _print_ratios(ratios)
+
+
+def octants():
+    """A UR10 learns in one octant, with an arm calibrated there or everywhere."""
+    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_grid.csv")
+    rows = np.random.default_rng(0).permutation(len(data.angles))[:2500]
+    theta, points, goals = data.angles[rows], data.points[rows], data.groups[rows]
+
+    def calibrated(mask):
+        nominal = Arm.from_name("ur10", probe=(0, 0, 109))
+        result = calibrate(nominal, theta[mask], points=points[mask])
+        measured = (points - result.base_translation) @ result.base_rotation
+        return result.arm, result.arm.forward(theta) - measured
+
+    everywhere = calibrated(np.ones(len(theta), dtype=bool))
+    place = everywhere[0].forward(theta)
+    octant = (place > np.median(place, axis=0)) @ [1, 2, 4]
+    ratios = {}
+    for here in range(8):
+        inside = np.flatnonzero(octant == here)
+        for n in (60, 200):
+            train = np.isin(np.arange(len(theta)), inside[:n])
+            for how in ("there", "everywhere"):
+                arm, y = calibrated(train) if how == "there" else everywhere
+                model = ArmResidualRegressor(arm).fit(theta[train], y[train], groups=goals[train])
+                test = octant != here
+                left = y[test] - model.predict(theta[test])
+                before, after = (np.linalg.norm(part, axis=1).mean() for part in (y[test], left))
+                ratios.setdefault((f"{n} poses", f"calibrated {how}"), []).append(after / before)
+    print("\noctants: mean deviation elsewhere over that without correction, 8 octants of a UR10")
+    _print_ratios(ratios)
+
+
+# Where panda_3 stood on its grid, mm; the front left one not on it, as its distances show.
+GRID = {
+    f"{row}{column}": (x - 25.3 * ((row, column) == ("front", "left")), y)
+    for row, y in (("front", 0.0), ("back", 150.0))
+    for column, x in (("left", 0.0), ("center", 175.0), ("right", 350.0))
+}
+
+
+def grid():
+    """Distances that one placement of panda_3 has to the others, by models of the others."""
+    data = readers().read_panda(DATA / "panda_ball_socket" / "panda_3")
+    errors = {}
+    for out in GRID:
+        train = data.placements != out
+        rest = [name for name in GRID if name != out]
+        pairs = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in rest]
+        between = [
+            (f"{a}/{hole}", f"{b}/{hole}", np.linalg.norm(np.subtract(GRID[a], GRID[b])), 0.2)
+            for a, b in combinations(rest, 2)
+            for hole in "01"
+        ]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=pairs).arm
+        points = arm.forward(data.angles)
+        learn = data.angles[train], position_residuals(points[train], data.groups[train])
+        found = {"no correction": np.zeros_like(points)}
+        for title, known in (("no lengths", ()), ("50 mm pairs", pairs), ("all", pairs + between)):
+            model = JointHarmonicRegressor(arm)
+            model.fit(*learn, groups=data.groups[train], lengths=known)
+            found[f"lengths in the fit: {title}"] = model.predict(data.angles)
+        for title, correction in found.items():
+            centre = {
+                label: (points - correction)[data.groups == label].mean(axis=0)
+                for label in np.unique(data.groups)
+            }
+
+            def error(a, b, length, centre=centre):
+                return abs(np.linalg.norm(centre[a] - centre[b]) - length)
+
+            far = [
+                error(
+                    f"{out}/{hole}", f"{b}/{hole}", np.linalg.norm(np.subtract(GRID[out], GRID[b]))
+                )
+                for b in rest
+                for hole in "01"
+            ]
+            lists = errors.setdefault(title, ([], []))
+            lists[0].extend(far)
+            lists[1].append(error(f"{out}/0", f"{out}/1", 50.0))
+    print(f"\ngrid: mean absolute error\n{'':<40}{'others':>8}{'50 mm':>8}")
+    for title, (far, pair) in errors.items():
+        print(f"{title:<40}{np.mean(far):8.3f}{np.mean(pair):8.3f}")
+
+
+def _print_ratios(ratios):
+    print(f"{'':<40}{'mean':>8}{'worst':>8}")
+    for names, values in ratios.items():
+        print(f"{', '.join(names):<40}{np.mean(values):8.2f}{np.max(values):8.2f}")
     sys.stdout.flush()
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rows", type=int, default=None)
-    parser.add_argument(
-        "sets", nargs="*", default=["panda_3", "panda_2", "ur10-goal", "ur10-space"]
-    )
+    parser.add_argument("--rows", type=int, default=None, help="of the UR10 (default: all)")
+    parser.add_argument("--inputs", action="store_true", help="compare the network's inputs")
+    mixes = ["sim-gravity", "sim-typical", "sim-eccentricity"]
+    others = {"corners": corners, "grid": grid, "octants": octants}
+    sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", *others]
+    parser.add_argument("sets", nargs="*", default=sets, metavar="sets", help=", ".join(sets))
     args = parser.parse_args()
+    if wrong := set(args.sets) - set(sets):
+        parser.error(f"no such set: {', '.join(sorted(wrong))}; there are {', '.join(sets)}.")
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
     for name in args.sets:
-        run(name, args.rows)
+        if name in others:
+            others[name]()
+        else:
+            run(name, args.rows, methods_of_inputs if args.inputs else methods)
 
 
 if __name__ == "__main__":

@@ -44,6 +44,8 @@ __all__ = ["ArmResidualRegressor"]
 MODELS = ("none", "harmonics", "harmonics+network")
 # What fade="auto" chooses from.
 _FADES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+# How much larger the mean deviation of a stronger fading may be where positions have offsets.
+_FADE_COST = 1.05
 # Offsets of new positions differ from those of the training positions, which the fit centred.
 _CAP_OF_OFFSETS = 3.0
 _CHECK_DTYPE = np.dtype(
@@ -101,8 +103,8 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
         all. "auto" lets the check decide where it is made, for s supposes independent errors and
-        real ones are not: the strongest fading that costs nothing, to its standard error, at the
-        positions left out; 1 otherwise.
+        real ones are not: the strongest fading that costs nothing at the positions left out, to its
+        standard error and, where positions have offsets, to 5 %; 1 otherwise.
 
     cap : float or None, default=0.99
         No correction is longer than this quantile of the lengths of the training residuals. Where
@@ -340,10 +342,16 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         for i, j in np.ndindex(errors.shape[:2]):
             deviation = np.linalg.norm(centred(left[i, j], weights, codes), axis=1)
             errors[i, j] = np.bincount(positions, weights * deviation) / total
-        # Of fadings as good as the best the strongest.
+        # Of fadings as good as the best the strongest. With offsets, fading also shrinks their part
+        # of the correction, by another factor at every pose: there it has to cost next to nothing.
+        allowed = np.inf if codes is None else _FADE_COST
         best = [e[e.mean(axis=1).argmin()] for e in errors]
         fading = [
-            max(j for j in range(len(fades)) if not _clearly_better(b, e[j]))
+            max(
+                j
+                for j in range(len(fades))
+                if not _clearly_better(b, e[j]) and e[j].mean() <= allowed * b.mean()
+            )
             for e, b in zip(errors, best, strict=True)
         ]
         errors = np.stack([e[j] for e, j in zip(errors, fading, strict=True)])
