@@ -1,0 +1,74 @@
+"""Many fits and predictions need no more memory than a few, and a fitted model forgets its data."""
+
+import gc
+import pickle
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.pipeline import make_pipeline
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+)
+
+resource = pytest.importorskip("resource")
+STATM = Path("/proc/self/statm")
+ARM = Arm.from_name("aacmm6")
+NETWORK = RBFNetRegressor(5, length_scale=1.0, alpha=0.01)
+HARMONICS = JointHarmonicRegressor(ARM, n_harmonics=2, gravity=False)
+MODELS = {
+    "network": NETWORK,
+    "network that tunes itself": RBFNetRegressor(5),
+    "chain": make_pipeline(
+        PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget(NETWORK)
+    ),
+    "harmonics": HARMONICS,
+    "correction": ArmResidualRegressor(ARM, harmonics=HARMONICS, network=NETWORK, use="auto"),
+}
+
+
+def data(n):
+    angles = np.arange(1, n + 1)[:, None] * np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0]) % 1 - 0.5
+    return angles, 0.05 * np.cos(angles[:, :3])
+
+
+def resident():
+    """Bytes of this process in memory, once garbage is gone."""
+    gc.collect()
+    return int(STATM.read_text().split()[1]) * resource.getpagesize()
+
+
+@pytest.mark.skipif(not STATM.exists(), reason="reads Linux' /proc")
+@pytest.mark.parametrize("name", ["network", "chain", "harmonics"])
+def test_memory_does_not_grow(name):
+    model, (X, y) = MODELS[name], data(200)
+
+    def use(times):
+        for _ in range(times):
+            model.fit(X, y).predict(X)
+        return resident()
+
+    before = use(20)
+    # One array of the size of X kept by every fit would come to 1.9 MB.
+    assert use(200) - before < 100 * X.nbytes
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_fitted_model_does_not_keep_its_data(name):
+    X, y = data(150)
+    kept = [weakref.ref(array) for array in (X, y)]
+    model = MODELS[name].fit(X, y)
+    del X, y
+    gc.collect()
+    assert [ref() for ref in kept] == [None, None]
+    # Nor a copy of X or y, nor three numbers a row: three times the rows are 300 more.
+    small = len(pickle.dumps(model))
+    large = len(pickle.dumps(model.fit(*data(450))))
+    assert large - small < 300 * 3 * 8
