@@ -400,8 +400,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             random_state=rng,
         )
         if alpha is None:
-            alphas[view.outputs] = tuned.alpha * sample.unit / problem.unit
-        return tuned.length_scale if width is None else width, alphas
+            alphas[view.outputs] = leading_bits(tuned.alpha * sample.unit / problem.unit)
+        if width is None:
+            unit = sample.X.std(axis=0)
+            unit[unit == 0] = 1.0
+            width = unit * leading_bits(tuned.length_scale / unit)
+        return width, alphas
 
     def predict(self, X, return_std=False, with_noise=True):
         """Predict targets.
@@ -503,6 +507,16 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 def _triangle(columns, block):
     """Triangular factor of the tail, the centres' columns and the targets on some rows."""
     return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
+
+
+def leading_bits(values):
+    """Values to the 14 leading bits, four digits.
+
+    An optimum that is flat is found to a few digits, the others are rounding of this or that BLAS;
+    of two centres worth the same they would choose one here, the other there.
+    """
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2**14) / 2**14, exponent)
 
 
 def check_length_scale(length_scale, n_features):
