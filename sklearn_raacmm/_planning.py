@@ -3,10 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import numpy as np
-from sklearn.utils.validation import check_is_fitted, validate_data
+from numbers import Integral
 
+import numpy as np
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm._arm_checks import check_angles
 from sklearn_raacmm._arm_terms import term_columns
+from sklearn_raacmm._input import check_features
 from sklearn_raacmm._residuals import _encode_groups
 from sklearn_raacmm.correction import ArmResidualRegressor
 
@@ -87,9 +91,9 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
             "next_poses needs a JointHarmonicRegressor or an ArmResidualRegressor, got "
             f"{type(model).__name__}."
         )
-    if criterion not in ("I", "D"):
+    if not (isinstance(criterion, str) and criterion in ("I", "D")):
         raise ValueError(f'criterion must be "I" or "D", got {criterion!r}.')
-    X = validate_data(model, X, dtype=np.float64, reset=False)
+    X = _check_poses(model, X)
     if groups is None:
         if model.offsets_:
             raise ValueError(
@@ -101,7 +105,8 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         labels, codes = _encode_groups(groups)
         if len(codes) != len(X):
             raise ValueError(f"groups names {len(codes)} poses, but X has {len(X)}.")
-    if not 1 <= n_poses <= len(labels):
+    whole = isinstance(n_poses, Integral) and not isinstance(n_poses, bool)
+    if not (whole and 1 <= n_poses <= len(labels)):
         raise ValueError(f"n_poses must be 1 to {len(labels)}, the candidates, got {n_poses!r}.")
 
     def whitened(angles):
@@ -109,11 +114,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         return term_columns(model.arm_, angles, model._terms()) @ model._half
 
     rows = whitened(X)
-    aim = (
-        rows
-        if targets is None
-        else whitened(validate_data(model, targets, dtype=np.float64, reset=False))
-    )
+    aim = rows if targets is None else whitened(_check_poses(model, targets))
     aim = aim.reshape(-1, aim.shape[2])
     gram = aim.T @ aim / (len(aim) / 3)
     if model.offsets_:
@@ -139,6 +140,11 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         chosen.append(best)
         variance.append(np.sum(gram * M))
     return labels[chosen], np.sqrt(np.maximum(variance, 0.0))
+
+
+def _check_poses(model, X):
+    X = check_features(model, X, dtype=np.float64, reset=False)
+    return check_angles(X, X.shape[1], "rad", stacklevel=4)
 
 
 def _gain(rows, moved, gram, criterion):

@@ -27,6 +27,7 @@ from sklearn_raacmm import (
     display,
     export,
     metrics,
+    next_poses,
     position_residuals,
 )
 
@@ -113,6 +114,9 @@ def doors():
     yield "azimuth there", angle, lambda v: cartesian_to_cylindrical(RESIDUALS, v)
     yield "azimuth back", angle, lambda v: cylindrical_to_cartesian(RESIDUALS, v)
     measures = metrics
+    linear = harmonics().fit(ANGLES, RESIDUALS)
+    yield "next_poses", ANGLES, lambda v: next_poses(linear, v, 3)[1]
+    yield "next_poses, targets", ANGLES, lambda v: next_poses(linear, ANGLES, 3, targets=v)[1]
     yield "2S", POINTS, lambda v: measures.single_point_repeatability(v, GROUPS)
     yield "axes", POINTS, lambda v: measures.axis_repeatability(v, GROUPS)
     yield "report", POINTS, lambda v: measures.repeatability_report(v, GROUPS).axis_2s_x
@@ -155,6 +159,8 @@ def label_doors():
     yield "ArmResidualRegressor", lambda v: both().fit(ANGLES, CENTRED, groups=v).predict(ANGLES)
     yield "calibrate", lambda v: calibrate(ARM, ANGLES, v, free=["probe"]).values
     yield "position_residuals", lambda v: position_residuals(POINTS, v)
+    linear = harmonics().fit(ANGLES, RESIDUALS)
+    yield "next_poses", lambda v: next_poses(linear, ANGLES, 3, groups=v)[1]
     yield "2S", lambda v: metrics.single_point_repeatability(POINTS, v)
     yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
     yield "gauge", lambda v: metrics.gauge_lengths(POINTS, v, [np.asarray(v)[[0, 5]]])

@@ -19,6 +19,7 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
+    next_poses,
     position_residuals,
 )
 from sklearn_raacmm.datasets import (
@@ -162,6 +163,10 @@ RIGHT = {
         lambda: ArmResidualRegressor(ARM).fit(ANGLES, RESIDUALS * 0).predict(ANGLES),
         np.zeros((40, 3)),
     ),
+    "planning: nothing was wrong": (
+        lambda: np.diff(next_poses(harmonics().fit(ANGLES, RESIDUALS * 0), ANGLES, 5)[1]) < 0,
+        np.ones(5, dtype=bool),
+    ),
     "arm: no poses": (lambda: ARM.forward(np.empty((0, 6))), np.empty((0, 3))),
     "arm: denormal angles": (
         lambda: ARM.forward(ANGLES * TINY),
@@ -278,6 +283,18 @@ SENTENCES = {
         "no columns",
     ),
     "harmonics: offsets": (lambda: jhr(ANGLES, RESIDUALS, offsets=True), "needs groups"),
+    "planning: half a pose": (
+        lambda: next_poses(harmonics().fit(ANGLES, RESIDUALS), ANGLES, 1.5),
+        "n_poses must be 1 to 40",
+    ),
+    "planning: criterion": (
+        lambda: next_poses(harmonics().fit(ANGLES, RESIDUALS), ANGLES, 1, criterion=["I"]),
+        "criterion must be",
+    ),
+    "planning: a network": (
+        lambda: next_poses(RBFNetRegressor(3).fit(ANGLES, RESIDUALS), ANGLES, 1),
+        "got RBFNetRegressor",
+    ),
     "correction: use": (
         lambda: ArmResidualRegressor(ARM, use="network").fit(ANGLES, RESIDUALS),
         "'use' parameter",
@@ -413,6 +430,7 @@ def test_no_onnx_gets_a_sentence(case):
         lambda X: calibrate(ARM, X, GROUPS),
         SimulatedArm().forward,
         SimulatedArm().read,
+        lambda X: next_poses(harmonics().fit(ANGLES, RESIDUALS), X, 1),
         lambda X: describe(fit_pipeline(), X),
     ],
 )
