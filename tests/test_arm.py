@@ -341,6 +341,30 @@ def test_str_shows_the_table():
         assert number in text
 
 
+def test_defaults_are_zero_offsets_and_plain_signs():
+    table = {name: getattr(random_arm("standard"), name) for name in ("a", "alpha", "d")}
+    arm = Arm(**table)
+    assert arm == Arm(**table, theta_offset=np.zeros(6), probe=np.zeros(3), joint_signs=np.ones(6))
+    assert arm.convention == "standard"
+    assert arm.pose_joints == (3, 4)
+    assert arm.pose_frames == (2, 5)
+
+
+@pytest.mark.parametrize(
+    ("field", "bound"),
+    [("alpha", 2 * np.pi), ("theta_offset", 2 * np.pi), ("a", 1e5), ("d", 1e5), ("probe", 1e5)],
+)
+def test_bounds_are_where_they_are_said_to_be(field, bound):
+    arm = random_arm("standard")
+    values = np.array(getattr(arm, field))
+    for sign in (-1, 1):
+        values[1] = sign * bound
+        assert getattr(arm.replace(**{field: values}), field)[1] == sign * bound
+        values[1] = sign * bound * (1 + 1e-9)
+        with pytest.raises(ValueError, match=rf"{field}\[1\] = .* is out of bounds"):
+            arm.replace(**{field: values})
+
+
 def test_json_file_is_replaced_whole(tmp_path):
     path = tmp_path / "arm.json"
     Arm.from_name("panda").to_json(path)
