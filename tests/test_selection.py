@@ -102,6 +102,28 @@ def test_both_representations_choose_alike(alpha):
     np.testing.assert_allclose(a.reduction, b.reduction, atol=1e-6 * np.sum(view.total))
 
 
+@pytest.mark.parametrize("n_select", [1, None])  # on the matrix itself, and on the factor
+def test_a_candidate_whose_running_figures_are_wrong_is_looked_at_again(n_select):
+    X, Y, weights = problem(2, n=80)
+    problem_ = prepare(merge(X, Y, weights), 0)
+    view = problem_.view()
+    args = (problem_, view, np.arange(80), 0.0, 0.5, [np.arange(2)], "gaussian", [1e-3])
+
+    def select(misjudged):
+        (candidates,), _ = candidate_groups(*args, n_select)
+        norms, correlations = candidates.squared_norms(), candidates.correlations()
+        norms[misjudged] *= 2.0
+        correlations[misjudged] *= 3.0  # 4.5 times its gain: it is tried long before its turn
+        candidates.squared_norms = lambda: norms
+        candidates.correlations = lambda: correlations
+        return forward_selection([candidates], 8)
+
+    honest = select([])
+    wrong = select(np.arange(0, 80, 2))
+    np.testing.assert_array_equal(wrong.indices[:1], honest.indices[:1])
+    np.testing.assert_allclose(wrong.reduction[0], honest.reduction[0], rtol=1e-9)
+
+
 def test_residual_is_that_of_extended_precision_on_wide_widths():
     # 40 rows, widths so wide that the kernel matrix has condition far beyond 1e16.
     rng = np.random.default_rng(1)
