@@ -124,6 +124,26 @@ def test_a_candidate_whose_running_figures_are_wrong_is_looked_at_again(n_select
     np.testing.assert_allclose(wrong.reduction[0], honest.reduction[0], rtol=1e-9)
 
 
+@pytest.mark.parametrize("n_select", [1, None])
+def test_reductions_are_by_how_much_the_objective_falls(n_select):
+    X, Y, weights = problem(2, n=80)
+    problem_ = prepare(merge(X, Y, weights), 0)
+    view = problem_.view()
+    args = (problem_, view, np.arange(80), 0.0, 0.5, [np.arange(2)], "gaussian", [0.0])
+    (candidates,), _ = candidate_groups(*args, n_select)
+    chosen = forward_selection([candidates], 6)
+    root = np.sqrt(weights)[:, None]
+    order = problem_.first[chosen.indices]  # rows are sorted there
+    K = kernel_matrix(X / 0.5, X[order] / 0.5, "gaussian")
+    left = []
+    for k in range(7):
+        A = root * np.hstack([np.ones((80, 1)), K[:, :k]])
+        left.append(np.square(root * Y - A @ np.linalg.lstsq(A, root * Y, rcond=None)[0]).sum(0))
+    falls = -np.diff(left, axis=0)
+    shares = chosen.reduction / chosen.reduction[0]
+    np.testing.assert_allclose(shares, falls / falls[0], rtol=1e-4)
+
+
 def test_residual_is_that_of_extended_precision_on_wide_widths():
     # 40 rows, widths so wide that the kernel matrix has condition far beyond 1e16.
     rng = np.random.default_rng(1)
