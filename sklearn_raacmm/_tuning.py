@@ -34,7 +34,7 @@ JITTER = (1e-10, 1e-8, 1e-6)
 WIDTH_BOUNDS = (1e-2, 1e3)
 # Rows of the first stage; rows and iterations of those that follow, and their inducing rows.
 COARSE_ROWS = 300
-FINE = ((1000, 25), (3000, 12), (3000, 12))
+FINE = ((1000, 40), (3000, 30), (3000, 30))
 SAMPLE_ROWS = FINE[-1][0]
 # Logarithm by which widths may fall before the inducing rows no longer do.
 MARGIN = 0.35
