@@ -150,7 +150,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Ridge of every output. Outputs share widths and centres, but not their noise.
 
     noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
-        Of the Gaussian process whose posterior the network approximates, in squared units of y.
+        Of the Gaussian process whose posterior the network approximates, in squared units of y;
+        the noise is that of an observation of mean weight.
 
     error_reduction_ : ndarray of shape (n_centers,)
         Share of the targets' variance (about the polynomial, averaged over outputs) by which each
