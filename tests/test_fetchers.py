@@ -2,14 +2,15 @@
 
 import functools
 import hashlib
+import socket
 import threading
-import time
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sklearn_raacmm import calibrate
+from sklearn_raacmm import _download, calibrate
 from sklearn_raacmm._download import cached_file
 from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 
@@ -39,8 +40,9 @@ class Handler(SimpleHTTPRequestHandler):
 
 
 @pytest.fixture
-def serve():
+def serve(monkeypatch):
     """Return ``serve(folder, *faults)``: a running server and its address."""
+    monkeypatch.setenv("no_proxy", "127.0.0.1")  # a proxy would ask its own machine
     servers = []
 
     def start(folder, *faults):
@@ -112,20 +114,26 @@ def test_what_is_not_there_is_not_asked_for_again(serve, published, tmp_path):
     assert server.requests == 1
 
 
-def test_a_passing_fault_is_survived(serve, published, tmp_path):
+def test_a_passing_fault_is_survived(serve, published, tmp_path, monkeypatch):
     server, url = serve(published, "busy", "cut in transfer")
     place = tmp_path / "table.csv"
-    start = time.monotonic()
+    waited = []  # by when so many requests had come
+    clock = SimpleNamespace(sleep=lambda seconds: waited.append((server.requests, seconds)))
+    monkeypatch.setattr(_download, "time", clock)
     with pytest.warns(UserWarning, match="trying again") as caught:
-        cached_file(place, f"{url}/table.csv", SUM, n_retries=2, delay=0.1)
-    assert time.monotonic() - start >= 0.2  # it waited between tries
+        cached_file(place, f"{url}/table.csv", SUM, n_retries=2, delay=7.5)
+    assert waited == [(1, 7.5), (2, 7.5)]
     assert (len(caught), server.requests) == (2, 3)
     assert place.read_bytes() == CONTENT
 
 
-def test_no_server_at_all(tmp_path):
-    with pytest.raises(OSError, match="cannot be downloaded"):
-        cached_file(tmp_path / "table.csv", "http://127.0.0.1:9/table.csv", SUM, n_retries=0)
+def test_no_server_at_all(tmp_path, monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    with socket.socket() as taken:  # by somebody who does not listen
+        taken.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{taken.getsockname()[1]}/table.csv"
+        with pytest.raises(OSError, match="cannot be downloaded"):
+            cached_file(tmp_path / "table.csv", url, SUM, n_retries=0)
 
 
 def test_a_damaged_file_is_replaced_by_a_whole_one(serve, published, tmp_path):

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
@@ -31,7 +31,13 @@ from sklearn_raacmm.metrics import (
     within_position_scatter,
 )
 
-examples = settings(derandomize=True, max_examples=25, deadline=None, database=None)
+examples = settings(
+    derandomize=True,
+    max_examples=25,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],  # a matter of what else the machine does
+)
 few_examples = settings(examples, max_examples=10)
 
 seeds = st.integers(0, 2**32 - 1)
