@@ -269,12 +269,17 @@ def test_bad_angles_get_one_clear_sentence(angles, message):
         ({"alpha": [90, 0, 0, 0, 0, 0]}, r"alpha\[0\] = 90 is out of bounds.*from_degrees"),
         ({"a": ["x"] * 6}, "a must hold numbers"),
         ({"probe": (0, 0)}, r"probe must hold 3 numbers, got shape \(2,\)"),
+        ({"joint_signs": -2}, r"^joint_signs\[0\] = -2 is out of bounds.* at most 1\.$"),
         ({"joint_signs": 0.5}, "joint_signs must be -1 or 1"),
+        ({"joint_signs": [1, -1, 1, 0.5, -1, 1]}, "joint_signs must be -1 or 1"),
         ({"convention": "khalil"}, "'standard' or 'modified', got 'khalil'"),
+        ({"convention": np.array(["standard"])}, "'standard' or 'modified', got array"),
         ({"pose_joints": (3, 7)}, r"pose_joints must be two different whole numbers from 1 to 6"),
         ({"pose_joints": (3.5, 4)}, r"got \(3\.5, 4\)"),
         ({"pose_frames": (2, 2)}, r"pose_frames .* from 0 to 6, got \(2, 2\)"),
         ({"name": 3}, "name must be a string"),
+        ({"name": "half \ud800"}, "whole characters"),
+        ({"name": "\udfff"}, "whole characters"),
     ],
 )
 def test_bad_tables_get_one_clear_sentence(changes, message):
@@ -285,8 +290,12 @@ def test_bad_tables_get_one_clear_sentence(changes, message):
 def test_unknown_names():
     with pytest.raises(TypeError, match="no parameter prob"):
         Arm.from_name("panda").replace(prob=(0, 0, 1))
-    with pytest.raises(ValueError, match=r"\['aacmm6', 'panda', 'ur10'\], got 'kuka'"):
-        Arm.from_name("kuka")
+    for name in ("kuka", ["panda"]):
+        with pytest.raises(ValueError, match=r"\['aacmm6', 'panda', 'ur10'\], got .*" + name[0]):
+            Arm.from_name(name)
+    for name in ("alpha", "theta_offset"):
+        with pytest.raises(ValueError, match=f"^{name} must hold numbers"):
+            Arm.from_degrees(**dict.fromkeys(("a", "alpha", "d"), np.zeros(6)) | {name: "x"})
 
 
 def test_arm_is_a_value():
@@ -336,9 +345,21 @@ def test_copies_are_equal(copied):
 
 
 def test_str_shows_the_table():
-    text = str(Arm.from_name("aacmm6"))
-    for number in ("-89.9683", "62.1163", "750.7422", "0.0466", "97.811"):
-        assert number in text
+    arm = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
+    first, head, *rows = str(arm).splitlines()
+    assert first == repr(arm)
+    assert head.split() == ["joint", "sign", "a/mm", "alpha/deg", "d/mm", "offset/deg"]
+    degrees = np.rad2deg(arm.alpha), np.rad2deg(arm.theta_offset)
+    table = np.column_stack([range(1, 7), arm.joint_signs, arm.a, degrees[0], arm.d, degrees[1]])
+    assert_allclose([[float(cell) for cell in row.split()] for row in rows], table, atol=5e-5)
+    assert {len(row) for row in rows} == {len(head)}  # columns stand below their names
+
+
+def test_repr_names_an_arm_that_has_a_name():
+    arm = random_arm("modified", 7).replace(probe=(1, -2.5, 3))
+    assert repr(arm) == "<Arm: 7 joints, modified DH, probe (1, -2.5, 3) mm>"
+    assert repr(arm.replace(name="x")).startswith("<Arm 'x': 7 joints")
+    assert Arm.from_name("ur10").name == "ur10"
 
 
 def test_defaults_are_zero_offsets_and_plain_signs():
@@ -348,6 +369,13 @@ def test_defaults_are_zero_offsets_and_plain_signs():
     assert arm.convention == "standard"
     assert arm.pose_joints == (3, 4)
     assert arm.pose_frames == (2, 5)
+    assert arm.name == ""
+
+
+def test_names_may_hold_any_whole_character():
+    for name in ("\ud7ff", "\ue000", "\U0001f9be"):  # next to the halves, and one made of two
+        arm = Arm.from_name("panda").replace(name=name)
+        assert Arm.from_json(arm.to_json()).name == name
 
 
 @pytest.mark.parametrize(
@@ -361,7 +389,9 @@ def test_bounds_are_where_they_are_said_to_be(field, bound):
         values[1] = sign * bound
         assert getattr(arm.replace(**{field: values}), field)[1] == sign * bound
         values[1] = sign * bound * (1 + 1e-9)
-        with pytest.raises(ValueError, match=rf"{field}\[1\] = .* is out of bounds"):
+        unit = "rad" if field in ("alpha", "theta_offset") else "mm"
+        said = rf"^{field}\[1\] = .* is out of bounds.* at most \S+ {unit}\W"
+        with pytest.raises(ValueError, match=said):
             arm.replace(**{field: values})
 
 
