@@ -9,6 +9,10 @@ import pytest
 import scipy.linalg  # noqa: F401  (SciPy's BLAS has to be there to be limited)
 from threadpoolctl import threadpool_limits
 
+# Before pytest collects a module of the package for its examples: one that came first would be
+# imported twice, and what the tests call would not know its classes.
+import sklearn_raacmm  # noqa: F401
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # The suite runs in parallel: two workers with two BLAS threads each on two cores wait for one
