@@ -9,7 +9,11 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm._candidates import candidate_groups
+from sklearn_raacmm._candidates import (
+    SymmetricCandidates,
+    WhitenedCandidates,
+    candidate_groups,
+)
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, pivoted_cholesky, squared_distances
 from sklearn_raacmm._path import (
     leave_one_out,
@@ -18,7 +22,7 @@ from sklearn_raacmm._path import (
     triangular_factor,
 )
 from sklearn_raacmm._preparation import merge, prepare
-from sklearn_raacmm._selection import exchange, forward_selection
+from sklearn_raacmm._selection import _Subset, exchange, forward_selection
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -119,9 +123,116 @@ def test_a_candidate_whose_running_figures_are_wrong_is_looked_at_again(n_select
         return forward_selection([candidates], 8)
 
     honest = select([])
-    wrong = select(np.arange(0, 80, 2))
-    np.testing.assert_array_equal(wrong.indices[:1], honest.indices[:1])
+    wrong = select(np.delete(np.arange(80), honest.indices[0]))
+    assert wrong.indices[0] == honest.indices[0]
     np.testing.assert_allclose(wrong.reduction[0], honest.reduction[0], rtol=1e-9)
+
+
+def left_over(coordinates, target, chosen):
+    """What least squares on the chosen candidates leave of every output, squared."""
+    A = coordinates[chosen].T
+    return np.square(target - A @ np.linalg.lstsq(A, target, rcond=None)[0]).sum(axis=0)
+
+
+def two_views(scale=1.0):
+    """Coordinates of ten candidates, four independent ones in one view and six in the other.
+
+    Candidate 7 is nothing in the first view, candidate 3 nothing in both.
+    """
+    rng = np.random.default_rng(3)
+    parts = []
+    for rank, n_outputs in ((4, 1), (6, 2)):
+        coordinates, target = rng.normal(size=(10, rank)), rng.normal(size=(rank, n_outputs))
+        coordinates[3] = 0.0
+        parts.append([coordinates * scale, target])
+    parts[0][0][7] = 0.0
+    parts[1][1][:, 1] += 3.0 * parts[1][0][7] / scale
+    return parts
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
+def test_two_views_of_the_candidates_until_all_that_is_left_depends_on_the_chosen(scale):
+    views = two_views(scale)
+    found = forward_selection([WhitenedCandidates(*view) for view in views], 10)
+    assert found.stop == "dependent"
+    assert len(found.indices) == 6
+
+    def left(chosen):
+        return np.concatenate([left_over(*view, chosen) for view in views])
+
+    for k, j in enumerate(found.indices):
+        chosen = list(found.indices[:k])
+        falls = {i: left(chosen) - left([*chosen, i]) for i in range(10) if i not in chosen}
+        # Where one dimension is left, all candidates are worth the same.
+        assert falls[j].sum() >= max(fall.sum() for fall in falls.values()) - 1e-12
+        np.testing.assert_allclose(found.reduction[k], falls[j], atol=1e-12)
+    assert found.indices[0] == 7  # nothing to the first output, and all the same worth it
+    np.testing.assert_allclose(left(found.indices), 0, atol=1e-12)
+
+
+def test_one_view_that_misjudges_a_candidate_is_enough_to_look_again():
+    honest = [WhitenedCandidates(*view) for view in two_views()]
+    expected = forward_selection(honest, 1)
+    for wrong in range(2):
+        views = [WhitenedCandidates(*view) for view in two_views()]
+        norms, correlations = views[wrong].squared_norms(), views[wrong].correlations()
+        others = np.delete(np.arange(10), expected.indices[0])
+        norms[others] *= 2.0
+        correlations[others] *= 30.0
+        views[wrong].squared_norms = lambda norms=norms: norms
+        views[wrong].correlations = lambda correlations=correlations: correlations
+        found = forward_selection(views, 1)
+        np.testing.assert_array_equal(found.indices, expected.indices)
+        np.testing.assert_allclose(found.reduction, expected.reduction, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(scale):
+    # All are one direction but for a hundred-millionth, in which they are orthogonal: once the
+    # first has been chosen, each of the others explains its own coordinate of the target.
+    n = 30
+    rng = np.random.default_rng(0)
+    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), 1e-8 * np.eye(n)])
+    coordinates[0, 1] = 0.0
+    own = rng.permutation(np.arange(100.0, 400.0, 10.0))
+    target = np.concatenate([[1e9], -own])[:, None]
+    found = forward_selection([WhitenedCandidates(coordinates * scale, target)], n)
+    order = [j for j in np.argsort(-own) if j != 0]
+    np.testing.assert_array_equal(found.indices, [0, *order])
+    np.testing.assert_allclose(found.reduction[1:, 0], own[order] ** 2, rtol=1e-6)
+
+
+def test_twins_on_the_matrix_itself():
+    X, Y, _ = problem(n=10)
+    X, Y = np.vstack([X, X + 2e-5]), np.vstack([Y, Y + 0.01 * np.arange(10)[:, None]])
+    K = kernel_matrix(X / 0.5, X / 0.5, "gaussian")
+    candidates = SymmetricCandidates(np.asfortranarray(K), np.ones(20), np.zeros((20, 0)), Y, 0.0)
+    found = forward_selection([candidates], 14)
+    n_steps = len(found.indices)
+    assert n_steps > 10  # of some both
+    left = [left_over(K, Y, list(found.indices[:k])) for k in range(n_steps + 1)]
+    np.testing.assert_allclose(found.reduction, -np.diff(left, axis=0), rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("enough", "n_select", "n_steps", "stop"),
+    [
+        (None, 2, 2, "n_select"),
+        (None, 9, 4, "dependent"),
+        ([29.0, 13.0], 9, 2, "enough"),  # reached to the digit
+        ([29.5, 13.0], 9, 3, "enough"),
+        ([25.0, 17.5], 9, 4, "enough"),  # every output has to reach its own
+        ([30.5, 0.0], 3, 3, "n_select"),
+    ],
+)
+def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
+    # Orthogonal candidates: each lowers the objectives by squares of the targets' coordinates.
+    target = np.array([[1.0, 2.0], [2.0, 3.0], [5.0, 2.0], [1.0, 1.0]])
+    enough = None if enough is None else np.array(enough)
+    found = forward_selection([WhitenedCandidates(np.eye(4), target)], n_select, enough=enough)
+    assert found.stop == stop
+    assert list(found.indices) == [2, 1, 0, 3][:n_steps]
+    np.testing.assert_allclose(found.reduction, np.square(target)[found.indices])
 
 
 @pytest.mark.parametrize("n_select", [1, None])
@@ -227,6 +338,18 @@ def test_pivoted_cholesky_reaches_its_tolerance(name):
     assert cut.residual == pytest.approx(np.max(1 - np.sum(cut.rows**2, axis=1)))
 
 
+def test_pivoted_cholesky_where_distances_lose_digits():
+    # Six places, thousands of widths apart; rows at one place differ by less than distances err.
+    rng = np.random.default_rng(0)
+    Z = np.column_stack([1e3 * rng.integers(0, 6, 300), 1e-5 * rng.standard_normal((300, 2))])
+    Z -= Z.mean(axis=0)
+    factor = pivoted_cholesky(Z, "gaussian", tol=1e-13)
+    exact = np.exp(-0.5 * cdist(Z, Z, "sqeuclidean"))
+    assert factor.complete
+    assert len(factor.pivots) == 6
+    assert np.abs(exact - factor.rows @ factor.rows.T).max() < 1e-8
+
+
 @pytest.mark.parametrize("name", list(KERNELS))
 def test_kernel_slope_is_the_derivative(name):
     s = np.linspace(0.05, 9, 40)
@@ -303,3 +426,84 @@ def test_exchange_reaches_a_local_optimum_never_worse_than_the_forward_pass():
         rest = np.delete(better, position)
         trials = [rss([*rest, j]) for j in range(120) if j not in rest]
         assert min(trials) >= rss(better) * (1 - 1e-9)
+
+
+def test_gains_of_a_subset_that_trades_members_are_those_of_least_squares():
+    rng = np.random.default_rng(0)
+    D, t = 1e3 * rng.normal(size=(20, 6)), rng.normal(size=(6, 2))
+    D[3] = 0.0
+    members = [1, 14, 8, 5]
+    subset = _Subset(WhitenedCandidates(D, t), members)
+    for _ in range(6):
+        position = int(rng.integers(4))
+        rest = [m for i, m in enumerate(members) if i != position]
+        gains, own, removal = subset.without(position)
+        before = left_over(D, t, rest).sum()
+        expected = [before - left_over(D, t, [*rest, j]).sum() for j in range(len(D))]
+        np.testing.assert_allclose(gains, expected, atol=1e-9 * before)
+        assert own == pytest.approx(before - left_over(D, t, members).sum())
+        # Into its place comes whatever is not a member, and not nothing.
+        j = int(rng.choice(np.setdiff1d(np.flatnonzero(gains > 1e-6), members)))
+        subset.swap(position, j, removal, subset.direction(j, removal))
+        members = [*rest, j]
+        fresh = _Subset(WhitenedCandidates(D, t), members)
+        np.testing.assert_allclose(subset.Q @ subset.R, D[members].T, atol=1e-9)
+        np.testing.assert_allclose(subset.Q.T @ subset.Q, np.eye(4), atol=1e-12)
+        np.testing.assert_allclose(subset.remainder, fresh.remainder, atol=1e-12)
+        np.testing.assert_allclose(subset.correlations, fresh.correlations, atol=1e-8)
+        np.testing.assert_allclose(subset.norms, fresh.norms, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_exchange_of_two_views_from_any_start_ends_where_no_swap_helps(seed, scale):
+    rng = np.random.default_rng(seed)
+    views = []
+    for rank, n_outputs in ((7, 2), (5, 1)):
+        coordinates = rng.normal(size=(20, rank))
+        coordinates[:10] = coordinates[0] + 1e-3 * rng.normal(size=(10, rank))  # nearly parallel
+        coordinates[12] = coordinates[11]
+        views.append((coordinates * scale, rng.normal(size=(rank, n_outputs))))
+    groups = [WhitenedCandidates(*view) for view in views]
+
+    def left(chosen):
+        return sum(left_over(*view, list(chosen)).sum() for view in views)
+
+    start = rng.choice(20, 4, replace=False)
+    better, n_swaps = exchange(groups, start, tol=0)
+    assert len(set(better)) == 4
+    assert n_swaps > 0
+    assert left(better) < left(start)
+    for position in range(4):
+        rest = np.delete(better, position)
+        trials = [left([*rest, j]) for j in range(20) if j not in rest]
+        assert min(trials) >= left(better) * (1 - 1e-9)
+    # In the order of the forward pass.
+    for k in range(4):
+        trials = [left([*better[:k], j]) for j in better[k:]]
+        assert trials[0] <= min(trials) * (1 + 1e-9)
+    assert exchange(groups, better, tol=0)[1] == 0
+    np.testing.assert_array_equal(exchange(groups, better, tol=0)[0], better)
+
+
+@pytest.mark.parametrize(
+    ("members", "limit"),
+    [
+        ([0], 0.6),  # of 10 to reduce, 7 instead of 1
+        ([0, 1], 1.5),  # of 1 + 7 to reduce, 7 instead of 1, over two members
+    ],
+)
+def test_exchange_does_not_swap_for_less_than_its_tolerance(members, limit):
+    groups = [WhitenedCandidates(np.eye(3), np.sqrt([[1.0], [2.0], [7.0]]))]
+    assert exchange(groups, members, tol=limit * 1.01)[1] == 0
+    indices, n_swaps = exchange(groups, members, tol=limit * 0.99)
+    assert n_swaps == 1
+    np.testing.assert_array_equal(indices, [2, *members[1:]])
+
+
+def test_exchange_stops_after_so_many_sweeps():
+    rng = np.random.default_rng(34)  # a problem that takes three
+    groups = [WhitenedCandidates(rng.normal(size=(60, 12)), rng.normal(size=(12, 1)))]
+    start = rng.choice(60, 5, replace=False)
+    swaps = [exchange(groups, start, tol=0, max_sweeps=n)[1] for n in range(5)]
+    assert 0 == swaps[0] < swaps[1] < swaps[2] < swaps[3] == swaps[4]
