@@ -73,6 +73,9 @@ def test_axis_repeatability_against_numpy(scattered):
         np.max([2 * p.std(axis=0, ddof=1) for p in own], axis=0),
         rtol=1e-9,
     )
+    mean = np.mean([np.ptp(p, axis=0) / 2 for p in own], axis=0)
+    for options in ({}, {"aggregate": "mean"}, {"statistic": "half_range"}):
+        np.testing.assert_allclose(metrics.axis_repeatability(points, groups, **options), mean)
 
 
 def test_report_is_a_table_with_the_same_numbers(scattered):
@@ -89,6 +92,11 @@ def test_report_is_a_table_with_the_same_numbers(scattered):
     np.testing.assert_allclose(
         table["repeatability_2s"] ** 2, sum(table[f"axis_2s_{axis}"] ** 2 for axis in "xyz")
     )
+    distance = np.sqrt(np.square(frame.transform(lambda x: x - x.mean())).sum(axis=1))
+    for statistic in ("max", "mean"):
+        np.testing.assert_allclose(
+            table[f"deviation_{statistic}"], distance.groupby(groups).agg(statistic), rtol=1e-9
+        )
 
 
 def test_a_constant_per_position_is_free_for_a_model_but_costs_plain_r2(scattered):
@@ -101,6 +109,22 @@ def test_a_constant_per_position_is_free_for_a_model_but_costs_plain_r2(scattere
     assert sklearn.metrics.r2_score(truth, prediction) < 0
     assert metrics.within_position_r2_score(truth, 0 * truth, groups=groups) == pytest.approx(0)
     assert metrics.within_position_r2_score(truth, -truth, groups=groups) == pytest.approx(-3)
+
+
+@pytest.mark.parametrize("statistic", ["2s", "max", "mean"])
+@pytest.mark.parametrize("aggregate", ["mean", "max", None])
+def test_scatter_of_a_correction_is_the_repeatability_of_what_is_left(
+    scattered, statistic, aggregate
+):
+    points, groups = scattered
+    options = {"statistic": statistic, "aggregate": aggregate}
+    left = points * [1, 0.5, 0]
+    expected = metrics.single_point_repeatability(left, groups, **options)
+    found = metrics.within_position_scatter(
+        points.tolist(), (points * [0, 0.5, 1]).tolist(), groups=groups, **options
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert type(found) is (np.ndarray if aggregate is None else float)
 
 
 def test_r2_is_that_of_a_regression_with_a_dummy_variable_per_position(scattered):
@@ -172,6 +196,15 @@ def test_scorer_travels_to_other_processes_and_keeps_its_options(routing):
     with sklearn.config_context(enable_metadata_routing=routing):
         score = scorer(zero, X, y, groups=groups) if routing else scorer(zero, X, y)
     assert score == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("first", "then"), [(int, float), (float, int), (float, np.float32)])
+def test_scorer_knows_a_row_in_another_number_type(first, then):
+    X, y, groups = np.arange(24).reshape(12, 2), np.ones((12, 3)), np.repeat([0, 1, 2], 4)
+    scorer = metrics.repeatability_scorer(X.astype(first), groups, statistic="mean")
+    model = Ridge(1e-9).fit(X, y)
+    assert scorer(model, X.astype(then), y) == pytest.approx(0, abs=1e-6)
+    assert "X of shape (12, 2), groups of 3 positions, statistic='mean'" in repr(scorer)
 
 
 def test_scorer_refuses_to_guess_the_groups():
@@ -291,6 +324,8 @@ def test_articulated_location_from_probed_points_is_that_of_the_centres():
 NAN_POINTS = np.array([[0.0, 0, 0], [np.nan, 0, 0]])
 OK_POINTS = np.zeros((4, 3))
 OK_GROUPS = [1, 1, 2, 2]
+OK_ROWS = np.arange(12.0).reshape(4, 3)
+MASKED = np.ma.masked_equal(OK_ROWS, 5)
 
 
 @pytest.mark.parametrize(
@@ -309,10 +344,27 @@ OK_GROUPS = [1, 1, 2, 2]
             lambda: metrics.single_point_repeatability(OK_POINTS, [1, 1, np.nan, 2]),
             "1 missing labels among 4",
         ),
-        (lambda: metrics.single_point_repeatability(OK_POINTS, statistic="3s"), "'3s' is not one"),
-        (lambda: metrics.single_point_repeatability(OK_POINTS, aggregate="sum"), "'sum' is not"),
+        (
+            lambda: metrics.single_point_repeatability(OK_POINTS, statistic="3s"),
+            "^statistic='3s' i",
+        ),
+        (
+            lambda: metrics.single_point_repeatability(OK_POINTS, aggregate="sum"),
+            "^aggregate='sum'",
+        ),
         (lambda: metrics.single_point_repeatability(np.zeros((2, 2, 2))), "dim 3"),
-        (lambda: metrics.axis_repeatability(OK_POINTS, statistic="max"), "'max' is not one"),
+        (lambda: metrics.axis_repeatability(OK_POINTS, statistic="max"), "^statistic='max' is not"),
+        (lambda: metrics.axis_repeatability(OK_POINTS, aggregate="min"), "^aggregate='min' is not"),
+        (lambda: metrics.repeatability_scorer(statistic="3s"), "^statistic='3s' is not one"),
+        (lambda: metrics.repeatability_scorer(aggregate=None), "^aggregate=None is not one"),
+        (
+            lambda: metrics.repeatability_scorer(MASKED, OK_GROUPS),
+            "^X has 1 of 12 values masked",
+        ),
+        (
+            lambda: metrics.repeatability_scorer(OK_ROWS, OK_GROUPS)(Ridge(), MASKED, OK_POINTS),
+            "^X has 1 of 12 values masked",
+        ),
         (lambda: metrics.repeatability_report(OK_POINTS[:, :2]), "2 coordinates"),
         (
             lambda: metrics.within_position_scatter(OK_POINTS, OK_POINTS[:, :1]),
