@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 
-from sklearn_raacmm._kernels import KERNELS, ROUNDING, kernel_matrix, pivoted_cholesky
+from sklearn_raacmm._kernels import KERNELS, kernel_matrix, pivoted_cholesky
 from sklearn_raacmm._path import stack_triangles, triangular_factor
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
@@ -274,7 +274,7 @@ def candidate_groups(
         return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
 
     least = min(alphas)
-    tol = 1e-6 if least == 0 else min(max(1e-3 * least, ROUNDING), 1e-6)
+    tol = 1e-6 if least == 0 else min(1e-3 * least, 1e-6)
     every = len(rows) == n
     may_be_symmetric = n_select is not None and not whitened and every and n <= MAX_SYMMETRIC
     max_rank = MAX_RANK

@@ -122,8 +122,14 @@ def kernel_matrix(A, B, kernel):
     return KERNELS[kernel].function(squared_distances(A, B))
 
 
-# Of the entries of a kernel matrix that is known by a factor.
-ROUNDING = 1e-13
+def rounding(Z):
+    """Error of the entries of a kernel matrix that is known by a factor.
+
+    Distances err by machine epsilon times the largest squared norm: widths much below the range of
+    a feature leave fewer digits.
+    """
+    largest = np.einsum("ij,ij->i", Z, Z).max(initial=0.0)
+    return max(1e-13, 4 * np.finfo(float).eps * largest)
 
 
 class LowRankFactor(NamedTuple):
@@ -155,8 +161,8 @@ def pivoted_cholesky(
     kernel : str
         Name of a positive definite kernel, whose diagonal is 1.
     tol : float
-        Stop when no diagonal entry of the remainder is above it. As the remainder is positive
-        semidefinite this bounds every entry of the kernel matrix's error.
+        Stop when no diagonal entry of the remainder is above it, or `rounding` if that is more. As
+        the remainder is positive semidefinite this bounds every entry of the kernel matrix's error.
     max_rank : int, optional
         Stop at this rank. Default n.
     resolve : int, optional
@@ -184,18 +190,21 @@ def pivoted_cholesky(
     factor = np.empty((min(max_rank, 4 * block_size), n))
     pivots = np.empty(max_rank, dtype=np.intp)
     rank = 0
-    aim = tol
+    least = rounding(Z)
+    aim = tol = max(tol, least)
     if resolve is not None:
-        tol = ROUNDING  # until it is known
+        tol = least  # until it is known
     while rank < max_rank:
         if resolve is not None and rank >= resolve:
-            tol, resolve = min(aim, max(1e-5 * diagonal.max(), ROUNDING)), None
+            tol, resolve = min(aim, max(1e-5 * diagonal.max(), least)), None
         top = largest(diagonal, min(n, block_size))
         top = top[diagonal[top] > tol]
         if not len(top):
             break
         inside = kernel_matrix(Z[top], Z[top], kernel)
         inside -= factor[:rank, top].T @ factor[:rank, top]
+        # As far as the factor knows it: by rounding the difference may be negative.
+        inside[np.diag_indices(len(top))] = diagonal[top]
         most = min(max_rank - rank, max(1, rank))
         chosen, root = _pivots_in_block(inside, max(tol, 0.2 * diagonal[top[0]]), most)
         top = top[chosen]

@@ -23,7 +23,7 @@ from scipy.linalg import LinAlgError, blas, cholesky, lapack
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from sklearn_raacmm._kernels import KERNELS, ROUNDING, pivoted_cholesky, squared_distances
+from sklearn_raacmm._kernels import KERNELS, pivoted_cholesky, squared_distances
 
 ALPHA_BOUNDS = (1e-12, 1e6)
 # Below it inverses lose too many digits, and eigenvectors take their place.
@@ -343,7 +343,7 @@ def tune(
         # Rows that would do for narrower widths too, lest the widths be held where they are, and
         # so many that what they leave unexplained is small beside the noise.
         log_width, log_alpha = unpack(theta)
-        tol = np.clip(0.03 * np.exp(log_alpha.min()), ROUNDING, 1e-2)
+        tol = min(0.03 * np.exp(log_alpha.min()), 1e-2)
         inducing = _inducing(X, rows, np.exp(log_width - MARGIN), kernel, tol)
         return minimise(theta, rows, inducing, max_iter)
 

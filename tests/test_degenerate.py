@@ -99,6 +99,14 @@ def best_radius(points):
 
 
 OWN = rbf(X, Y)
+_RNG = np.random.default_rng(5)
+LABEL = _RNG.integers(0, 60, 300).astype(float)
+LABELS = np.column_stack(
+    [
+        _RNG.standard_normal(60)[LABEL.astype(int)],
+        *_RNG.integers(0, [[40], [3], [2]], (3, 300)),
+    ]
+)
 BLOB = np.array([[1.1, 2.2, 3.3], [-3, 1, 2], [2, -3, 1], [-1, -2, -3], [3, -1, -2], [-2, 3, -1]])
 WITH_CENTRE = np.vstack([BLOB, BLOB.mean(axis=0)])
 SEEN_TWICE = np.repeat(X[:6], 2, axis=0)
@@ -127,6 +135,11 @@ RIGHT = {
     "network: one output constant": (
         lambda: rbf(X, np.c_[Y, np.ones(60)])[:, 1],
         np.ones(60),
+    ),
+    # A label decides, through a column of sixty values that no order explains; others say nothing.
+    "network: a table of labels": (
+        lambda: rbf(LABELS, LABEL),
+        LABEL,
     ),
     "network: denormal rows": (lambda: rbf(X * TINY, Y), np.full(60, Y.mean())),
     "network: tiny rows": (lambda: rbf(X * 2.0**-500, Y), OWN),
