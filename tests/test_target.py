@@ -5,6 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import csr_array, issparse
 from scipy.spatial.transform import Rotation
 from sklearn import config_context
 from sklearn.base import clone
@@ -12,10 +13,12 @@ from sklearn.dummy import DummyRegressor
 from sklearn.exceptions import NotFittedError, UnsetMetadataPassedError
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from sklearn.impute import SimpleImputer
 from sklearn.kernel_ridge import KernelRidge
-from sklearn.linear_model import BayesianRidge, LinearRegression, Ridge
+from sklearn.linear_model import BayesianRidge, HuberRegressor, LinearRegression, Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, Normalizer, StandardScaler
+from sklearn.utils import get_tags
 
 from sklearn_raacmm import (
     CylindricalResidualTarget,
@@ -28,6 +31,11 @@ from sklearn_raacmm import (
 def first_column(X):
     """Azimuth kept in the first column, as a module-level function that pickles."""
     return np.asarray(X)[:, 0]
+
+
+def first_of_any(X):
+    """The same of a sparse array, or of lists."""
+    return np.asarray(X[:, [0]].toarray() if issparse(X) else X)[:, 0]
 
 
 def about_z(phi):
@@ -222,6 +230,50 @@ def test_a_scalar_target_passes_through(y_columns, azimuth):
     assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
 
 
+@pytest.mark.parametrize("azimuth", ["appended", None])
+def test_more_than_three_targets_pass_through_where_there_is_no_azimuth(azimuth):
+    rng = np.random.default_rng(8)
+    X, y = rng.normal(size=(30, 4)), rng.normal(size=(30, 5))
+    model = CylindricalResidualTarget(Ridge(), azimuth=azimuth).fit(X, y)
+    assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
+
+
+@pytest.mark.parametrize("n_features", [1, 2, 6])
+@pytest.mark.parametrize("form", [np.float64, np.float32, object, "list", "Fortran", "frame"])
+def test_any_number_of_features_in_any_form(form, n_features):
+    rng = np.random.default_rng(9)
+    phi, features = rng.uniform(-7, 7, 40), rng.normal(size=(40, n_features))
+    X = np.column_stack([features, np.cos(phi), np.sin(phi)])
+    y = about_z(phi).apply(features @ rng.normal(size=(n_features, 3)))
+    forms = {"list": np.ndarray.tolist, "Fortran": np.asfortranarray, "frame": pd.DataFrame}
+    given = forms[form](X) if form in forms else X.astype(form)
+    for rows in (slice(None), slice(0, 1)):
+        predicted = CylindricalResidualTarget().fit(given, y).predict(given[rows])
+        assert_allclose(predicted, y[rows], atol=1e-5)
+    # The direction is no feature of a scalar target either.
+    model = CylindricalResidualTarget().fit(given, y[:, 2])
+    assert model.regressor_.n_features_in_ == n_features
+
+
+def test_what_the_regressor_takes_is_left_to_it(isotropic):
+    _, y, phi, features, _ = isotropic
+    raw = np.column_stack([phi, features])
+    turned = cartesian_to_cylindrical(y, phi)
+    for form in (csr_array, csr_array.toarray, lambda X: X.toarray().tolist()):
+        X = form(csr_array(raw))
+        model = CylindricalResidualTarget(Ridge(), azimuth=first_of_any).fit(X, y)
+        expected = about_z(phi).apply(Ridge().fit(raw, turned).predict(raw))
+        assert_allclose(model.predict(X), expected, atol=1e-9)
+    # Gaps in the features.
+    with_gaps = np.column_stack([features, np.cos(phi), np.sin(phi)])
+    with_gaps[::3, 0] = np.nan
+    inner = make_pipeline(SimpleImputer(), Ridge())
+    expected = clone(inner).fit(with_gaps[:, :2], turned).predict(with_gaps[:, :2])
+    for given in (with_gaps, pd.DataFrame(with_gaps)):
+        model = CylindricalResidualTarget(inner).fit(given, y)
+        assert_allclose(model.predict(given), about_z(phi).apply(expected), atol=1e-9)
+
+
 def test_no_azimuth_is_the_cartesian_target(isotropic):
     X, y, *_ = isotropic
     model = CylindricalResidualTarget(Ridge(), azimuth=None).fit(X, y)
@@ -257,6 +309,19 @@ def test_the_direction_is_checked_at_predict_too(isotropic):
         model.predict(bad)
     with pytest.raises(ValueError, match=r"X has 3 features, but .* is expecting 4"):
         model.predict(X[:, 1:])
+    with pytest.raises(ValueError, match="Reshape your data"):
+        model.predict(X[0])
+    with pytest.raises(ValueError, match=r"^X has 2 of 800 values masked"):
+        model.predict(np.ma.masked_greater(X, np.sort(X, axis=None)[-3]))
+
+
+def test_names_of_columns_are_checked_at_predict_too(isotropic):
+    X, y, *_ = isotropic
+    frame = pd.DataFrame(X, columns=["a", "b", "azimuth_cos", "azimuth_sin"])
+    model = CylindricalResidualTarget().fit(frame, y)
+    with pytest.raises(ValueError, match="feature names should match"):
+        model.predict(frame.rename(columns={"a": "c"}))
+    assert_array_equal(model.feature_names_in_, frame.columns)
 
 
 def test_float32_keeps_the_direction(isotropic):
@@ -282,6 +347,11 @@ def test_y_of_the_wrong_width(isotropic, n_columns, azimuth):
         (np.ones((4, 3)), np.full((4, 3), np.inf), "y contains infinity"),
         (np.ones((4, 3)), np.ones((3, 3)), r"inconsistent numbers of samples: \[4, 3\]"),
         (np.ones((4, 2)), np.ones((4, 3)), r"X has shape \(4, 2\), but needs at least one feature"),
+        (np.ones(4), np.ones((4, 3)), r"X has shape \(4,\), but needs at least one feature"),
+        (np.eye(2), np.ones((2, 3)), r"X has shape \(2, 2\), but needs at least one feature"),
+        (np.ma.masked_equal(np.eye(3), 1), np.ones((3, 3)), r"^X has 3 of 9 values masked"),
+        (np.eye(3), np.ma.masked_equal(np.eye(3), 1), r"^y has 3 of 9 values masked"),
+        (np.eye(3), np.full((3, 3), 1e60), r"^y holds 1e\+60"),
         (np.empty((0, 3)), np.empty((0, 3)), r"0 sample\(s\)"),
     ],
 )
@@ -290,11 +360,18 @@ def test_bad_input(X, y, message):
         CylindricalResidualTarget().fit(X, y)
 
 
+def test_a_direction_in_a_sparse_array_is_refused(isotropic):
+    X, y, *_ = isotropic
+    with pytest.raises(TypeError, match="Sparse data was passed for X"):
+        CylindricalResidualTarget(Ridge()).fit(csr_array(X), y)
+
+
 @pytest.mark.parametrize(
     ("azimuth", "message"),
     [
         (lambda X: X[:, :2], r"shape \(200,\), got shape \(200, 2\)"),
         (lambda X: X[1:, 0], r"shape \(200,\), got shape \(199,\)"),
+        (lambda X: X[:, :2, None], r"shape \(200,\), got shape \(200, 2, 1\)"),
         (lambda X: np.full(len(X), np.nan), "azimuth contains NaN"),
     ],
 )
@@ -413,6 +490,10 @@ def test_return_std_and_score_are_routed(isotropic, routing):
         assert mean.shape == std.shape == y.shape
         # scikit-learn's own TransformedTargetRegressor fails here with routing on.
         assert model.score(X, y) == model[-1].score(X, y)
+        if routing:
+            model = CylindricalResidualTarget(gaussian_process()).fit(X, y)
+            with pytest.raises(UnsetMetadataPassedError, match="return_std"):
+                model.predict(X, return_std=True)
 
 
 def test_clone_params_pickle_and_html(isotropic):
@@ -429,6 +510,13 @@ def test_clone_params_pickle_and_html(isotropic):
     html = model._repr_html_()
     assert "CylindricalResidualTarget" in html
     assert "Ridge" in html
+
+
+@pytest.mark.parametrize("inner", [Ridge(), gaussian_process(), HuberRegressor()])
+def test_tags_are_those_of_the_regressor_within(inner):
+    tags, expected = get_tags(CylindricalResidualTarget(inner)), get_tags(inner)
+    assert tags.input_tags.sparse == expected.input_tags.sparse
+    assert tags.target_tags.multi_output == expected.target_tags.multi_output
 
 
 def test_parameters_are_validated(isotropic):
