@@ -353,6 +353,7 @@ def main():
     if wrong := set(args.sets) - set(sets):
         parser.error(f"no such set: {', '.join(sorted(wrong))}; there are {', '.join(sets)}.")
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
+    warnings.filterwarnings("ignore", message="With kinematics=False")
     for name in args.sets:
         if name in others:
             others[name]()

@@ -243,7 +243,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         weights = check_weights(sample_weight, X)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         codes = check_offsets(first.offsets, y, weights, groups)
-        lengths = check_lengths(lengths, weights, codes, groups)
+        lengths = check_lengths(lengths, codes, groups, first.kinematics)
         kept = weights > 0
         X, y, weights = X[kept], y[kept], weights[kept]
         codes = None if codes is None else codes[kept]

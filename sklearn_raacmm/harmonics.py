@@ -36,6 +36,8 @@ from sklearn_raacmm.calibration import _check_length
 
 __all__ = ["JointHarmonicRegressor"]
 
+# For warnings: checks are called by fit, which two decorators wrap.
+_CALLER_OF_FIT = 5
 # Poses predicted at a time.
 _CHUNK = 2048
 # Share of the residuals' size below which a position's mean residual counts as zero: residuals of a
@@ -171,8 +173,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     scale of the model is set to that of the calibrated arm: over the training positions, corrected
     distances are as long as uncorrected ones on the average (an inner constraint, as geodesists
     have it in free networks). On nine simulated arms this took 63 % off the errors of 500 mm
-    gauges, where leaving the scale to the prior made them larger. Known lengths are observations
-    of their own, beside the noise of the two mean points.
+    gauges, where leaving the scale to the prior made them larger. With ``kinematics=False`` no
+    column takes up what calibration left, the other causes strain the volume in its place, and
+    holding the scale is no cure: `fit` warns. Known lengths are observations of their own, beside
+    the noise of the two mean points.
 
     The scale of Tukey's biweight is the median distance; all poses count fully where none is far
     off [1]_. On simulated arms with 4 % slipped poses it was as good as without them, and never
@@ -280,14 +284,16 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Warns
         -----
         UserWarning
-            If angles are larger than two turns: most likely degrees.
+            If angles are larger than two turns: most likely degrees; if ``kinematics=False`` and
+            positions have offsets, but no `lengths` are given.
         """
         X, y = check_data(self, X, y)
         self.arm_ = check_arm(self.arm, X.shape[1])
         y = check_residuals(y)
         weights = check_weights(sample_weight, X)
         codes = check_offsets(self.offsets, y, weights, groups)
-        self._fit(X, y, weights, codes, check_lengths(lengths, weights, codes, groups), None)
+        lengths = check_lengths(lengths, codes, groups, self.kinematics)
+        self._fit(X, y, weights, codes, lengths, None)
         return self
 
     def _fit(self, X, y, weights, codes, lengths, smooth):
@@ -512,10 +518,18 @@ def check_residuals(y):
     return y.astype(np.float64, copy=False)
 
 
-def check_lengths(lengths, weights, codes, groups):
+def check_lengths(lengths, codes, groups, kinematics):
     """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
     lengths = list(lengths)
     if not lengths:
+        if codes is not None and not kinematics:
+            warnings.warn(
+                "With kinematics=False and positions with offsets nothing holds the distances "
+                "between positions: they may come out worse than without correction. Keep "
+                "kinematics=True, give known lengths, or do not measure lengths with this model.",
+                UserWarning,
+                stacklevel=_CALLER_OF_FIT,
+            )
         return []
     if codes is None:
         raise ValueError(
@@ -548,6 +562,6 @@ def check_offsets(offsets, y, weights, groups):
                 "from means of other rows than these. No offsets are fitted; set offsets to True "
                 "or False.",
                 UserWarning,
-                stacklevel=3,
+                stacklevel=_CALLER_OF_FIT,
             )
     return codes if offsets else None

@@ -11,7 +11,13 @@ from sklearn import config_context
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate, position_residuals
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    JointHarmonicRegressor,
+    calibrate,
+    position_residuals,
+)
 from sklearn_raacmm._arm_terms import ARCSEC, Terms, reach_mm, term_columns, term_names
 from sklearn_raacmm._evidence import select_blocks
 from sklearn_raacmm._normal_equations import (
@@ -429,6 +435,24 @@ def test_scale_stays_that_of_the_calibration(gauges):
     assert_allclose(model.terms_["value"], model.coef_[-len(model.terms_) :])
     _, std = model.predict(cone.data[:5], return_std=True)
     assert np.all(std > 0)
+
+
+def test_without_kinematics_lengths_are_not_promised(gauges):
+    cone, _ = gauges
+    options = {"n_harmonics": 1, "gravity": False, "wobble": False, "kinematics": False}
+    model = JointHarmonicRegressor(cone.arm, **options)
+    with pytest.warns(UserWarning, match="nothing holds the distances between positions") as seen:
+        model.fit(cone.data, cone.target, groups=cone.groups)
+    assert seen[0].filename == __file__
+    guarded = ArmResidualRegressor(cone.arm, harmonics=clone(model), use="harmonics", n_folds=2)
+    with pytest.warns(UserWarning, match="nothing holds the distances") as seen:
+        guarded.fit(cone.data, cone.target, groups=cone.groups)
+    assert len(seen) == 1
+    # No offsets, or known lengths: no warning.
+    model.fit(cone.data, cone.points - cone.simulation.true_points, groups=cone.groups)
+    means = cone.simulation.positions
+    known = [(0, 1, float(np.linalg.norm(means[0] - means[1])), 0.01)]
+    model.fit(cone.data, cone.target, groups=cone.groups, lengths=known)
 
 
 def test_known_lengths_join_the_fit(gauges):
