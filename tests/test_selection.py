@@ -22,7 +22,12 @@ from sklearn_raacmm._path import (
     triangular_factor,
 )
 from sklearn_raacmm._preparation import merge, prepare
-from sklearn_raacmm._selection import _Subset, exchange, forward_selection
+from sklearn_raacmm._selection import (
+    _Subset,
+    exchange,
+    forward_selection,
+    squared_ratio_score,
+)
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -170,11 +175,12 @@ def test_two_views_of_the_candidates_until_all_that_is_left_depends_on_the_chose
     np.testing.assert_allclose(left(found.indices), 0, atol=1e-12)
 
 
-def test_one_view_that_misjudges_a_candidate_is_enough_to_look_again():
-    honest = [WhitenedCandidates(*view) for view in two_views()]
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_one_view_that_misjudges_a_candidate_is_enough_to_look_again(scale):
+    honest = [WhitenedCandidates(*view) for view in two_views(scale)]
     expected = forward_selection(honest, 1)
     for wrong in range(2):
-        views = [WhitenedCandidates(*view) for view in two_views()]
+        views = [WhitenedCandidates(*view) for view in two_views(scale)]
         norms, correlations = views[wrong].squared_norms(), views[wrong].correlations()
         others = np.delete(np.arange(10), expected.indices[0])
         norms[others] *= 2.0
@@ -188,15 +194,18 @@ def test_one_view_that_misjudges_a_candidate_is_enough_to_look_again():
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(scale):
-    # All are one direction but for a hundred-millionth, in which they are orthogonal: once the
-    # first has been chosen, each of the others explains its own coordinate of the target.
+    # All are one direction but for a ten-millionth, in which they are orthogonal: once the first
+    # has been chosen, as a second view demands, each explains its own coordinate of the target.
     n = 30
     rng = np.random.default_rng(0)
-    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), 1e-8 * np.eye(n)])
+    turn = np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0]
+    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), 1e-7 * np.eye(n)])
     coordinates[0, 1] = 0.0
-    own = rng.permutation(np.arange(100.0, 400.0, 10.0))
-    target = np.concatenate([[1e9], -own])[:, None]
-    found = forward_selection([WhitenedCandidates(coordinates * scale, target)], n)
+    own = rng.permutation(100 + 0.1 * np.arange(n))
+    target = np.concatenate([[1e10], own])[:, None]
+    view = WhitenedCandidates(coordinates @ turn * scale, turn.T @ target)
+    demand = WhitenedCandidates(np.eye(n)[:, :1], np.array([[1e11]]))
+    found = forward_selection([view, demand], n)
     order = [j for j in np.argsort(-own) if j != 0]
     np.testing.assert_array_equal(found.indices, [0, *order])
     np.testing.assert_allclose(found.reduction[1:, 0], own[order] ** 2, rtol=1e-6)
@@ -233,6 +242,27 @@ def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
     assert found.stop == stop
     assert list(found.indices) == [2, 1, 0, 3][:n_steps]
     np.testing.assert_allclose(found.reduction, np.square(target)[found.indices])
+
+
+def test_candidates_that_explain_nothing_are_chosen_once_each():
+    target = np.array([[0.0], [5.0], [0.0], [0.0]])
+    candidates = np.eye(4)
+    candidates[2] = 0.0
+    found = forward_selection([WhitenedCandidates(candidates, target)], 9)
+    np.testing.assert_array_equal(found.indices, [1, 0, 3])
+    assert found.stop == "dependent"
+    none = forward_selection([WhitenedCandidates(0 * candidates, target)], 9)
+    assert none.reduction.shape == (0, 1)
+    np.testing.assert_array_equal(candidates[none.indices], np.empty((0, 4)))
+
+
+def test_newrb_prefers_what_explains_most_of_one_output():
+    # Shares of the outputs: 0.6 and 0.5 each, 0.9 and 0, 0.1 and 0.2; sums 1.1, 0.9, 0.3; sums of
+    # squares 0.61, 0.81, 0.05. In millimetres and in metres.
+    gains = np.array([[0.6, 0.5], [0.9, 0.0], [0.1, 0.2]]) * [1.0, 1e-6]
+    for unit in (1.0, 1e-6):
+        score = squared_ratio_score(unit * np.array([1.0, 1e-6]))
+        np.testing.assert_allclose(score(unit * gains), [0.61, 0.81, 0.05], rtol=1e-12)
 
 
 @pytest.mark.parametrize("n_select", [1, None])
@@ -454,6 +484,31 @@ def test_gains_of_a_subset_that_trades_members_are_those_of_least_squares():
         np.testing.assert_allclose(subset.norms, fresh.norms, atol=1e-6)
 
 
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_what_is_swapped_in_is_new_to_working_precision_or_refused(scale):
+    rng = np.random.default_rng(0)
+    D, t = rng.normal(size=(9, 6)), rng.normal(size=(6, 1))
+    D[5] = D[0] + 1e-5 * rng.normal(size=6)  # hardly new beside the first
+    D[6], D[7] = 0.0, D[1] - 2.0 * D[2]  # nothing new
+    members = [0, 1, 2, 3]
+    subset = _Subset(WhitenedCandidates(D * scale, t), members)
+    _, _, removal = subset.without(3)
+    others = np.linalg.qr(D[:3].T)[0]
+    for j in (3, 4, 5, 8):
+        w = subset.direction(j, removal)
+        assert np.linalg.norm(w) == pytest.approx(1, rel=1e-12)
+        assert np.abs(others.T @ w).max() < 1e-14
+        # Together with the others it spans what the candidate and the others do.
+        new = D[j] / np.linalg.norm(D[j])
+        assert np.abs(new - others @ (others.T @ new) - w * (w @ new)).max() < 1e-14
+    assert subset.direction(6, removal) is None
+    assert subset.direction(7, removal) is None
+    # Where its running length is far from the true one, too.
+    for error, trusted in ((0.5, False), (0.97, True), (1.03, True), (1.5, False)):
+        misjudged = (*removal[:3], error * removal[3])
+        assert (subset.direction(4, misjudged) is not None) == trusted
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_exchange_of_two_views_from_any_start_ends_where_no_swap_helps(seed, scale):
@@ -461,7 +516,7 @@ def test_exchange_of_two_views_from_any_start_ends_where_no_swap_helps(seed, sca
     views = []
     for rank, n_outputs in ((7, 2), (5, 1)):
         coordinates = rng.normal(size=(20, rank))
-        coordinates[:10] = coordinates[0] + 1e-3 * rng.normal(size=(10, rank))  # nearly parallel
+        coordinates[:10] = coordinates[0] + 1e-4 * rng.normal(size=(10, rank))  # nearly parallel
         coordinates[12] = coordinates[11]
         views.append((coordinates * scale, rng.normal(size=(rank, n_outputs))))
     groups = [WhitenedCandidates(*view) for view in views]
@@ -470,20 +525,21 @@ def test_exchange_of_two_views_from_any_start_ends_where_no_swap_helps(seed, sca
         return sum(left_over(*view, list(chosen)).sum() for view in views)
 
     start = rng.choice(20, 4, replace=False)
-    better, n_swaps = exchange(groups, start, tol=0)
+    better, n_swaps = exchange(groups, start, tol=1e-9)
     assert len(set(better)) == 4
     assert n_swaps > 0
     assert left(better) < left(start)
     for position in range(4):
         rest = np.delete(better, position)
         trials = [left([*rest, j]) for j in range(20) if j not in rest]
-        assert min(trials) >= left(better) * (1 - 1e-9)
+        assert min(trials) >= left(better) * (1 - 1e-6)
     # In the order of the forward pass.
     for k in range(4):
         trials = [left([*better[:k], j]) for j in better[k:]]
-        assert trials[0] <= min(trials) * (1 + 1e-9)
-    assert exchange(groups, better, tol=0)[1] == 0
-    np.testing.assert_array_equal(exchange(groups, better, tol=0)[0], better)
+        assert trials[0] <= min(trials) * (1 + 1e-6)
+    again, n_swaps = exchange(groups, better, tol=1e-9)
+    np.testing.assert_array_equal(again, better)
+    assert n_swaps == 0
 
 
 @pytest.mark.parametrize(
