@@ -55,6 +55,7 @@ def test_neither_order_nor_splits_matter(name, few_in_memory):
 def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, monkeypatch):
     X, Y, weights = data(4000)
     settings = {"n_centers": 30, "length_scale": 0.7, "alpha": 1e-3, "degree": degree}
+    settings["random_state"] = 0
     whole = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     # All rows are candidates here too, but seen through sums over blocks.
     monkeypatch.setattr(rbf, "IN_MEMORY_ROWS", 1000)
@@ -106,7 +107,7 @@ def test_rows_that_repeat_are_merged_where_they_all_fit(few_in_memory):
     X, Y, _ = data(400)
     rows = np.random.default_rng(0).integers(0, 400, 3000)
     weights = np.bincount(rows, minlength=400).astype(float)
-    settings = {"n_centers": 12, "length_scale": 0.7, "alpha": 1e-2}
+    settings = {"n_centers": 12, "length_scale": 0.7, "alpha": 1e-2, "random_state": 0}
     many = RBFNetRegressor(**settings).fit(X[rows], Y[rows])
     few = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     np.testing.assert_array_equal(many.centers_, few.centers_)
@@ -157,7 +158,7 @@ def test_dask_arrays_with_wrong_shapes_are_refused():
 def test_bad_values_in_one_chunk_are_named(few_in_memory):
     da = pytest.importorskip("dask.array")
     X, Y, weights = data(3000)
-    model = RBFNetRegressor(5, length_scale=1.0, alpha=0.1)
+    model = RBFNetRegressor(5, length_scale=1.0, alpha=0.1, random_state=0)
     for name, bad in (("X", np.nan), ("y", np.inf)):
         broken = {"X": X.copy(), "y": Y.copy()}
         broken[name][2345, 1] = bad

@@ -557,6 +557,19 @@ def test_exchange_does_not_swap_for_less_than_its_tolerance(members, limit):
     np.testing.assert_array_equal(indices, [2, *members[1:]])
 
 
+@pytest.mark.parametrize("misjudged", [0, 1])
+def test_exchange_passes_over_a_candidate_whose_running_length_is_wrong(misjudged):
+    # Candidate 3 is member 0 again. Where its length is taken for a tenth, it seems to be worth a
+    # hundred times as much; the swap of member 1 for candidate 2 is sound.
+    coordinates = np.eye(3)[[0, 1, 2, 0]]
+    target = np.array([[2.0], [1.0], [3.0]])
+    views = [WhitenedCandidates(coordinates, target) for _ in range(2)]
+    views[misjudged].squared_norms = lambda: np.array([1, 1, 1, 0.01])
+    indices, n_swaps = exchange(views, [0, 1])
+    np.testing.assert_array_equal(indices, [2, 0])
+    assert n_swaps == 1
+
+
 def test_exchange_stops_after_so_many_sweeps():
     rng = np.random.default_rng(34)  # a problem that takes three
     groups = [WhitenedCandidates(rng.normal(size=(60, 12)), rng.normal(size=(12, 1)))]
