@@ -203,9 +203,7 @@ class ArmPosesDisplay:
         self : object
             The display, with `ax_`, `figure_` and `magnification_`.
         """
-        if ax is None:
-            ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")
-        elif not hasattr(ax, "get_zlim"):
+        if ax is not None and not hasattr(ax, "get_zlim"):
             raise ValueError('The axes are flat; make them with projection="3d".')
         whole = isinstance(max_poses, Integral) and not isinstance(max_poses, bool)
         if not whole or max_poses < 1:
@@ -214,6 +212,8 @@ class ArmPosesDisplay:
             check_option("magnification", magnification, ("auto",))
         elif not (isinstance(magnification, Real) and 0 < magnification < np.inf):
             raise ValueError(f'magnification must be "auto" or positive, got {magnification!r}.')
+        if ax is None:
+            ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")
         tips = self.chains[:, -1]
         self.magnification_ = self._magnification() if magnification == "auto" else magnification
         shown = np.unique(np.linspace(0, len(tips) - 1, min(max_poses, len(tips))).astype(int))

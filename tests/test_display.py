@@ -303,6 +303,13 @@ def test_bad_input_is_named(cone, model):
         )
 
 
+@pytest.mark.parametrize("bad", [{"max_poses": 0}, {"magnification": "big"}])
+def test_what_is_refused_leaves_no_empty_figure(cone, plt, bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        ArmPosesDisplay.from_predictions(cone.data, cone.target, arm=cone.arm, **bad)
+    assert not plt.get_fignums()
+
+
 def test_matplotlib_is_imported_when_something_is_drawn():
     program = (
         "import sys, numpy as np\n"
