@@ -5,12 +5,13 @@ is one arc second, or, for lengths, the length that one arc second spans at the 
 coefficients of a family are of one size, whatever the size of the arm.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from sklearn_raacmm._identification import FIELDS
-from sklearn_raacmm._kinematics import cross, dh_theta, frame_columns, parameter_jacobian
+from sklearn_raacmm._kinematics import cross, dh_theta, frame_columns, probe_of
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own.
@@ -62,18 +63,53 @@ def term_names(arm, terms):
 
 def _loads(arm):
     """Frame, axis and load beyond: n_joints + 1 is the probe."""
-    n = arm.n_joints
+    return _loads_of(arm.n_joints)
+
+
+@lru_cache
+def _loads_of(n):
     return [(j, axis, i) for j in range(n + 1) for axis in range(3) for i in range(j + 1, n + 2)]
 
 
 def _wobbles(arm):
+    """Joint from 0, axis, order and function of each column."""
+    return _wobbles_of(arm.n_joints)
+
+
+@lru_cache
+def _wobbles_of(n):
     return [
         (j, axis, order, part)
-        for j in range(arm.n_joints)
+        for j in range(n)
         for axis in range(2)
         for order in _WOBBLE_ORDERS
         for part in ("cos", "sin")
     ]
+
+
+class _Axes(NamedTuple):
+    """Axes of all frames at some poses: x, y and z of the base, of frame 1, and so on.
+
+    Whole families of columns are picked from these arrays at once: of one pose, loops over columns
+    would cost twenty times the arithmetic.
+    """
+
+    unit: np.ndarray  # (n, 3, 3 n_frames) the axes
+    turn: np.ndarray  # (n, 3, 3 n_frames) what a turn about each does to the probe, mm per rad
+    place: np.ndarray  # (n, 3, n_frames + 1) the frames' origins and the probe
+
+    @classmethod
+    def of(cls, arm, angles):
+        frames = frame_columns(arm, dh_theta(arm, angles))
+        probe = probe_of(arm, frames)
+        axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
+        lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
+        n_axes = 3 * len(frames)
+        unit, turn = (
+            np.moveaxis(part.reshape(3, n_axes, -1), 2, 0) for part in (axes, cross(axes, lever))
+        )
+        place = np.concatenate([frames[:, 3], probe[None]]).transpose(2, 1, 0)
+        return cls(np.ascontiguousarray(unit), np.ascontiguousarray(turn), place)
 
 
 def term_columns(arm, angles, terms):
@@ -91,74 +127,72 @@ def term_columns(arm, angles, terms):
     ndarray of shape (n, 3, n_columns)
         mm per unit coefficient.
     """
-    frames = frame_columns(arm, dh_theta(arm, angles))
-    probe = frames[-1, 3] + np.tensordot(arm.probe, frames[-1, :3], axes=1)
-    parts = [_harmonics(arm, angles, frames, probe, terms.harmonics)]
-    if terms.gravity:
-        parts.append(_gravity(arm, frames, probe))
-    if terms.kinematics:
-        parts.append(_kinematics(arm, angles, frames, probe))
-    if terms.wobble:
-        parts.append(_wobble(arm, angles, frames, probe))
-    return np.concatenate(parts, axis=2)
-
-
-def _joint_frame(arm, joint):
-    """Frame whose z axis a joint (from 0) turns about."""
-    return joint if arm.convention == "standard" else joint + 1
-
-
-def _harmonics(arm, angles, frames, probe, pairs):
-    out = np.empty((len(angles), 3, 2 * len(pairs)))
-    lever = {}
-    for joint in np.unique(pairs[:, 0]):
-        frame = frames[_joint_frame(arm, joint)]
-        turn = arm.joint_signs[joint] * ARCSEC * cross(frame[2], probe - frame[3])
-        lever[joint] = turn.T
-    for i, (joint, order) in enumerate(pairs):
-        phase = order * angles[:, joint]
-        np.multiply(lever[joint], np.cos(phase)[:, None], out=out[:, :, 2 * i])
-        np.multiply(lever[joint], np.sin(phase)[:, None], out=out[:, :, 2 * i + 1])
+    axes = _Axes.of(arm, angles)
+    rest = [_gravity(arm, axes)] if terms.gravity else []
+    rest += [_kinematics(arm, axes)] if terms.kinematics else []
+    rest += [_wobble(arm, angles, axes)] if terms.wobble else []
+    n_waves = 2 * len(terms.harmonics)
+    out = np.empty((len(angles), 3, n_waves + sum(part.shape[2] for part in rest)))
+    _harmonics(arm, angles, axes, terms.harmonics, out[:, :, :n_waves])
+    if rest:
+        np.concatenate(rest, axis=2, out=out[:, :, n_waves:])
     return out
 
 
-def _gravity(arm, frames, probe):
+def _first_frame(arm):
+    """Frame whose z axis the first joint turns about."""
+    return 0 if arm.convention == "standard" else 1
+
+
+def _harmonics(arm, angles, axes, pairs, out):
+    """Written to `out`, a joint at a time: with all orders offered they are most of the model."""
+    joint, order = pairs.T
+    turn = axes.turn[:, :, 3 * (np.arange(arm.n_joints) + _first_frame(arm)) + 2]
+    turn *= arm.joint_signs * ARCSEC
+    ends = np.append(np.flatnonzero(np.diff(joint)) + 1, len(pairs)) if len(pairs) else []
+    start = 0
+    for end in ends:
+        j = joint[start]
+        phase = order[start:end] * angles[:, j, None]
+        wave = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(angles), 1, -1)
+        np.multiply(turn[:, :, j, None], wave, out=out[:, :, 2 * start : 2 * end])
+        start = end
+
+
+def _gravity(arm, axes):
     """Turns of each frame about each of its axes, by the torque of a load about that axis.
 
     With gravity along -z of the base, the torque of unit weight about the axis u through o is
     u . (r x -z) = -(u x r) . z, with r from o to the load: in units of the reach.
     """
-    loads = _loads(arm)
-    out = np.empty((probe.shape[1], 3, len(loads)))
-    places = [*frames[:, 3], probe]
-    scale = ARCSEC / reach_mm(arm)
-    lever = {}
-    for column, (j, axis, load) in enumerate(loads):
-        u, origin = frames[j, axis], frames[j, 3]
-        if (j, axis) not in lever:
-            lever[j, axis] = scale * cross(u, probe - origin)
-        r = places[load] - origin
-        out[:, :, column] = (lever[j, axis] * (u[1] * r[0] - u[0] * r[1])).T
-    return out
+    frame, axis, load = np.array(_loads(arm)).T
+    which = 3 * frame + axis
+    ux, uy = axes.unit[:, :2, which].transpose(1, 0, 2)
+    x, y = (axes.place[:, :2, load] - axes.place[:, :2, frame]).transpose(1, 0, 2)
+    torque = (ARCSEC / reach_mm(arm)) * (uy * x - ux * y)
+    return axes.turn[:, :, which] * torque[:, None]
 
 
-def _kinematics(arm, angles, frames, probe):
+def _kinematics(arm, axes):
     """Changes of the table, of where the base stands, and turns beta about y beside those about x.
 
-    A tracker shows where the base stands; whoever fitted it did so with the other errors there. A
+    A length moves the probe along the axis that carries it; an angle turns it about that axis. A
+    tracker shows where the base stands; whoever fitted it did so with the other errors there. A
     table has no beta, for most axes do without; parallel ones do not (Hayati).
     """
-    n = arm.n_joints
+    n, first = arm.n_joints, _first_frame(arm)
     length = ARCSEC * reach_mm(arm)
-    jacobian = parameter_jacobian(arm, angles)[1]
-    jacobian *= np.repeat([length, ARCSEC, length, ARCSEC, length], [n, n, n, n, 3])
-    rest = np.zeros((len(angles), 3, len(_BASE) + n))
-    rest[:, [0, 1], [0, 1]] = length
-    first = 1 if arm.convention == "standard" else 0  # the frame that alpha1 turns
-    for column, (frame, axis) in enumerate([(0, 0), (0, 1)] + [(first + i, 1) for i in range(n)]):
-        turn = cross(frames[frame, axis], probe - frames[frame, 3])
-        rest[:, :, 2 + column] = ARCSEC * turn.T
-    return np.concatenate([jacobian, rest], axis=2)
+    # Row i goes along and about z of one of its two frames, and x of the other.
+    of_z = 3 * (np.arange(n) + first) + 2
+    of_x = 3 * (np.arange(n) + 1 - first)
+    along_x, along_z, along_probe, along_base = (
+        length * axes.unit[:, :, which] for which in (of_x, of_z, slice(3 * n, None), slice(2))
+    )
+    about_x, about_z, about_base, about_y = (
+        ARCSEC * axes.turn[:, :, which] for which in (of_x, of_z, slice(2), of_x + 1)
+    )
+    columns = [along_x, about_x, along_z, about_z, along_probe, along_base, about_base, about_y]
+    return np.concatenate(columns, axis=2)
 
 
 def scale_direction(arm, terms):
@@ -171,11 +205,11 @@ def scale_direction(arm, terms):
     return np.concatenate([np.zeros(n), sizes, np.zeros(tail)])
 
 
-def _wobble(arm, angles, frames, probe):
-    wobbles = _wobbles(arm)
-    out = np.empty((len(angles), 3, len(wobbles)))
-    for column, (joint, axis, order, part) in enumerate(wobbles):
-        frame = frames[_joint_frame(arm, joint)]
-        wave = getattr(np, part)(order * angles[:, joint])
-        out[:, :, column] = (ARCSEC * wave * cross(frame[axis], probe - frame[3])).T
-    return out
+def _wobble(arm, angles, axes):
+    joint, axis, order, _ = zip(*_wobbles(arm), strict=True)
+    joint = np.array(joint)
+    phase = np.array(order) * angles[:, joint]
+    # Cosines and sines take turns.
+    wave = np.where(np.arange(len(joint)) % 2, np.sin(phase), np.cos(phase))
+    turn = axes.turn[:, :, 3 * (joint + _first_frame(arm)) + np.array(axis)]
+    return turn * (ARCSEC * wave)[:, None]

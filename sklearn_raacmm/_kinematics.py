@@ -41,6 +41,14 @@ def probe_points(arm, theta):
     return points
 
 
+def points_of(arm, angles):
+    """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time."""
+    points = np.empty((len(angles), 3))
+    for rows in chunks(len(angles)):
+        points[rows] = probe_points(arm, dh_theta(arm, angles[rows])).T
+    return points
+
+
 def frame_columns(arm, theta):
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin = np.cos(theta), np.sin(theta)

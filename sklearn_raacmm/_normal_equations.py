@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sklearn_raacmm._arm_terms import term_columns
+from sklearn_raacmm._kinematics import points_of
 
 # Poses whose columns are held at a time: 12 MB for 1000 columns.
 _CHUNK = 512
@@ -60,7 +61,8 @@ def normal_equations(arm, angles, y, weights, codes, terms, smooth=None):
         vectors = term_columns(arm, angles[rows], terms)
         vectors = np.concatenate([vectors, y[rows, :, None]], axis=2)
         if smooth is not None:
-            azimuth = arm.azimuth(angles[rows])
+            x, y, _ = points_of(arm, angles[rows]).T
+            azimuth = np.arctan2(y, x)
             vectors = _turned(vectors, azimuth)
             basis = smooth.basis(angles[rows])
         weight = weights[rows]
@@ -145,7 +147,7 @@ def length_equations(arm, angles, weights, codes, terms, lengths):
     rows = np.isin(codes, used)
     angles, weights, codes = angles[rows], weights[rows], np.searchsorted(used, codes[rows])
     total = np.bincount(codes, weights=weights)
-    points = arm.forward(angles)
+    points = points_of(arm, angles)
     points = np.stack([np.bincount(codes, weights * p) / total for p in points.T], axis=1)
     columns = mean_columns(arm, angles, weights, codes, terms)
     line = points[ends[1]] - points[ends[0]]

@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_raacmm._arm_checks import MAX_LENGTH_MM, check_angles, floats, numbers, pair_of, show
 from sklearn_raacmm._arm_data import BUILT_IN, read_json, write_json
-from sklearn_raacmm._kinematics import chunks, cross, dh_theta, frame_columns, probe_points
+from sklearn_raacmm._kinematics import chunks, cross, dh_theta, frame_columns, points_of
 
 __all__ = ["Arm"]
 
@@ -328,10 +328,7 @@ class Arm:
             If an angle is more than two turns: most likely another unit.
         """
         angles = check_angles(angles, self.n_joints, angle_unit)
-        points = np.empty((len(angles), 3))
-        for rows in chunks(len(angles)):
-            points[rows] = probe_points(self, dh_theta(self, angles[rows])).T
-        return points
+        return points_of(self, angles)
 
     def azimuth(self, angles, *, angle_unit="rad"):
         """Azimuth of the probe about the base's z axis.

@@ -10,8 +10,10 @@ from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.cluster import KMeans
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_raacmm._arm_checks import check_angles
 from sklearn_raacmm._input import check_data, check_features, check_weights
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root
+from sklearn_raacmm._kinematics import dh_theta, frame_columns, points_of, probe_of
 from sklearn_raacmm._normal_equations import Smooth
 from sklearn_raacmm._residuals import (
     _encode_groups,
@@ -28,6 +30,7 @@ from sklearn_raacmm._sklearn import (
 from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.harmonics import (
+    CALLER_OF_FIT,
     JointHarmonicRegressor,
     centred,
     check_arm,
@@ -36,7 +39,7 @@ from sklearn_raacmm.harmonics import (
     check_residuals,
     quantile,
 )
-from sklearn_raacmm.pose import PoseFeatures
+from sklearn_raacmm.pose import pose_columns
 from sklearn_raacmm.rbf import RBFNetRegressor
 
 __all__ = ["ArmResidualRegressor"]
@@ -239,6 +242,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """
         X, y = check_data(self, X, y)
         self.arm_ = check_arm(self.arm, X.shape[1])
+        check_angles(X, X.shape[1], "rad", CALLER_OF_FIT)  # warns of degrees
         y = check_residuals(y)
         weights = check_weights(sample_weight, X)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
@@ -273,7 +277,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if self.cap is not None:
             self.cap_mm_ = quantile(size, self.cap, weights)
             if codes is not None:
-                own = np.linalg.norm(sum(value for value, _ in self._parts(X, use)), axis=1)
+                own = np.linalg.norm(sum(v for v, _ in self._parts(X, use, False)), axis=1)
                 own = _CAP_OF_OFFSETS * quantile(own, self.cap, weights)
                 self.cap_mm_ = max(self.cap_mm_, own)
 
@@ -281,14 +285,14 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         network = RBFNetRegressor(degree=-1, random_state=0) if self.network is None else None
         network = clone(self.network) if network is None else network
         F, direction = self._features(X)
-        left = y - centred(self.harmonics_.predict(X), weights, codes)
+        left = y - centred(self.harmonics_._predict(X)[0], weights, codes)
         self.network_ = network.fit(F, _to_cylindrical(left, direction), weights)
         if not self.joint or not len(network.centers_):
             return
         if np.any(network.linear_coef_) or not KERNELS[network.kernel].positive_definite:
             return  # not a smooth error with a covariance
         self.harmonics_._fit(X, y, weights, codes, lengths, self._smooth())
-        left = y - centred(self.harmonics_.predict(X), weights, codes)
+        left = y - centred(self.harmonics_._predict(X)[0], weights, codes)
         if codes is not None:
             # What the network says of each position's mean, which the residuals have lost.
             mean = _to_cartesian(network.predict(F), direction)
@@ -312,15 +316,18 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         return Smooth(basis, alpha)
 
     def _features(self, X):
-        azimuth = self.arm_.azimuth(X)
-        direction = np.cos(azimuth), np.sin(azimuth)
         if self.features == "all":
-            return X, direction
-        return PoseFeatures(self.arm_).fit(X).transform(X), direction
+            F, (x, y, _) = X, points_of(self.arm_, X).T
+        else:
+            frames = frame_columns(self.arm_, dh_theta(self.arm_, X))
+            F = np.stack(pose_columns(self.arm_, X, frames), axis=1)
+            x, y, _ = probe_of(self.arm_, frames)
+        azimuth = np.arctan2(y, x)
+        return F, (np.cos(azimuth), np.sin(azimuth))
 
     def _check(self, X, y, weights, positions, codes, lengths):
         """Mean deviations at positions left out in blocks, by every model and fading."""
-        points = self.arm_.forward(X)
+        points = points_of(self.arm_, X)
         total = np.bincount(positions, weights)
         means = np.stack([np.bincount(positions, weights * p) / total for p in points.T], axis=1)
         n_folds = min(self.n_folds, len(total))
@@ -393,18 +400,18 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
-        mean, std = self._correction(X, self.use_)
-        return (mean, std) if return_std else mean
-
-    def _correction(self, X, use):
-        parts = self._parts(X, use)
-        variance = sum(np.square(std) for _, std in parts)
-        return self._guarded(parts, self.fade_), np.sqrt(variance)
+        check_angles(X, X.shape[1], "rad")  # warns of degrees
+        parts = self._parts(X, self.use_, return_std or self.fade_ > 0)
+        mean = self._guarded(parts, self.fade_)
+        return (mean, np.sqrt(sum(np.square(std) for _, std in parts))) if return_std else mean
 
     def _guarded(self, parts, fade):
         """Sum of the stages, faded and capped."""
         total = 0.0
         for value, std in parts:
+            if not fade > 0:
+                total = total + value
+                continue
             doubt = np.square(fade * std).sum(axis=1, keepdims=True)
             # Wiener's factor for errors of this size known to this uncertainty. With the length of
             # the correction for their size it would not vanish far away, where both grow.
@@ -413,15 +420,19 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         length = np.linalg.norm(total, axis=1, keepdims=True)
         return total * np.minimum(1.0, self.cap_mm_ / np.maximum(length, 1e-300))
 
-    def _parts(self, X, use):
-        """Mean and standard deviation of each stage in use."""
+    def _parts(self, X, use, return_std=True):
+        """Mean of each stage in use, and its standard deviation or None."""
         if use == "none":
             return [(np.zeros((len(X), 3)), np.zeros((len(X), 3)))]
-        parts = [self.harmonics_.predict(X, return_std=True)]
+        mean, std = self.harmonics_._predict(X, return_std)
+        parts = [(mean, std if return_std else None)]
         if use == MODELS[-1]:
             F, direction = self._features(X)
-            value, std = self.network_.predict(F, return_std=True, with_noise=False)
-            parts.append((_to_cartesian(value, direction), _std_to_cartesian(std, direction)))
+            if return_std:
+                value, std = self.network_.predict(F, return_std=True, with_noise=False)
+                parts.append((_to_cartesian(value, direction), _std_to_cartesian(std, direction)))
+            else:
+                parts.append((_to_cartesian(self.network_.predict(F), direction), None))
         return parts
 
     def __sklearn_tags__(self):

@@ -22,6 +22,7 @@ from sklearn_raacmm._arm_terms import (
 )
 from sklearn_raacmm._evidence import select_blocks
 from sklearn_raacmm._input import check_data, check_features, check_weights
+from sklearn_raacmm._kinematics import points_of
 from sklearn_raacmm._normal_equations import length_equations, mean_columns, normal_equations
 from sklearn_raacmm._residuals import _encode_groups
 from sklearn_raacmm._sklearn import (
@@ -37,7 +38,7 @@ from sklearn_raacmm.calibration import _check_length
 __all__ = ["JointHarmonicRegressor"]
 
 # For warnings: checks are called by fit, which two decorators wrap.
-_CALLER_OF_FIT = 5
+CALLER_OF_FIT = 5
 # Poses predicted at a time.
 _CHUNK = 2048
 # Share of the residuals' size below which a position's mean residual counts as zero: residuals of a
@@ -289,6 +290,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         """
         X, y = check_data(self, X, y)
         self.arm_ = check_arm(self.arm, X.shape[1])
+        check_angles(X, X.shape[1], "rad", CALLER_OF_FIT)  # warns of degrees
         y = check_residuals(y)
         weights = check_weights(sample_weight, X)
         codes = check_offsets(self.offsets, y, weights, groups)
@@ -327,7 +329,6 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
                 (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
             ]
         n_joints = self.arm_.n_joints
-        self.arm_.forward(X[np.argmax(np.abs(X).max(axis=1))][None])  # warns of degrees
         offered = np.array(
             [(j, k) for j in range(n_joints) for k in range(1, self.n_harmonics + 1)], dtype=int
         ).reshape(-1, 2)
@@ -370,7 +371,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         makes of it would be an error in proportion to every length.
         """
         total = np.bincount(codes, weights=weights)
-        points = self.arm_.forward(X)
+        points = points_of(self.arm_, X)
         points = np.stack([np.bincount(codes, weights * p) / total for p in points.T], axis=1)
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
@@ -528,7 +529,7 @@ def check_lengths(lengths, codes, groups, kinematics):
                 "between positions: they may come out worse than without correction. Keep "
                 "kinematics=True, give known lengths, or do not measure lengths with this model.",
                 UserWarning,
-                stacklevel=_CALLER_OF_FIT,
+                stacklevel=CALLER_OF_FIT,
             )
         return []
     if codes is None:
@@ -562,6 +563,6 @@ def check_offsets(offsets, y, weights, groups):
                 "from means of other rows than these. No offsets are fitted; set offsets to True "
                 "or False.",
                 UserWarning,
-                stacklevel=_CALLER_OF_FIT,
+                stacklevel=CALLER_OF_FIT,
             )
     return codes if offsets else None

@@ -177,10 +177,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         if self.joints == "all":
             columns = list(angles.T)
         else:
-            shoulder, wrist = self.arm_.pose_frames
-            line = frames[wrist, 3] - frames[shoulder, 3]
-            theta_dis = _elevation(line, self.arm_.pose_frames, first_row)
-            columns = [angles[:, joint - 1] for joint in self.arm_.pose_joints] + [theta_dis]
+            columns = pose_columns(self.arm_, angles, frames, first_row)
         if self.encoding == "periodic":
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
@@ -218,6 +215,13 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         tags = super().__sklearn_tags__()
         tags.transformer_tags.preserves_dtype = ["float64", "float32"]
         return tags
+
+
+def pose_columns(arm, angles, frames, first_row=0):
+    """The pose's joint angles and theta_dis, each (n,), from angles and `frame_columns`."""
+    shoulder, wrist = arm.pose_frames
+    theta_dis = _elevation(frames[wrist, 3] - frames[shoulder, 3], arm.pose_frames, first_row)
+    return [angles[:, joint - 1] for joint in arm.pose_joints] + [theta_dis]
 
 
 def _elevation(line, pose_frames, first_row=0):

@@ -1,6 +1,7 @@
 """The guarded two-stage model: what it uses, how far it goes, and that it does no harm."""
 
 import pickle
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -253,3 +254,19 @@ def test_parameters_are_left_alone(cones):
         k: repr(v) for k, v in before.items()
     }
     assert not hasattr(model.network, "centers_")
+
+
+@pytest.mark.parametrize("features", ["all", "pose"])
+def test_degrees_are_warned_of_once_and_where_they_come_from(cones, features):
+    theta, y, groups, _ = cones
+    model = small(use="harmonics+network", features=features, fade=0.5)
+    degrees = np.rad2deg(theta)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        model.fit(degrees, y, groups=groups)
+    assert [w.filename for w in seen if "degrees" in str(w.message)] == [__file__]
+    model.fit(theta, y, groups=groups)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        model.predict(degrees)
+    assert [w.filename for w in seen] == [__file__]
