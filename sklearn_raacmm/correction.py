@@ -47,8 +47,10 @@ __all__ = ["ArmResidualRegressor"]
 MODELS = ("none", "harmonics", "harmonics+network")
 # What fade="auto" chooses from.
 _FADES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-# How much larger the mean deviation of a stronger fading may be where positions have offsets.
-_FADE_COST = 1.05
+# How much larger the mean deviation of a stronger fading may be. Where positions have offsets,
+# fading also shrinks their part of the correction, by another factor at every pose: there it has to
+# cost next to nothing.
+_FADE_COST, _FADE_COST_OF_OFFSETS = 1.05, 1.01
 # Offsets of new positions differ from those of the training positions, which the fit centred.
 _CAP_OF_OFFSETS = 3.0
 _CHECK_DTYPE = np.dtype(
@@ -98,16 +100,18 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         How much of the model is used. "auto" lets the check decide where `groups` are given to
         `fit`, and takes all of it otherwise.
 
-    n_folds : int, default=5
-        Blocks of neighbouring positions that the check leaves out in turn.
+    n_folds : int, default=10
+        Blocks of neighbouring positions that the check leaves out in turn, each position by itself
+        if there are no more. Fewer take less time, and teach the check's models less than the final
+        one will know.
 
     fade : float or "auto", default="auto"
         Shrink each stage's correction by ``r^2 / (r^2 + (fade * s)^2)``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
         all. "auto" lets the check decide where it is made, for s supposes independent errors and
-        real ones are not: the strongest fading that costs nothing at the positions left out, to its
-        standard error and, where positions have offsets, to 5 %; 1 otherwise.
+        real ones are not: the strongest fading whose mean deviation at the positions left out is at
+        most 5 % (1 % where positions have offsets) above the least; 1 otherwise.
 
     cap : float or None, default=0.99
         No correction is longer than this quantile of the lengths of the training residuals. Where
@@ -192,7 +196,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         features="all",
         joint=False,
         use="auto",
-        n_folds=5,
+        n_folds=10,
         fade="auto",
         cap=0.99,
     ):
@@ -349,19 +353,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         for i, j in np.ndindex(errors.shape[:2]):
             deviation = np.linalg.norm(centred(left[i, j], weights, codes), axis=1)
             errors[i, j] = np.bincount(positions, weights * deviation) / total
-        # Of fadings as good as the best the strongest. With offsets, fading also shrinks their part
-        # of the correction, by another factor at every pose: there it has to cost next to nothing.
-        allowed = np.inf if codes is None else _FADE_COST
-        best = [e[e.mean(axis=1).argmin()] for e in errors]
-        fading = [
-            max(
-                j
-                for j in range(len(fades))
-                if not _clearly_better(b, e[j]) and e[j].mean() <= allowed * b.mean()
-            )
-            for e, b in zip(errors, best, strict=True)
-        ]
-        errors = np.stack([e[j] for e, j in zip(errors, fading, strict=True)])
+        # Of fadings nearly as good as the best the strongest: a premium on what the check, inside
+        # the training region, cannot see.
+        allowed = _FADE_COST if codes is None else _FADE_COST_OF_OFFSETS
+        means = errors.mean(axis=2)
+        cheap = means <= allowed * means.min(axis=1, keepdims=True)
+        fading = [int(np.flatnonzero(row).max()) for row in cheap]
+        errors = errors[np.arange(len(models)), fading]
         table = np.empty(len(models), dtype=_CHECK_DTYPE)
         table["model"], table["mean_mm"] = models, errors.mean(axis=1)
         table["fade"] = np.take(fades, fading)
