@@ -2,7 +2,6 @@
 
 import os
 import signal
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor, rbf
 from sklearn_raacmm.datasets import make_single_point
 
+dask = pytest.importorskip("dask")
 da = pytest.importorskip("dask.array")
 distributed = pytest.importorskip("distributed")
 
@@ -22,12 +22,18 @@ pytestmark = pytest.mark.xdist_group("cluster")
 
 
 @pytest.fixture(scope="module")
-def client():
-    cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True
-    )
-    with cluster, distributed.Client(cluster) as client:
-        yield client
+def client(tmp_path_factory):
+    # An error instead of waiting for ever, should all workers be lost.
+    with dask.config.set({"distributed.scheduler.no-workers-timeout": "120s"}):
+        cluster = distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            dashboard_address=":0",
+            processes=True,
+            local_directory=tmp_path_factory.mktemp("workers"),
+        )
+        with cluster, distributed.Client(cluster) as client:
+            yield client
 
 
 @pytest.fixture(autouse=True)
@@ -42,15 +48,6 @@ def rows(n=6000):
     return X, y, rng.uniform(0.5, 2, n)
 
 
-def die_once(block, flag):
-    """Kill the process that computes this block, unless that has happened before."""
-    try:
-        flag.touch(exist_ok=False)
-    except FileExistsError:
-        return block
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a signal that cannot be caught")
 def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path):
     X, y, weights = rows()
@@ -59,7 +56,16 @@ def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path
     chunks = da.from_array(X, chunks=(750, 3))
     targets, weights = (da.from_array(a, chunks=750) for a in (y, weights))
     flag = tmp_path / "killed"
-    mortal = chunks.map_blocks(partial(die_once, flag=flag), dtype=X.dtype, meta=X[:0])
+
+    def die_once(block):  # in here, so that workers need not find this file
+        """Kill the process that computes this block, unless that has happened before."""
+        try:
+            flag.touch(exist_ok=False)
+        except FileExistsError:
+            return block
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    mortal = chunks.map_blocks(die_once, dtype=X.dtype, meta=X[:0])
     model.fit(mortal, targets, sample_weight=weights)
     assert flag.exists()
     np.testing.assert_allclose(model.predict(X), expected, atol=1e-10)
