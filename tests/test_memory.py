@@ -23,7 +23,7 @@ NETWORK = RBFNetRegressor(5, length_scale=1.0, alpha=0.01)
 HARMONICS = JointHarmonicRegressor(ARM, n_harmonics=2, gravity=False)
 MODELS = {
     "network": NETWORK,
-    "network that tunes itself": RBFNetRegressor(5),
+    "network that tunes itself": RBFNetRegressor(5, random_state=0),
     "chain": make_pipeline(
         PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget(NETWORK)
     ),

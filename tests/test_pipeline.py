@@ -200,7 +200,7 @@ def test_a_real_arm_leaving_one_placement_out(panda):
 
         points = arm.forward(data.angles)
         y = position_residuals(points, data.groups)
-        model = form_a(arm, RBFNetRegressor()).fit(data.angles[train], y[train])
+        model = form_a(arm, RBFNetRegressor(random_state=0)).fit(data.angles[train], y[train])
         corrected = points[~train] - model.predict(data.angles[~train])
         before.append(np.linalg.norm(y[~train], axis=1))
         left = position_residuals(corrected, data.groups[~train])
