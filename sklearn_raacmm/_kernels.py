@@ -262,19 +262,22 @@ def _pivots_in_block(S, threshold, most):
 
 
 def psd_root(K):
-    """A matrix U with ``U.T @ U = K`` for positive semidefinite K, singular or not."""
-    values, vectors = _positive_part(K)
-    return np.sqrt(values)[:, None] * vectors.T
+    """A matrix U with ``U.T @ U = K`` for positive semidefinite K, singular or not.
+
+    What is below rounding is raised to it: a penalty that is zero in some direction would let
+    coefficients grow without limit there.
+    """
+    values, vectors = np.linalg.eigh(K)
+    return np.sqrt(np.maximum(values, _rounding_of(values)))[:, None] * vectors.T
 
 
 def psd_inverse_root(K):
     """A matrix W with ``W.T @ W`` the pseudo-inverse of positive semidefinite K."""
-    values, vectors = _positive_part(K)
-    return vectors.T / np.sqrt(values)[:, None]
-
-
-def _positive_part(K):
-    """Eigenvalues above rounding, and their vectors."""
     values, vectors = np.linalg.eigh(K)
-    kept = values > len(K) * np.finfo(float).eps * values.max(initial=0.0)
-    return values[kept], vectors[:, kept]
+    kept = values > _rounding_of(values)
+    return vectors[:, kept].T / np.sqrt(values[kept])[:, None]
+
+
+def _rounding_of(values):
+    """Error of the eigenvalues of a matrix."""
+    return len(values) * np.finfo(float).eps * values.max(initial=0.0)

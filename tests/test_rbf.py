@@ -262,6 +262,20 @@ def test_units_of_the_outputs_do_not_matter():
     np.testing.assert_allclose(np.sqrt(one.noise_variance_), [0.1, 0.01], rtol=0.2)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_ridge_bounds_predictions_everywhere(seed):
+    # The objective is no larger than with all weights 0, so that c'Kc <= |y|^2 / alpha, and by
+    # Cauchy and Schwarz |f(x)|^2 <= c'Kc. The second output, without noise, wants widths and
+    # centres that the first one's weights must not follow into directions the kernel cannot tell.
+    rng = np.random.default_rng(seed)
+    X = rng.standard_normal((150, 2)) * [1, 10]
+    Y = np.column_stack([rng.standard_normal(150), X[:, 0]])
+    model = RBFNetRegressor(random_state=0).fit(X, Y)
+    bound = np.sqrt(np.square(Y - Y.mean(axis=0)).sum(axis=0) / model.alpha_)
+    away = np.abs(model.predict(X * 1.5 + 3 * X.std(axis=0)) - model.intercept_)
+    assert np.all(away < bound)
+
+
 def test_linear_tail_recovers_a_plane():
     rng = np.random.default_rng(0)
     X = rng.uniform(100, 101, (50, 3))
