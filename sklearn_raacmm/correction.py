@@ -341,7 +341,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         points = points_of(self.arm_, X)
         total = np.bincount(positions, weights)
         means = np.stack([np.bincount(positions, weights * p) / total for p in points.T], axis=1)
-        n_folds = min(self.n_folds, len(total))
+        n_folds = min(self.n_folds, len(np.unique(means, axis=0)))
+        if n_folds < 2:
+            return  # all at one place: nothing to leave out
         blocks = KMeans(n_folds, n_init=4, random_state=0).fit_predict(means)[positions]
         fades = _FADES if self.fade == "auto" else (self.fade_,)
         models = MODELS if self.use == "auto" else ("none", self.use)

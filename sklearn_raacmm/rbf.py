@@ -76,7 +76,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width of the radial functions, in the units of X: one number, or one for each feature,
-        shape (n_features,).
+        shape (n_features,); infinity leaves a feature out.
         "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
         standard deviation.
 
@@ -530,10 +530,9 @@ def check_length_scale(length_scale, n_features):
             f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
             f"of the {n_features} features."
         )
-    if not np.all((width >= 1 / LARGEST) & (width < np.inf)):
+    if not np.all(width >= 1 / LARGEST):
         raise ValueError(
-            f"length_scale must be positive and finite, at least {1 / LARGEST:g}; got "
-            f"{length_scale!r}."
+            f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r}."
         )
     return np.broadcast_to(width, n_features).copy()
 

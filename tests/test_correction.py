@@ -270,3 +270,23 @@ def test_degrees_are_warned_of_once_and_where_they_come_from(cones, features):
         warnings.simplefilter("always")
         model.predict(degrees)
     assert [w.filename for w in seen] == [__file__]
+
+
+def test_a_joint_that_is_locked_is_no_matter():
+    # The network ignores what never varied: in the check, too, which gives it the widths it found.
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-0.5, 0.5, (80, 6))
+    angles[:, 3] = 0.2
+    bend = 0.05 * np.cos(3 * angles[:, 1:2]) * [0.0, 0.0, 1.0]
+    noise = 0.002 * rng.standard_normal((80, 3))
+    model = ArmResidualRegressor(ARM).fit(angles, bend + noise, groups=np.repeat(np.arange(8), 10))
+    left = bend - model.predict(angles)
+    assert model.use_ != "none"
+    assert np.linalg.norm(left, axis=1).mean() < 0.3 * np.linalg.norm(bend, axis=1).mean()
+
+
+def test_positions_at_one_place_cannot_be_left_out():
+    angles = np.tile([[0.1, -0.4, 0.9, 0.2, 0.7, -0.3]], (30, 1))
+    residuals = 0.05 * np.random.default_rng(0).standard_normal((30, 3))
+    model = ArmResidualRegressor(ARM).fit(angles, residuals, groups=np.repeat(np.arange(6), 5))
+    assert model.check_ is None

@@ -442,6 +442,10 @@ def test_feature_that_never_varied_is_ignored():
     np.testing.assert_allclose(
         model.predict(still), RBFNetRegressor(random_state=0).fit(X, y).predict(X), atol=1e-6
     )
+    # Widths that were found can be given, infinite ones, too.
+    again = clone(model).set_params(length_scale=model.length_scale_).fit(moved, y)
+    np.testing.assert_array_equal(again.length_scale_, model.length_scale_)
+    np.testing.assert_allclose(again.predict(moved), model.predict(moved), atol=0.01)
 
 
 def test_nearly_noise_free_data_are_fitted_down_to_their_noise():
