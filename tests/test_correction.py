@@ -290,3 +290,22 @@ def test_positions_at_one_place_cannot_be_left_out():
     residuals = 0.05 * np.random.default_rng(0).standard_normal((30, 3))
     model = ArmResidualRegressor(ARM).fit(angles, residuals, groups=np.repeat(np.arange(6), 5))
     assert model.check_ is None
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+def test_the_strongest_fading_that_costs_little(cones, offsets):
+    """One fading at a time, by the same check, and the choice made by hand."""
+    theta, y, groups, truth = cones
+    rng = np.random.default_rng(7)
+    y = truth + rng.normal(0, 0.03, y.shape) + rng.normal(0, 0.03, (24, 3))[groups]
+    y = position_residuals(y, groups) if offsets else y
+    auto = small(n_folds=3).fit(theta, y, groups=groups).check_
+    assert auto["model"].tolist() == ["none", "harmonics", "harmonics+network"]
+    fades = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+    tables = [small(n_folds=3, fade=f).fit(theta, y, groups=groups).check_ for f in fades]
+    for i in (1, 2):
+        means = np.array([table["mean_mm"][i] for table in tables])
+        cheap = means <= (1.01 if offsets else 1.05) * means.min()
+        assert auto["fade"][i] == np.array(fades)[cheap].max()
+        assert auto["mean_mm"][i] == pytest.approx(means[cheap][-1])
+        assert 0 < cheap.sum() < len(fades)
