@@ -142,7 +142,7 @@ class _ForwardPass:
 
     def _refresh(self):
         """Compute anew what has become a small difference of large numbers."""
-        stale = np.flatnonzero((self.norms < STALE * self.fresh) & (self.norms > self.floor))
+        stale = np.flatnonzero((self.norms < STALE * self.fresh) & (self.fresh > self.floor))
         if len(stale):
             left = self.candidates.coordinates[stale]
             left -= (left @ self.U().T) @ self.U()

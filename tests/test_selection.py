@@ -193,13 +193,14 @@ def test_one_view_that_misjudges_a_candidate_is_enough_to_look_again(scale):
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
-def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(scale):
-    # All are one direction but for a ten-millionth, in which they are orthogonal: once the first
-    # has been chosen, as a second view demands, each explains its own coordinate of the target.
+@pytest.mark.parametrize("apart", [1e-7, 1e-8])
+def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(apart, scale):
+    # All are one direction but for so little, in which they are orthogonal: once the first has been
+    # chosen, as a second view demands, each explains its own coordinate of the target.
     n = 30
     rng = np.random.default_rng(0)
     turn = np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0]
-    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), 1e-7 * np.eye(n)])
+    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), apart * np.eye(n)])
     coordinates[0, 1] = 0.0
     own = rng.permutation(100 + 0.1 * np.arange(n))
     target = np.concatenate([[1e10], own])[:, None]
@@ -208,7 +209,7 @@ def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(scal
     found = forward_selection([view, demand], n)
     order = [j for j in np.argsort(-own) if j != 0]
     np.testing.assert_array_equal(found.indices, [0, *order])
-    np.testing.assert_allclose(found.reduction[1:, 0], own[order] ** 2, rtol=1e-6)
+    np.testing.assert_allclose(found.reduction[1:, 0], own[order] ** 2, rtol=1e-13 / apart)
 
 
 def test_twins_on_the_matrix_itself():
