@@ -241,6 +241,7 @@ FINE = {
     ("SimulatedArm.forward", "no rows"),
     ("SimulatedArm.read", "no rows"),
     # Infinitely wide is a feature that does not count; wider than can be told apart, too.
+    ("length_scale", "infinity"),
     ("length_scale", "too large"),
     # Of a model without an arm the card says no more than the number of rows.
     ("describe", "too large"),

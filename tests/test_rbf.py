@@ -402,8 +402,8 @@ def test_grid_search_and_pickle():
     [
         ({"n_centers": 31}, "n_centers=31, but there are only 30 distinct candidate rows"),
         ({"length_scale": [1.0, 2.0, 3.0]}, r"shape \(3,\).*2 features"),
-        ({"length_scale": [1.0, -2.0]}, "positive and finite"),
-        ({"length_scale": [1.0, np.nan]}, "positive and finite"),
+        ({"length_scale": [1.0, -2.0]}, "must be positive"),
+        ({"length_scale": [1.0, np.nan]}, "must be positive"),
         ({"criterion": "posterior", "alpha": 0.0}, "needs a positive definite kernel"),
         ({"criterion": "posterior", "kernel": "thin_plate"}, "needs a positive definite kernel"),
         ({"kernel": "gausian"}, "'kernel' parameter"),
