@@ -11,8 +11,9 @@ The second part is about poses that the model does not know. It can tell: its st
 grows away from what it was fitted on. A point whose correction is that uncertain is better left
 uncorrected, and marked so.
 
-The arm is simulated. ONNX needs ``onnxruntime`` and ``skl2onnx`` (``pip install
-sklearn-raacmm[onnx]``), C a compiler on the PATH; without them the example does without.
+The arm is simulated. ONNX needs ``onnxruntime`` and ``skl2onnx`` (``pip install -e
+".[onnx]"`` in the project's folder), C a compiler on the PATH; without them the example does
+without.
 """
 
 import argparse

@@ -306,7 +306,8 @@ def register():
     """Make the converters known to skl2onnx; more than once does no harm."""
     if MISSING:
         raise ImportError(
-            "ONNX needs skl2onnx, which is not installed: pip install sklearn-raacmm[onnx]."
+            "ONNX needs skl2onnx, which is not installed: pip install skl2onnx onnxruntime, or "
+            'pip install -e ".[onnx]" in the folder of sklearn_raacmm.'
         ) from MISSING
     for model, shape, convert in (
         (PoseFeatures, _pose_shape, _convert_pose),

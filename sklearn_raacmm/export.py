@@ -170,7 +170,7 @@ def register_onnx():
     Raises
     ------
     ImportError
-        Without skl2onnx, which the extra ``sklearn-raacmm[onnx]`` installs.
+        Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
     """
     # Late: skl2onnx takes a second to import.
     from sklearn_raacmm import _onnx
@@ -208,7 +208,7 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     Raises
     ------
     ImportError
-        Without skl2onnx, which the extra ``sklearn-raacmm[onnx]`` installs.
+        Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
     ValueError
         If an estimator has no converter.
     sklearn.exceptions.NotFittedError

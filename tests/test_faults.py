@@ -128,7 +128,7 @@ def test_killed_worker_of_a_grid_search(tmp_path):
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_full_disk_leaves_what_was_there(model, tmp_path, monkeypatch, share):
-    pytest.importorskip("skl2onnx", reason="needs the extra sklearn-raacmm[onnx]")
+    pytest.importorskip("skl2onnx", reason="needs the extra onnx")
 
     def save():
         ARM.to_json(tmp_path / "arm.json")

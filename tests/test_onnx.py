@@ -24,9 +24,9 @@ from sklearn_raacmm._kernels import KERNELS
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import register_onnx, to_onnx
 
-onnx = pytest.importorskip("onnx", reason="needs the extra sklearn-raacmm[onnx]")
-onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra sklearn-raacmm[onnx]")
-pytest.importorskip("skl2onnx", reason="needs the extra sklearn-raacmm[onnx]")
+onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
+onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+pytest.importorskip("skl2onnx", reason="needs the extra onnx")
 
 
 @pytest.fixture(scope="module")
@@ -247,5 +247,5 @@ def test_without_skl2onnx_the_error_says_what_to_install(monkeypatch, data):
     monkeypatch.delitem(sys.modules, "sklearn_raacmm._onnx", raising=False)
     monkeypatch.delattr("sklearn_raacmm._onnx", raising=False)
     monkeypatch.setattr(builtins, "__import__", no_skl2onnx)
-    with pytest.raises(ImportError, match=r"pip install sklearn-raacmm\[onnx\]"):
+    with pytest.raises(ImportError, match=r"pip install -e \"\.\[onnx\]\""):
         to_onnx(model)

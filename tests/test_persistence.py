@@ -144,7 +144,7 @@ def test_loads_on_another_python(fitted, data, tmp_path):
 
 @pytest.fixture
 def skops():
-    return pytest.importorskip("skops.io", reason="needs the extra sklearn-raacmm[skops]")
+    return pytest.importorskip("skops.io", reason="needs the extra skops")
 
 
 def test_skops_needs_no_other_trust(skops, fitted, data):
