@@ -10,6 +10,7 @@ from numbers import Real
 import numpy as np
 
 from sklearn_raacmm._arm_checks import MAX_LENGTH_MM, check_angles, floats
+from sklearn_raacmm._arm_terms import reach_mm
 from sklearn_raacmm._identification import FIELDS, MAX_ROUNDS, WEIGHTS, Fit, Problem, pack
 from sklearn_raacmm._input import refuse_huge
 from sklearn_raacmm._residuals import _encode_groups
@@ -24,6 +25,11 @@ _OUTLIER = 5.0
 _IDENTIFIED = 0.5
 # A picometre: smaller than any length is known, large enough to divide by.
 _LEAST_SD_MM = 1e-9
+# What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
+# part of the reach; a reach.
+_FAR = 10.0
+_SHARE_OF_REACH = 0.02
+_LEAST_REACH_MM = 20.0
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
 _LARGEST_PRIOR = 1e9
 
@@ -183,7 +189,9 @@ def calibrate(
     -----
     UserWarning
         If groups of one point say nothing, if a known length disagrees with the rest of the data,
-        or if the fit did not converge.
+        if the fit did not converge, or if it makes no sense: points that scatter by more than 2 %
+        of the reach or twice as much as before, a parameter ten prior standard deviations from its
+        nominal value, an arm that reaches less than 20 mm.
 
     Notes
     -----
@@ -255,6 +263,10 @@ def calibrate(
     length_errors = fit.length_errors()
     _warn_of_wrong_lengths(lengths, length_errors, fit.sigma)
     distance = fit.distances()
+    _warn_of_what_no_arm_is(
+        arm, names, nominal, fit.x[: len(names)], np.where(is_free & ~is_probe, prior_sd, np.inf),
+        before, distance.mean(),
+    )  # fmt: skip
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.robust_distances()
     farthest = np.argsort(-robust, kind="stable")
@@ -293,6 +305,34 @@ def _warn_of_wrong_lengths(lengths, errors, sigma):
             UserWarning,
             stacklevel=4,
         )
+
+
+def _warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after):
+    """Say that a fit which has settled makes no sense: wrong input can be fitted, too."""
+    signs = []
+    reach = reach_mm(arm)
+    if reach < _LEAST_REACH_MM:
+        signs.append(
+            f"The nominal arm reaches {reach:.3g} mm: are its lengths in metres, not millimetres?"
+        )
+    departure = np.abs(values - nominal) / prior_sd
+    worst = int(np.argmax(departure))
+    if departure[worst] > _FAR:
+        angle = names[worst].startswith(("alpha", "theta"))
+        unit = "rad" if angle else "mm"
+        signs.append(
+            f"{names[worst]} is {values[worst]:.6g} {unit}, nominally {nominal[worst]:.6g} {unit}, "
+            f"{departure[worst]:.3g} times the prior standard deviation away: look at the known "
+            "lengths, their unit, and the nominal table."
+        )
+    if after > min(_SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
+        signs.append(
+            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
+            f"{reach:.4g} mm): look at the labels, known lengths, the order and sense of the "
+            "joints, the convention of the table, and the unit of the angles."
+        )
+    if signs:
+        warnings.warn(" ".join(signs), UserWarning, stacklevel=4)
 
 
 def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors):

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from sklearn_raacmm import Arm, calibrate
 from sklearn_raacmm._identification import Fit, Problem, pack, unpack
 from sklearn_raacmm._kinematics import parameter_jacobian
+from sklearn_raacmm.datasets import make_single_point
 
 
 def disturbed(arm, seed=0, length_sd=0.3, angle_sd=5e-4):
@@ -428,6 +429,7 @@ def test_groups_of_one_point_are_told_and_do_not_count():
         calibrate(NOMINAL["aacmm6"], more[:-1], labels[:-1], lengths=[(100, 101, length, 0.05)])
 
 
+@pytest.mark.filterwarnings("ignore:The points still scatter")  # no arm had these angles
 def test_degrees_given_as_radians_are_doubted_once():
     arm = Arm.from_name("aacmm6")
     angles = np.rad2deg(np.random.default_rng(0).uniform(-2, 2, (60, 6)))
@@ -436,3 +438,45 @@ def test_degrees_given_as_radians_are_doubted_once():
     said = [w for w in caught if "more than two turns" in str(w.message)]
     assert len(said) == 1
     assert said[0].filename == __file__
+
+
+SINGLE_POINT = make_single_point(n_positions=10, n_poses=25, random_state=1)
+CENTRES = [
+    SINGLE_POINT.points[SINGLE_POINT.groups == label].mean(axis=0)
+    for label in np.unique(SINGLE_POINT.groups)
+]
+
+
+def known(first, second, factor=1.0):
+    """A length entry, mm."""
+    length = np.linalg.norm(CENTRES[first] - CENTRES[second])
+    labels = np.unique(SINGLE_POINT.groups)
+    return labels[first], labels[second], factor * length, 0.01
+
+
+@pytest.mark.parametrize(
+    ("lengths", "sentence"),
+    [
+        ([known(0, 1, 10)], "still scatter by"),
+        ([known(0, 1)[:2] + known(0, 9)[2:]], "still scatter by"),  # of another pair
+        ([known(0, 1, 1.1)], "d3 is 8.* mm, nominally 750"),
+        ([known(i, i + 1, 0.1) for i in range(3)], "d3 is 75.* mm, nominally 750"),  # in cm
+    ],
+)
+def test_a_fit_that_makes_no_sense_is_told(lengths, sentence):
+    nominal = NOMINAL["aacmm6"].replace(probe=(0, 0, 98))
+    with pytest.warns(UserWarning, match=sentence):
+        calibrate(nominal, SINGLE_POINT.data, SINGLE_POINT.groups, lengths=lengths)
+
+
+def test_an_arm_in_metres_is_told():
+    arm = NOMINAL["aacmm6"]
+    arm = arm.replace(a=arm.a / 1000, d=arm.d / 1000, probe=arm.probe / 1000)
+    with pytest.warns(UserWarning, match="in metres, not millimetres"):
+        calibrate(arm, SINGLE_POINT.data, SINGLE_POINT.groups)
+
+
+def test_joints_in_another_order_are_told():
+    angles = SINGLE_POINT.data[:, [1, 0, 2, 3, 4, 5]]
+    with pytest.warns(UserWarning, match="order and sense of the joints"):
+        calibrate(NOMINAL["aacmm6"], angles, SINGLE_POINT.groups)

@@ -233,6 +233,7 @@ RIGHT = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:The points still scatter")  # of no arm
 @pytest.mark.parametrize("case", RIGHT)
 def test_edge_has_its_answer(case):
     act, expected = RIGHT[case]
@@ -429,6 +430,7 @@ def test_no_onnx_gets_a_sentence(case):
         act()
 
 
+@pytest.mark.filterwarnings("ignore:The points still scatter")  # of no arm
 @pytest.mark.parametrize(
     "act",
     [
