@@ -213,7 +213,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     @one_blas_thread
     @_fit_context(prefer_skip_nested_validation=True)
-    def fit(self, X, y, sample_weight=None, groups=None, lengths=()):
+    def fit(self, X, y, *, sample_weight=None, groups=None, lengths=()):
         """Check the model against no correction, and fit it.
 
         Parameters
@@ -248,7 +248,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         X, y = check_data(self, X, y)
         self.arm_ = check_arm(self.arm, X.shape[1])
         check_angles(X, X.shape[1], "rad", CALLER_OF_FIT)  # warns of degrees
-        y = check_residuals(y)
+        y = check_residuals(y, self.arm_, X)
         weights = check_weights(sample_weight, X)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         codes = check_offsets(first.offsets, y, weights, groups)

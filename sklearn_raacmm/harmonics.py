@@ -39,6 +39,8 @@ __all__ = ["JointHarmonicRegressor"]
 
 # For warnings: checks are called by fit, which two decorators wrap.
 CALLER_OF_FIT = 5
+# Part of its own length by which a point that was measured may be off.
+_SHARE_OF_POINTS = 0.05
 # Poses predicted at a time.
 _CHUNK = 2048
 # Share of the residuals' size below which a position's mean residual counts as zero: residuals of a
@@ -248,7 +250,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     @one_blas_thread
     @_fit_context(prefer_skip_nested_validation=True)
-    def fit(self, X, y, sample_weight=None, groups=None, lengths=()):
+    def fit(self, X, y, *, sample_weight=None, groups=None, lengths=()):
         """Choose the harmonics and fit all coefficients.
 
         Parameters
@@ -279,8 +281,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         ValueError
             If X has not one column per joint or y not three, something is NaN or infinite, a weight
             is negative or all are 0, the model has no columns at all, or ``offsets=True`` comes
-            without `groups`; if lengths name
-            unknown positions, are not positive, or come without offsets.
+            without `groups`; if y are the probe's points; if lengths name unknown positions, are
+            not positive, or come without offsets.
 
         Warns
         -----
@@ -291,7 +293,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         X, y = check_data(self, X, y)
         self.arm_ = check_arm(self.arm, X.shape[1])
         check_angles(X, X.shape[1], "rad", CALLER_OF_FIT)  # warns of degrees
-        y = check_residuals(y)
+        y = check_residuals(y, self.arm_, X)
         weights = check_weights(sample_weight, X)
         codes = check_offsets(self.offsets, y, weights, groups)
         lengths = check_lengths(lengths, codes, groups, self.kinematics)
@@ -510,13 +512,22 @@ def check_arm(arm, n_columns):
     return arm
 
 
-def check_residuals(y):
-    """Residuals (n, 3) as float64."""
+def check_residuals(y, arm, angles):
+    """Residuals (n, 3) as float64, which the arm's points are not."""
     if y.ndim != 2 or y.shape[1] != 3:
         raise ValueError(
             f"y has shape {y.shape}; Cartesian residuals (n_samples, 3) in mm are needed."
         )
-    return y.astype(np.float64, copy=False)
+    y = y.astype(np.float64, copy=False)
+    points = points_of(arm, angles)
+    size = np.linalg.norm(points)
+    if size > 0 and np.linalg.norm(y - points) < _SHARE_OF_POINTS * size:
+        raise ValueError(
+            f"y are points, not residuals: they are {size / np.sqrt(len(y)):.4g} mm from the base, "
+            "where the arm says that its probe is. Give arm.forward(angles) less the reference, or "
+            "position_residuals."
+        )
+    return y
 
 
 def check_lengths(lengths, codes, groups, kinematics):

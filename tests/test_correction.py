@@ -285,6 +285,13 @@ def test_a_joint_that_is_locked_is_no_matter():
     assert np.linalg.norm(left, axis=1).mean() < 0.3 * np.linalg.norm(bend, axis=1).mean()
 
 
+@pytest.mark.parametrize("model", [ArmResidualRegressor(ARM), JointHarmonicRegressor(ARM)])
+def test_positions_are_not_taken_for_weights(cones, model):
+    theta, y, groups, _ = cones
+    with pytest.raises(TypeError, match="positional argument"):
+        model.fit(theta, y, groups)
+
+
 def test_positions_at_one_place_cannot_be_left_out():
     angles = np.tile([[0.1, -0.4, 0.9, 0.2, 0.7, -0.3]], (30, 1))
     residuals = 0.05 * np.random.default_rng(0).standard_normal((30, 3))

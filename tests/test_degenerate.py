@@ -70,7 +70,7 @@ def harmonics(**params):
 
 
 def jhr(angles, y, sample_weight=None, **params):
-    return harmonics(**params).fit(angles, y, sample_weight).predict(ANGLES)
+    return harmonics(**params).fit(angles, y, sample_weight=sample_weight).predict(ANGLES)
 
 
 def pipeline():
@@ -253,6 +253,11 @@ degrees = np.rad2deg(ANGLES) * 20
 
 # What is done, and what the sentence says.
 SENTENCES = {
+    "harmonics: points for residuals": (lambda: jhr(ANGLES, POINTS + 1), "points, not residuals"),
+    "correction: points for residuals": (
+        lambda: ArmResidualRegressor(ARM).fit(ANGLES, POINTS),
+        "points, not residuals",
+    ),
     "network: too narrow": (lambda: far(length_scale=1e-8).fit(X, Y), "1e-08 for feature"),
     "network: as narrow as nothing": (
         lambda: far(length_scale=5e-324).fit(X, Y),
