@@ -29,7 +29,8 @@ train, test = next(split.split(pose, groups=data.groups))
 
 found = RBFNetRegressor(random_state=0).fit(pose[train], radial[train])
 settings = {"length_scale": found.length_scale_, "random_state": 0}
-sizes = np.unique(np.geomspace(1, 100, 16).astype(int))
+n_most = 160
+sizes = np.unique(np.geomspace(1, n_most, 18).round().astype(int))
 errors, plain_errors = [], []
 for size in sizes:
     for alpha, of in ((found.alpha_, errors), (0.0, plain_errors)):
@@ -38,7 +39,7 @@ for size in sizes:
         of.append(
             1000 * within_position_scatter(radial[test], prediction, groups=data.groups[test])
         )
-longest = RBFNetRegressor(100, alpha=found.alpha_, **settings).fit(pose[train], radial[train])
+longest = RBFNetRegressor(n_most, alpha=found.alpha_, **settings).fit(pose[train], radial[train])
 
 # %%
 # Where the criteria stop
@@ -55,9 +56,9 @@ for criterion in ("posterior", "gcv", "loo", "bic"):
 # and time, not accuracy. Without a ridge (plain least squares, as MATLAB's newrb) the number of
 # centres is all that keeps the network from following the noise.
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
 explained = np.cumsum(longest.error_reduction_)
-left.plot(np.arange(1, 101), 1 - explained, ".-", ms=4)
+left.plot(np.arange(1, n_most + 1), 1 - explained, ".-", ms=4)
 left.set(
     xlabel="centres", ylabel="unexplained share of the variance", xscale="log", yscale="log",
     title="Training rows: one centre after the other",
@@ -66,13 +67,12 @@ right.plot(sizes, plain_errors, "s:", color="0.6", ms=4, label="plain least squa
 right.plot(sizes, errors, "o-", ms=4, label="with the ridge that was found")
 uncorrected = within_position_scatter(radial[test], 0 * radial[test], groups=data.groups[test])
 right.axhline(1000 * uncorrected, color="0.3", ls="--", lw=1, label="uncorrected")
-for (criterion, size), colour in zip(
-    stops.items(), ("tab:red", "tab:green", "tab:purple", "tab:brown"), strict=True
-):
-    right.axvline(size, color=colour, lw=1, label=f"{criterion} stops: {size}")
+lines = (("k", "-"), ("tab:orange", "--"), ("tab:green", "-."), ("tab:purple", ":"))
+for (criterion, size), (colour, style) in zip(stops.items(), lines, strict=True):
+    right.axvline(size, color=colour, ls=style, lw=1.5, label=f"{criterion} stops: {size}")
 right.set(
     xlabel="centres", ylabel="radial 2S at positions left out (um)", xscale="log",
-    ylim=(0, 2.5 * 1000 * uncorrected), title="Positions left out (simulated)",
+    ylim=(0, 1.5 * 1000 * uncorrected), title="Positions left out (simulated)",
 )  # fmt: skip
-right.legend(fontsize="small", loc="upper left", ncols=2)
+right.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.02, 0.5))
 plt.show()

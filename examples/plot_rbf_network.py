@@ -47,12 +47,13 @@ line = np.linspace(-5, 5, 400)[:, None]
 mean, std = one.predict(line, return_std=True, with_noise=False)
 axes[0].fill_between(line[:, 0], mean - 2 * std, mean + 2 * std, alpha=0.25, lw=0, label="2 sd")
 axes[0].plot(line[:, 0], mean, label="mean")
-axes[0].plot(line[:, 0], np.sin(2 * line[:, 0]) * np.exp(-0.1 * line[:, 0] ** 2), "--", color="0.5")
+truth = np.sin(2 * line[:, 0]) * np.exp(-0.1 * line[:, 0] ** 2)
+axes[0].plot(line[:, 0], truth, "--", color="0.5", label="truth")
 axes[0].plot(x[:, 0], y, ".", color="0.3", ms=4)
 centres = one.centers_[:, 0]
 axes[0].plot(centres, np.full_like(centres, -1.6), "|", color="tab:red", ms=9, label="centres")
 axes[0].set(title="One variable", xlabel="x", ylim=(-1.8, 1.8))
-axes[0].legend(fontsize="small", ncols=3, loc="upper center")
+axes[0].legend(fontsize="small", ncols=4, loc="upper center", columnspacing=1, handlelength=1.3)
 grid = np.stack(np.meshgrid(*[np.linspace(-2.5, 2.5, 90)] * 2), axis=-1)
 mean, std = (v.reshape(90, 90) for v in two.predict(grid.reshape(-1, 2), True, with_noise=False))
 for ax, values, title in ((axes[1], mean, "Two: mean"), (axes[2], std, "Two: standard deviation")):

@@ -28,7 +28,13 @@ def check_groups(groups, n_points):
     if groups is None:
         return np.zeros(1, dtype=int), np.zeros(n_points, dtype=int)
     refuse_masked("groups", groups)
-    labels, position = _encode_groups(column_or_1d(groups))
+    try:
+        column = column_or_1d(groups)
+    except ValueError:
+        raise ValueError(
+            f"groups must be one label per point, got an array of shape {np.shape(groups)}."
+        ) from None
+    labels, position = _encode_groups(column)
     if len(position) != n_points:
         raise ValueError(f"groups names {len(position)} points, but there are {n_points}.")
     return labels, position

@@ -64,7 +64,8 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     regressor : object, default=None
         Regressor for the three components, cloned before fitting. If None,
         :class:`~sklearn.linear_model.LinearRegression`. Scale features inside it:
-        ``make_pipeline(StandardScaler(), RBFNetRegressor())``.
+        ``make_pipeline(StandardScaler(), RBFNetRegressor())``. A search over its parameters, such
+        as ``regressor__rbfnetregressor__n_centers``, needs one to be given: None has none.
 
     azimuth : "appended", callable or None, default="appended"
         Where the azimuth of the probe comes from.

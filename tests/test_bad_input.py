@@ -311,7 +311,7 @@ WRONG_LABELS = {
     "empty text": (lambda g: np.where(g == 2, "", g.astype(str)), "missing label"),
     "numbers and text": (with_second("A"), "one kind"),
     "too few": (lambda g: g[:-1], "39"),
-    "two columns": (lambda g: np.stack([g, g], axis=1), "shape|1d array"),
+    "two columns": (lambda g: np.stack([g, g], axis=1), "groups .*shape"),
 }
 SAME_LABELS = {
     "text": lambda g: np.array(list("abcdefgh"))[g],
