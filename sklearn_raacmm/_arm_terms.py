@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_raacmm._identification import FIELDS
-from sklearn_raacmm._kinematics import cross, dh_theta, frame_columns, probe_of
+from sklearn_raacmm._kinematics import cross, dh_theta, frame_columns, probe_of, reach_mm
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own.
@@ -36,16 +36,11 @@ class Terms(NamedTuple):
     wobble: bool
 
 
-def reach_mm(arm):
-    """Length of the stretched arm, an upper bound of its reach."""
-    return float(np.hypot(arm.a, arm.d).sum() + np.linalg.norm(arm.probe))
-
-
 def term_names(arm, terms):
     """Names, families and units of the columns that are no harmonics."""
     names, family = [], []
     if terms.gravity:
-        for frame, axis, load in _loads(arm):
+        for frame, axis, load in _loads(arm.n_joints):
             at = "probe" if load > arm.n_joints else f"frame {load}"
             names.append(f"load at {at} bends frame {frame} about {'xyz'[axis]}")
             family.append(GRAVITY)
@@ -55,29 +50,21 @@ def term_names(arm, terms):
         names += [f"beta{i + 1}" for i in range(arm.n_joints)]
         family += [KINEMATICS] * (5 * arm.n_joints + 3 + len(_BASE))
     if terms.wobble:
-        for joint, axis, order, part in _wobbles(arm):
+        for joint, axis, order, part in _wobbles(arm.n_joints):
             names.append(f"joint {joint + 1} tilts about {'xy'[axis]}, {part}({order} theta)")
             family.append(WOBBLE)
     return names, np.array(family, dtype=int)
 
 
-def _loads(arm):
-    """Frame, axis and load beyond: n_joints + 1 is the probe."""
-    return _loads_of(arm.n_joints)
-
-
 @lru_cache
-def _loads_of(n):
+def _loads(n):
+    """Frame, axis and load beyond, of n joints: n + 1 is the probe."""
     return [(j, axis, i) for j in range(n + 1) for axis in range(3) for i in range(j + 1, n + 2)]
 
 
-def _wobbles(arm):
-    """Joint from 0, axis, order and function of each column."""
-    return _wobbles_of(arm.n_joints)
-
-
 @lru_cache
-def _wobbles_of(n):
+def _wobbles(n):
+    """Joint from 0, axis, order and function of each column, of n joints."""
     return [
         (j, axis, order, part)
         for j in range(n)
@@ -165,7 +152,7 @@ def _gravity(arm, axes):
     With gravity along -z of the base, the torque of unit weight about the axis u through o is
     u . (r x -z) = -(u x r) . z, with r from o to the load: in units of the reach.
     """
-    frame, axis, load = np.array(_loads(arm)).T
+    frame, axis, load = np.array(_loads(arm.n_joints)).T
     which = 3 * frame + axis
     ux, uy = axes.unit[:, :2, which].transpose(1, 0, 2)
     x, y = (axes.place[:, :2, load] - axes.place[:, :2, frame]).transpose(1, 0, 2)
@@ -198,15 +185,15 @@ def _kinematics(arm, axes):
 def scale_direction(arm, terms):
     """Coefficients that make the whole arm larger: the column of the probe's position itself."""
     n = 2 * len(terms.harmonics)
-    n += len(_loads(arm)) if terms.gravity else 0
+    n += len(_loads(arm.n_joints)) if terms.gravity else 0
     zero = np.zeros(arm.n_joints)
     sizes = np.concatenate([arm.a, zero, arm.d, zero, arm.probe]) / (ARCSEC * reach_mm(arm))
-    tail = len(_BASE) + arm.n_joints + (len(_wobbles(arm)) if terms.wobble else 0)
+    tail = len(_BASE) + arm.n_joints + (len(_wobbles(arm.n_joints)) if terms.wobble else 0)
     return np.concatenate([np.zeros(n), sizes, np.zeros(tail)])
 
 
 def _wobble(arm, angles, axes):
-    joint, axis, order, _ = zip(*_wobbles(arm), strict=True)
+    joint, axis, order, _ = zip(*_wobbles(arm.n_joints), strict=True)
     joint = np.array(joint)
     phase = np.array(order) * angles[:, joint]
     # Cosines and sines take turns.

@@ -14,7 +14,7 @@ import numpy as np
 from sklearn_raacmm import _arm_terms
 from sklearn_raacmm._arm_terms import ARCSEC
 from sklearn_raacmm._c_text import whole_table
-from sklearn_raacmm._kinematics import dh_theta, frame_columns, probe_of
+from sklearn_raacmm._kinematics import dh_theta, frame_columns, probe_of, reach_mm
 
 _TURN, _SHIFT, _LOAD = range(3)
 
@@ -32,7 +32,7 @@ class Column(NamedTuple):
 
 def columns_of(arm, terms):
     """Columns in the order of `_arm_terms.term_columns`."""
-    n, reach = arm.n_joints, _arm_terms.reach_mm(arm)
+    n, reach = arm.n_joints, reach_mm(arm)
     standard = arm.convention == "standard"
     # The frames whose x and z axis row i of the table goes along.
     of_x, of_z = (1, 0) if standard else (0, 1)
@@ -43,7 +43,7 @@ def columns_of(arm, terms):
     if terms.gravity:
         columns += [
             Column(_LOAD, frame, axis, load, 0, ARCSEC / reach)
-            for frame, axis, load in _arm_terms._loads(arm)
+            for frame, axis, load in _arm_terms._loads(arm.n_joints)
         ]
     if terms.kinematics:
         length = ARCSEC * reach
@@ -58,7 +58,7 @@ def columns_of(arm, terms):
     if terms.wobble:
         columns += [
             Column(_TURN, joint + of_z, axis, joint, order if part == "cos" else -order, ARCSEC)
-            for joint, axis, order, part in _arm_terms._wobbles(arm)
+            for joint, axis, order, part in _arm_terms._wobbles(arm.n_joints)
         ]
     _check(arm, terms, columns)
     return columns

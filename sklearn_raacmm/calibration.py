@@ -10,9 +10,9 @@ from numbers import Real
 import numpy as np
 
 from sklearn_raacmm._arm_checks import MAX_LENGTH_MM, check_angles, floats
-from sklearn_raacmm._arm_terms import reach_mm
 from sklearn_raacmm._identification import FIELDS, MAX_ROUNDS, WEIGHTS, Fit, Problem, pack
 from sklearn_raacmm._input import refuse_huge
+from sklearn_raacmm._kinematics import reach_mm
 from sklearn_raacmm._residuals import _encode_groups
 from sklearn_raacmm._sklearn import one_blas_thread
 from sklearn_raacmm.arm import Arm

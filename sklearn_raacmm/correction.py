@@ -11,7 +11,8 @@ from sklearn.cluster import KMeans
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm._arm_checks import check_angles
-from sklearn_raacmm._input import check_data, check_features, check_weights
+from sklearn_raacmm._arm_model_checks import check_fit
+from sklearn_raacmm._input import check_features
 from sklearn_raacmm._kernels import KERNELS, kernel_matrix, psd_inverse_root
 from sklearn_raacmm._kinematics import dh_theta, frame_columns, points_of, probe_of
 from sklearn_raacmm._normal_equations import Smooth
@@ -30,13 +31,8 @@ from sklearn_raacmm._sklearn import (
 from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.harmonics import (
-    CALLER_OF_FIT,
     JointHarmonicRegressor,
     centred,
-    check_arm,
-    check_lengths,
-    check_offsets,
-    check_residuals,
     quantile,
 )
 from sklearn_raacmm.pose import pose_columns
@@ -245,14 +241,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         ValueError
             As :class:`JointHarmonicRegressor`.
         """
-        X, y = check_data(self, X, y)
-        self.arm_ = check_arm(self.arm, X.shape[1])
-        check_angles(X, X.shape[1], "rad", CALLER_OF_FIT)  # warns of degrees
-        y = check_residuals(y, self.arm_, X)
-        weights = check_weights(sample_weight, X)
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
-        codes = check_offsets(first.offsets, y, weights, groups)
-        lengths = check_lengths(lengths, codes, groups, first.kinematics)
+        self.arm_, X, y, weights, codes, lengths = check_fit(
+            self, X, y, sample_weight, groups, lengths, linear=first
+        )
         kept = weights > 0
         X, y, weights = X[kept], y[kept], weights[kept]
         codes = None if codes is None else codes[kept]

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from numbers import Integral, Real
 
 import numpy as np
@@ -12,6 +11,7 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm._arm_checks import check_angles
+from sklearn_raacmm._arm_model_checks import check_fit
 from sklearn_raacmm._arm_terms import (
     FAMILIES,
     HARMONIC,
@@ -21,10 +21,9 @@ from sklearn_raacmm._arm_terms import (
     term_names,
 )
 from sklearn_raacmm._evidence import select_blocks
-from sklearn_raacmm._input import check_data, check_features, check_weights
+from sklearn_raacmm._input import check_features
 from sklearn_raacmm._kinematics import points_of
 from sklearn_raacmm._normal_equations import length_equations, mean_columns, normal_equations
-from sklearn_raacmm._residuals import _encode_groups
 from sklearn_raacmm._sklearn import (
     Interval,
     StrOptions,
@@ -33,20 +32,11 @@ from sklearn_raacmm._sklearn import (
 )
 from sklearn_raacmm._versioned import VersionedEstimator
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.calibration import _check_length
 
 __all__ = ["JointHarmonicRegressor"]
 
-# For warnings: checks are called by fit, which two decorators wrap.
-CALLER_OF_FIT = 5
-# Part of its own length by which a point that was measured may be off.
-_SHARE_OF_POINTS = 0.05
 # Poses predicted at a time.
 _CHUNK = 2048
-# Share of the residuals' size below which a position's mean residual counts as zero: residuals of a
-# single-point test have such means by construction, to rounding (or to the digits of a file).
-_CENTRED = 1e-3
-
 # Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
 # errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
 _OUTLIER = 5.5
@@ -290,14 +280,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             If angles are larger than two turns: most likely degrees; if ``kinematics=False`` and
             positions have offsets, but no `lengths` are given.
         """
-        X, y = check_data(self, X, y)
-        self.arm_ = check_arm(self.arm, X.shape[1])
-        check_angles(X, X.shape[1], "rad", CALLER_OF_FIT)  # warns of degrees
-        y = check_residuals(y, self.arm_, X)
-        weights = check_weights(sample_weight, X)
-        codes = check_offsets(self.offsets, y, weights, groups)
-        lengths = check_lengths(lengths, codes, groups, self.kinematics)
-        self._fit(X, y, weights, codes, lengths, None)
+        self.arm_, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
+        self._fit(*data, None)
         return self
 
     def _fit(self, X, y, weights, codes, lengths, smooth):
@@ -499,81 +483,3 @@ def quantile(values, share, weights):
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(below, share * below[-1] * (1 - 1e-12))]])
-
-
-def check_arm(arm, n_columns):
-    """The arm, or the built-in one; refuses angles that are not its own."""
-    arm = Arm.from_name("aacmm6") if arm is None else arm
-    if n_columns != arm.n_joints:
-        raise ValueError(
-            f"X has {n_columns} columns, but the arm {arm!r} has {arm.n_joints} joints: one column "
-            "of joint angles each is needed."
-        )
-    return arm
-
-
-def check_residuals(y, arm, angles):
-    """Residuals (n, 3) as float64, which the arm's points are not."""
-    if y.ndim != 2 or y.shape[1] != 3:
-        raise ValueError(
-            f"y has shape {y.shape}; Cartesian residuals (n_samples, 3) in mm are needed."
-        )
-    y = y.astype(np.float64, copy=False)
-    points = points_of(arm, angles)
-    size = np.linalg.norm(points)
-    if size > 0 and np.linalg.norm(y - points) < _SHARE_OF_POINTS * size:
-        raise ValueError(
-            f"y are points, not residuals: they are {size / np.sqrt(len(y)):.4g} mm from the base, "
-            "where the arm says that its probe is. Give arm.forward(angles) less the reference, or "
-            "position_residuals."
-        )
-    return y
-
-
-def check_lengths(lengths, codes, groups, kinematics):
-    """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
-    lengths = list(lengths)
-    if not lengths:
-        if codes is not None and not kinematics:
-            warnings.warn(
-                "With kinematics=False and positions with offsets nothing holds the distances "
-                "between positions: they may come out worse than without correction. Keep "
-                "kinematics=True, give known lengths, or do not measure lengths with this model.",
-                UserWarning,
-                stacklevel=CALLER_OF_FIT,
-            )
-        return []
-    if codes is None:
-        raise ValueError(
-            "lengths are for positions with offsets; residuals against a reference, or without "
-            "groups, have no use for them."
-        )
-    labels = _encode_groups(groups)[0].tolist()
-    return [_check_length(entry, labels) for entry in lengths]
-
-
-def check_offsets(offsets, y, weights, groups):
-    """Index of each row's position where offsets are to be fitted, else None."""
-    if groups is None:
-        if offsets is True:
-            raise ValueError("offsets=True needs groups: the position of each sample.")
-        return None
-    _, codes = _encode_groups(groups)
-    if len(codes) != len(y):
-        raise ValueError(f"groups names {len(codes)} samples, but X and y have {len(y)}.")
-    if offsets == "auto":
-        total = np.bincount(codes, weights=weights)
-        used = total > 0
-        sums = np.stack([np.bincount(codes, weights=weights * part) for part in y.T])[:, used]
-        means = sums / total[used]
-        size = np.sqrt(weights @ np.square(y).mean(axis=1) / max(total.sum(), 1e-300))
-        offsets = bool(size > 0 and np.abs(means).max() <= _CENTRED * size)
-        if not offsets and size > 0 and np.median(np.abs(means)) <= _CENTRED * size:
-            warnings.warn(
-                "Most positions' mean residuals are zero, but not all: y looks like deviations "
-                "from means of other rows than these. No offsets are fitted; set offsets to True "
-                "or False.",
-                UserWarning,
-                stacklevel=CALLER_OF_FIT,
-            )
-    return codes if offsets else None

@@ -18,8 +18,9 @@ from sklearn_raacmm import (
     calibrate,
     position_residuals,
 )
-from sklearn_raacmm._arm_terms import ARCSEC, Terms, reach_mm, term_columns, term_names
+from sklearn_raacmm._arm_terms import ARCSEC, Terms, term_columns, term_names
 from sklearn_raacmm._evidence import select_blocks
+from sklearn_raacmm._kinematics import reach_mm
 from sklearn_raacmm._normal_equations import (
     Lengths,
     Smooth,
