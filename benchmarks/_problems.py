@@ -120,7 +120,7 @@ def _readers():
 def _problem(arm, angles, residuals, learn, test, joints):
     """Joint angles to features, Cartesian residuals into the frame of the probe's azimuth."""
     from sklearn_raacmm import PoseFeatures
-    from sklearn_raacmm.target import cartesian_to_cylindrical
+    from sklearn_raacmm.residuals import cartesian_to_cylindrical
 
     inputs = {"joints": "all", "encoding": "periodic"} if joints == "all" else {}
     X = PoseFeatures(arm, **inputs).fit(angles).transform(angles)

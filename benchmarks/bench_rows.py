@@ -44,7 +44,7 @@ def accumulate(X, Y):
     import numpy as np
     from scipy.linalg import cho_factor, cho_solve
 
-    from sklearn_raacmm._kernels import kernel_matrix
+    from sklearn_raacmm.network._kernels import kernel_matrix
 
     rows = np.sort(np.random.default_rng(0).permutation(len(X))[:N_CANDIDATES])
     C = X[rows] / WIDTH

@@ -24,7 +24,7 @@ from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm._kernels import kernel_matrix, pivoted_cholesky, psd_root
+from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky, psd_root
 
 WAYS = ["ols", "refined", "k-means", "random", "p-greedy"]
 DRAWS = 5

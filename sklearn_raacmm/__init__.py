@@ -1,20 +1,21 @@
 """Residual correction for articulated arm coordinate measuring machines."""
 
-from sklearn_raacmm._planning import next_poses
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
-from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.harmonics import JointHarmonicRegressor
-from sklearn_raacmm.pose import PoseFeatures
-from sklearn_raacmm.rbf import RBFNetRegressor
-from sklearn_raacmm.target import (
+from sklearn_raacmm.correction import ArmResidualRegressor, next_poses
+from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.residuals import (
     CylindricalResidualTarget,
+    PoseFeatures,
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
     position_residuals,
 )
-
-__version__ = "0.1.0.dev0"
 
 __all__ = [
     "Arm",
@@ -24,6 +25,7 @@ __all__ = [
     "JointHarmonicRegressor",
     "PoseFeatures",
     "RBFNetRegressor",
+    "__version__",
     "calibrate",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",

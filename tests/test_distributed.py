@@ -11,8 +11,9 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_predict,
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor, rbf
+from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.network import _rbf_net
 
 dask = pytest.importorskip("dask")
 da = pytest.importorskip("dask.array")
@@ -38,7 +39,7 @@ def client(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def few_in_memory(monkeypatch):
-    monkeypatch.setattr(rbf, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_rbf_net, "IN_MEMORY_ROWS", 1000)
 
 
 def rows(n=6000):

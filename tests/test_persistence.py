@@ -26,6 +26,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
+from sklearn_raacmm.utils import _versioned
 
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
 
@@ -70,7 +71,7 @@ def test_a_file_gives_the_same_predictions(fitted, data, tmp_path):
 
 
 def test_another_version_is_warned_of(fitted, monkeypatch):
-    monkeypatch.setattr(sklearn_raacmm, "__version__", "0.0.7")
+    monkeypatch.setattr(_versioned, "__version__", "0.0.7")
     texts = {name: pickle.dumps(model) for name, model in fitted.items()}
     monkeypatch.undo()
     estimators = set()
@@ -169,7 +170,7 @@ def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):
 
 
 def test_skops_files_carry_the_version(skops, fitted, monkeypatch):
-    monkeypatch.setattr(sklearn_raacmm, "__version__", "0.0.7")
+    monkeypatch.setattr(_versioned, "__version__", "0.0.7")
     text = skops.dumps(fitted["harmonics"])
     monkeypatch.undo()
     with pytest.warns(InconsistentVersionWarning, match=r"saved by sklearn_raacmm 0\.0\.7"):

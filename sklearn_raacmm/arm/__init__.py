@@ -1,0 +1,31 @@
+"""The arm: an immutable Denavit-Hartenberg table, its kinematics, and the built-in arms."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.arm._arm import Arm
+from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, check_angles
+from sklearn_raacmm.arm._kinematics import (
+    FIELDS,
+    cross,
+    dh_theta,
+    frame_columns,
+    parameter_jacobian,
+    points_of,
+    probe_of,
+    reach_mm,
+)
+
+__all__ = [
+    "FIELDS",
+    "MAX_LENGTH_MM",
+    "Arm",
+    "check_angles",
+    "cross",
+    "dh_theta",
+    "frame_columns",
+    "parameter_jacobian",
+    "points_of",
+    "probe_of",
+    "reach_mm",
+]

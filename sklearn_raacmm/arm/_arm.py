@@ -1,0 +1,400 @@
+"""The arm as a value: its Denavit-Hartenberg table, its probe, and its forward kinematics."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import KW_ONLY, dataclass, fields
+
+import numpy as np
+
+from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, check_angles, floats, numbers, pair_of, show
+from sklearn_raacmm.arm._files import BUILT_IN, read_json, write_json
+from sklearn_raacmm.arm._kinematics import chunks, cross, dh_theta, frame_columns, points_of
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Arm:
+    """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
+
+    An immutable value: equal and hashable by content, picklable, and safe to use as a parameter
+    of an estimator. Lengths are in mm, angles in rad.
+
+    Parameters
+    ----------
+    a : array-like of shape (n_joints,)
+        Link lengths in mm.
+    alpha : array-like of shape (n_joints,)
+        Link twists in rad.
+    d : array-like of shape (n_joints,)
+        Joint offsets in mm.
+    theta_offset : float or array-like of shape (n_joints,), default=0
+        Angle in rad added to each (signed) joint angle.
+    probe : array-like of shape (3,), default=(0, 0, 0)
+        Vector from the origin of the last frame to the centre of the probe, in that frame, mm.
+    convention : {"standard", "modified"}, default="standard"
+        How row ``i`` of the table takes frame ``i - 1`` to frame ``i``:
+
+        - "standard": ``Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)``;
+        - "modified" (Craig): ``Rx(alpha_i) Tx(a_i) Rz(theta_i) Tz(d_i)``, where `a` and `alpha`
+          of row ``i`` are those usually written with the index ``i - 1``;
+
+        with ``theta_i = joint_signs_i * angle_i + theta_offset_i``.
+    joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
+        Sense in which each encoder counts.
+    pose_joints : tuple of two int, default=(3, 4)
+        Numbers, from 1, of the joints that make the pose: swivel and elbow. Arms without a roll
+        before the elbow name other joints.
+    pose_frames : tuple of two int, default=(2, 5)
+        Numbers of the frames, from 0 (the base) to `n_joints`, whose origins are the shoulder and
+        the wrist.
+    name : str, default=""
+        For people.
+
+    Attributes
+    ----------
+    n_joints : int
+        Number of joints.
+
+    See Also
+    --------
+    Arm.from_name : The arms that are built in.
+    Arm.from_degrees : From a table whose angles are in degrees.
+
+    Notes
+    -----
+    ``forward`` is equation (1) of Gao et al. (2020), doi 10.1177/1729881420925638, with a free
+    probe vector instead of ``(0, 0, l)``; the equation itself is a reconstruction.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm import Arm
+    >>> arm = Arm.from_degrees(
+    ...     a=[0, 62, 0, 62, 0, 0], alpha=[-90, -90, 90, -90, 90, -90],
+    ...     d=[376.5, 0, 750, 0, 500, 15], probe=(0, 0, 100), name="nominal")
+    >>> arm
+    <Arm 'nominal': 6 joints, standard DH, probe (0, 0, 100) mm>
+    >>> arm.forward(np.deg2rad([[0, 90, 0, 90, 0, 0]])).round(6)
+    array([[-812. ,   15. ,  914.5]])
+    >>> arm.forward([[0, 90, 0, 90, 0, 0]], angle_unit="deg").round(6)
+    array([[-812. ,   15. ,  914.5]])
+    """
+
+    a: np.ndarray
+    alpha: np.ndarray
+    d: np.ndarray
+    theta_offset: np.ndarray = 0.0
+    _: KW_ONLY
+    probe: np.ndarray = (0.0, 0.0, 0.0)
+    convention: str = "standard"
+    joint_signs: np.ndarray = 1
+    pose_joints: tuple = (3, 4)
+    pose_frames: tuple = (2, 5)
+    name: str = ""
+
+    def __post_init__(self):
+        a = numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
+        n = a.size
+        checked = {
+            "a": a,
+            "alpha": numbers("alpha", self.alpha, n, "rad", 2 * np.pi),
+            "d": numbers("d", self.d, n, "mm", MAX_LENGTH_MM),
+            "theta_offset": numbers("theta_offset", self.theta_offset, n, "rad", 2 * np.pi, True),
+            "probe": numbers("probe", self.probe, 3, "mm", MAX_LENGTH_MM),
+            "joint_signs": numbers("joint_signs", self.joint_signs, n, "", 1, True),
+            "pose_joints": pair_of("pose_joints", self.pose_joints, 1, n),
+            "pose_frames": pair_of("pose_frames", self.pose_frames, 0, n),
+        }
+        if np.any(np.abs(checked["joint_signs"]) != 1):
+            raise ValueError(f"joint_signs must be -1 or 1 each, got {show(self.joint_signs)}.")
+        if not (isinstance(self.convention, str) and self.convention in ("standard", "modified")):
+            raise ValueError(
+                f"convention must be 'standard' or 'modified', got {self.convention!r}."
+            )
+        # Halves of characters, which only escapes in JSON can bring, cannot be written to a file.
+        if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
+            raise ValueError(f"name must be a string of whole characters, got {self.name!r}.")
+        for field, value in checked.items():
+            object.__setattr__(self, field, value)
+
+    # -- a value: equality, copies, representation ------------------------------------------
+
+    def _key(self):
+        return tuple(
+            value.tobytes() if isinstance(value, np.ndarray) else value
+            for value in (getattr(self, field.name) for field in fields(self))
+        )
+
+    def __eq__(self, other):
+        return self._key() == other._key() if isinstance(other, Arm) else NotImplemented
+
+    def __hash__(self):
+        return hash(self._key())
+
+    def __copy__(self):
+        return self
+
+    def __deepcopy__(self, memo):
+        return self
+
+    def __reduce__(self):
+        # Through the constructor: arrays restored by pickle would be writable.
+        return _rebuild, ({field.name: getattr(self, field.name) for field in fields(self)},)
+
+    def __setstate__(self, state):
+        # The same for formats that restore an object by its state, as skops does.
+        self.__init__(**state)
+
+    def __repr__(self):
+        name = f" {self.name!r}" if self.name else ""
+        probe = ", ".join(f"{value:g}" for value in self.probe)
+        return f"<Arm{name}: {self.n_joints} joints, {self.convention} DH, probe ({probe}) mm>"
+
+    def __str__(self):
+        rows = ["joint  sign      a/mm   alpha/deg      d/mm  offset/deg"]
+        for i in range(self.n_joints):
+            rows.append(
+                f"{i + 1:5d}  {self.joint_signs[i]:+4.0f}{self.a[i]:10.4f}"
+                f"{np.rad2deg(self.alpha[i]):12.4f}{self.d[i]:10.4f}"
+                f"{np.rad2deg(self.theta_offset[i]):12.4f}"
+            )
+        return "\n".join([repr(self), *rows])
+
+    @property
+    def n_joints(self):
+        """Number of joints."""
+        return self.a.size
+
+    def replace(self, **changes):
+        """Return a new arm with some fields changed.
+
+        Parameters
+        ----------
+        **changes : dict
+            Parameters of `Arm` and their new values.
+
+        Returns
+        -------
+        Arm
+            The changed arm.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> Arm.from_name("panda").replace(probe=(0, 0, 138), name="with a ball")
+        <Arm 'with a ball': 7 joints, modified DH, probe (0, 0, 138) mm>
+        """
+        known = {field.name: getattr(self, field.name) for field in fields(self)}
+        unknown = sorted(set(changes) - set(known))
+        if unknown:
+            raise TypeError(f"Arm has no parameter {', '.join(unknown)}; it has {list(known)}.")
+        return Arm(**{**known, **changes})
+
+    # -- constructors -----------------------------------------------------------------------
+
+    @classmethod
+    def from_degrees(cls, a, alpha, d, theta_offset=0.0, **params):
+        """Build an arm from a table in mm and degrees.
+
+        Parameters
+        ----------
+        a, d : array-like of shape (n_joints,)
+            Lengths in mm.
+        alpha, theta_offset : array-like of shape (n_joints,)
+            Angles in degrees.
+        **params : dict
+            The other parameters of `Arm`.
+
+        Returns
+        -------
+        Arm
+            The arm; its attributes are in mm and rad.
+        """
+        alpha, theta_offset = (
+            np.deg2rad(floats(name, value))
+            for name, value in (("alpha", alpha), ("theta_offset", theta_offset))
+        )
+        return cls(a, alpha, d, theta_offset, **params)
+
+    @classmethod
+    def from_name(cls, name, **changes):
+        """Return one of the built-in arms.
+
+        Parameters
+        ----------
+        name : {"aacmm6", "panda", "ur10"}
+            - "aacmm6": a six-joint arm CMM of about 1.35 m reach with its identified parameters,
+              Table 2 of "A Novel Kinematic Parameters Identification Method for AACMM Using
+              Repeatability and Scaling Factor", Mathematical Problems in Engineering 2018,
+              article 1760190;
+            - "panda": the Franka Panda, nominal, seven joints, modified convention; the probe is
+              the centre of the flange, (0, 0, 107) mm;
+            - "ur10": the Universal Robots UR10, nominal, six joints; the probe is the centre of
+              the flange. Its shoulder, elbow and first wrist axes are parallel, so there is no
+              swivel between shoulder and elbow: its pose is joint 4 and joint 3, which, with the
+              elevation of the line from shoulder to wrist, make the whole shape of the arm in its
+              vertical plane; joints 2 and 3 say alone what that elevation is.
+        **changes : dict
+            Parameters of `Arm` to change, such as ``probe``.
+
+        Returns
+        -------
+        Arm
+            The arm.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> Arm.from_name("aacmm6")
+        <Arm 'aacmm6': 6 joints, standard DH, probe (0, 0, 97.811) mm>
+        """
+        if not (isinstance(name, str) and name in BUILT_IN):
+            raise ValueError(f"name must be one of {sorted(BUILT_IN)}, got {name!r}.")
+        return cls.from_degrees(name=name, **BUILT_IN[name]).replace(**changes)
+
+    @classmethod
+    def from_json(cls, source):
+        """Read an arm from a JSON file.
+
+        Parameters
+        ----------
+        source : str or path-like
+            Path of the file, or the text itself if it starts with a brace.
+
+        Returns
+        -------
+        Arm
+            The arm, equal to the one that was written.
+
+        Raises
+        ------
+        ValueError
+            If the text is not JSON, of another format or version, or a field is missing, not
+            numeric or out of bounds; the sentence names the field.
+        """
+        return read_json(cls, source)
+
+    def to_json(self, path=None):
+        """Write the arm as JSON, with the units in the names of the fields.
+
+        Parameters
+        ----------
+        path : str or path-like, default=None
+            File to write. It is written beside and renamed, so that a file of this name is always
+            whole. None only returns the text.
+
+        Returns
+        -------
+        str
+            The text.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("panda")
+        >>> Arm.from_json(arm.to_json()) == arm
+        True
+        """
+        return write_json(self, path)
+
+    # -- kinematics -------------------------------------------------------------------------
+
+    def forward(self, angles, *, angle_unit="rad"):
+        """Position of the probe, equation (1).
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles as the encoders give them.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3)
+            Probe points in the base frame, mm, float64.
+
+        Raises
+        ------
+        ValueError
+            If `angles` has another number of columns than the arm has joints, or holds NaN,
+            infinity or something that is not a number.
+
+        Warns
+        -----
+        UserWarning
+            If an angle is more than two turns: most likely another unit.
+        """
+        angles = check_angles(angles, self.n_joints, angle_unit)
+        return points_of(self, angles)
+
+    def azimuth(self, angles, *, angle_unit="rad"):
+        """Azimuth of the probe about the base's z axis.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,)
+            ``atan2(y, x)`` of the probe in rad, from -pi to pi.
+        """
+        points = self.forward(angles, angle_unit=angle_unit)
+        return np.arctan2(points[:, 1], points[:, 0])
+
+    def frames(self, angles, *, angle_unit="rad"):
+        """Pose of every frame in the base frame.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints + 1, 3, 4)
+            ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
+        """
+        angles = check_angles(angles, self.n_joints, angle_unit)
+        frames = np.empty((len(angles), self.n_joints + 1, 3, 4))
+        for rows in chunks(len(angles)):
+            frames[rows] = frame_columns(self, dh_theta(self, angles[rows])).transpose(3, 0, 2, 1)
+        return frames
+
+    def jacobian(self, angles, *, angle_unit="rad"):
+        """Compute the derivative of the probe's position by each joint angle.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`; the derivative is per rad in either case.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3, n_joints)
+            ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
+            vector from the axis to the probe.
+        """
+        angles = check_angles(angles, self.n_joints, angle_unit)
+        result = np.empty((len(angles), 3, self.n_joints))
+        # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
+        first = 0 if self.convention == "standard" else 1
+        for rows in chunks(len(angles)):
+            columns = frame_columns(self, dh_theta(self, angles[rows]))
+            probe = columns[-1, 3] + np.tensordot(self.probe, columns[-1, :3], axes=1)
+            for i, sign in enumerate(self.joint_signs):
+                frame = columns[i + first]
+                result[rows, :, i] = sign * cross(frame[2], probe - frame[3]).T
+        return result
+
+
+def _rebuild(params):
+    return Arm(**params)

@@ -1,0 +1,83 @@
+"""What an arm accepts: numbers, bounds, angles; each fault gets one clear sentence."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+
+import numpy as np
+
+from sklearn_raacmm.utils import floats, show
+
+# Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
+_WARN_RAD = 4 * np.pi
+# 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
+MAX_LENGTH_MM = 1e5
+
+
+def numbers(name, value, size, unit, bound, broadcast=False):
+    """One finite float64 per joint, read-only."""
+    array = floats(name, value)
+    if broadcast and array.ndim == 0:
+        array = np.broadcast_to(array, size)
+    if array.ndim != 1 or not array.size or size not in (None, array.size):
+        wanted = "one number per joint" if size is None else f"{size} numbers"
+        raise ValueError(f"{name} must hold {wanted}, got shape {array.shape}.")
+    if not np.all(np.abs(array) <= bound):  # false for NaN, too
+        i = int(np.argmin(np.abs(array) <= bound))
+        hint = ", or are they degrees? See Arm.from_degrees" if unit == "rad" else ""
+        raise ValueError(
+            f"{name}[{i}] = {array[i]:g} is out of bounds: it must be finite and at most "
+            f"{bound:g} {unit}".rstrip()
+            + f"{hint}."
+        )
+    array = array + 0.0  # a copy of our own, in which -0.0 is 0.0: they are the same arm
+    array.flags.writeable = False
+    return array
+
+
+def pair_of(name, value, low, high):
+    """Two different whole numbers."""
+    try:
+        pair = tuple(value)
+        whole = all(not isinstance(v, bool | str) and int(v) == v for v in pair)
+    except (TypeError, ValueError, OverflowError):
+        whole = False
+    if not whole or len(pair) != 2 or not all(low <= v <= high for v in pair) or len({*pair}) < 2:
+        raise ValueError(
+            f"{name} must be two different whole numbers from {low} to {high}, got {show(value)}."
+        )
+    return tuple(int(v) for v in pair)
+
+
+def check_angles(angles, n_joints, angle_unit, stacklevel=3):
+    """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence."""
+    if not (isinstance(angle_unit, str) and angle_unit in ("rad", "deg")):
+        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {angle_unit!r}.")
+    angles = floats("angles", angles)
+    if angles.ndim != 2 or angles.shape[1] != n_joints:
+        raise ValueError(
+            f"angles must have shape (n_samples, {n_joints}) for an arm of "
+            f"{n_joints} joints, got {angles.shape}."
+        )
+    if not len(angles):
+        return angles
+    # max and min carry NaN along: one pass each, and no mask of the size of the data.
+    largest = np.maximum(angles.max(axis=0), -angles.min(axis=0))
+    if not np.all(np.isfinite(largest)):
+        bad = np.argwhere(~np.isfinite(angles))
+        row, column = bad[0]
+        raise ValueError(
+            f"angles hold {len(bad)} NaN or infinite values; the first is "
+            f"{angles[row, column]} in row {row}, joint {column + 1}."
+        )
+    if angle_unit == "deg":
+        angles = np.deg2rad(angles)
+    elif largest.max() > _WARN_RAD:
+        warnings.warn(
+            f"angles reach {largest.max():g} rad (joint {largest.argmax() + 1}), more than "
+            'two turns: if they are degrees, convert them or pass angle_unit="deg".',
+            UserWarning,
+            stacklevel=stacklevel,
+        )
+    return angles

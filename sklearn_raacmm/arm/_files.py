@@ -1,0 +1,96 @@
+"""The built-in arms, and the arm as JSON."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_raacmm.arm._checks import show
+from sklearn_raacmm.utils import write_whole
+
+_FORMAT = "sklearn_raacmm.Arm"
+_FORMAT_VERSION = 1
+# Field of the class -> key of the JSON file; the units are part of the file's keys.
+_JSON_KEYS = {
+    "name": "name",
+    "convention": "convention",
+    "a": "a_mm",
+    "alpha": "alpha_rad",
+    "d": "d_mm",
+    "theta_offset": "theta_offset_rad",
+    "probe": "probe_mm",
+    "joint_signs": "joint_signs",
+    "pose_joints": "pose_joints",
+    "pose_frames": "pose_frames",
+}
+
+# -- built-in arms, mm and deg ------------------------------------------------------------------
+
+BUILT_IN = {
+    "aacmm6": {
+        "a": [-0.0226, 62.1163, -0.0061, 62.1025, 0.0049, 0.0],
+        "alpha": [-89.9683, -90.0312, 90.0071, -90.0338, 90.0373, -90.0],
+        "d": [376.5, -0.0525, 750.7422, 0.0597, 500.5566, 15.0695],
+        "theta_offset": [0.0, 0.0040, 0.0466, -0.0374, 0.0127, -0.0060],
+        "probe": (0.0, 0.0, 97.8110),
+    },
+    "panda": {
+        "a": [0.0, 0.0, 0.0, 82.5, -82.5, 0.0, 88.0],
+        "alpha": [0.0, -90.0, 90.0, 90.0, -90.0, 90.0, 90.0],
+        "d": [333.0, 0.0, 316.0, 0.0, 384.0, 0.0, 0.0],
+        "probe": (0.0, 0.0, 107.0),
+        "convention": "modified",
+    },
+    "ur10": {
+        "a": [0.0, -612.0, -572.3, 0.0, 0.0, 0.0],
+        "alpha": [90.0, 0.0, 0.0, 90.0, -90.0, 0.0],
+        "d": [127.3, 0.0, 0.0, 163.941, 115.7, 92.2],
+        "pose_joints": (4, 3),
+        "pose_frames": (1, 3),
+    },
+}
+
+
+def read_json(cls, source):
+    """Arm of class `cls` from a path or from text."""
+    is_text = isinstance(source, str) and source.lstrip().startswith("{")
+    where = "the JSON text" if is_text else str(source)
+    try:
+        content = json.loads(source if is_text else Path(source).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, or nested without end
+        raise ValueError(f"{where} is not valid JSON: {error}.") from None
+    if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        raise ValueError(f'{where} is not an arm: it needs "format": "{_FORMAT}".')
+    if content.get("format_version") != _FORMAT_VERSION:
+        raise ValueError(
+            f"{where} has format_version {content.get('format_version')!r}, "
+            f"this version reads {_FORMAT_VERSION}."
+        )
+    missing = [key for key in _JSON_KEYS.values() if key not in content]
+    if missing:
+        raise ValueError(f"{where} lacks the field {missing[0]!r}.")
+    unknown = sorted(set(content) - {*_JSON_KEYS.values(), "format", "format_version"})
+    if unknown:  # a slip of the pen, or what this version would leave out of account
+        raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
+    for key in _JSON_KEYS.values():  # true and false would pass for 1 and 0
+        if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
+            raise ValueError(f"{where}: {key} must hold numbers, got {show(content[key])}.")
+    try:
+        return cls(**{field: content[key] for field, key in _JSON_KEYS.items()})
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def write_json(arm, path):
+    """Text of an arm, and the file if a path is given."""
+    content = {"format": _FORMAT, "format_version": _FORMAT_VERSION}
+    for field, key in _JSON_KEYS.items():
+        value = getattr(arm, field)
+        content[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    if path is not None:
+        write_whole({path: text})
+    return text

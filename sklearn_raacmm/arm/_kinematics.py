@@ -1,0 +1,120 @@
+"""Kinematics on arrays: each quantity is one contiguous row over the samples of a chunk."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+
+# Fields of `Arm` that are its static parameters, in the order of `parameter_jacobian`.
+FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
+# Rows computed at once: the working set of a chunk (about 30 rows of float64) stays in the cache.
+_CHUNK_ROWS = 4096
+
+
+def chunks(n_samples):
+    """Slices of at most `_CHUNK_ROWS` rows."""
+    return (slice(i, i + _CHUNK_ROWS) for i in range(0, n_samples, _CHUNK_ROWS))
+
+
+def dh_theta(arm, angles):
+    """Angles (n_samples, n_joints) -> theta of the DH table (n_joints, n_samples)."""
+    return np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
+
+
+def probe_points(arm, theta):
+    """Probe points (3, n_samples): the probe's vector carried from the last frame to the base.
+
+    A vector through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
+    """
+    cos, sin = np.cos(theta), np.sin(theta)
+    cos_alpha, sin_alpha = np.cos(arm.alpha), np.sin(arm.alpha)
+    x, y, z = arm.probe
+    for i in reversed(range(arm.n_joints)):
+        if arm.convention == "standard":
+            y, z = cos_alpha[i] * y - sin_alpha[i] * z, sin_alpha[i] * y + cos_alpha[i] * z
+            x, z = x + arm.a[i], z + arm.d[i]
+            x, y = cos[i] * x - sin[i] * y, sin[i] * x + cos[i] * y
+        else:
+            x, y = cos[i] * x - sin[i] * y, sin[i] * x + cos[i] * y
+            x, z = x + arm.a[i], z + arm.d[i]
+            y, z = cos_alpha[i] * y - sin_alpha[i] * z, sin_alpha[i] * y + cos_alpha[i] * z
+    points = np.empty((3, theta.shape[1]))
+    points[0], points[1], points[2] = x, y, z
+    return points
+
+
+def points_of(arm, angles):
+    """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time."""
+    points = np.empty((len(angles), 3))
+    for rows in chunks(len(angles)):
+        points[rows] = probe_points(arm, dh_theta(arm, angles[rows])).T
+    return points
+
+
+def reach_mm(arm):
+    """Length of the stretched arm, an upper bound of its reach."""
+    return float(np.hypot(arm.a, arm.d).sum() + np.linalg.norm(arm.probe))
+
+
+def frame_columns(arm, theta):
+    """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
+    cos, sin = np.cos(theta), np.sin(theta)
+    # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
+    a, d, cos_alpha, sin_alpha = (
+        values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
+    )
+    out = np.zeros((arm.n_joints + 1, 4, 3, theta.shape[1]))
+    out[0, [0, 1, 2], [0, 1, 2]] = 1.0
+    x, y, z, origin = out[0]
+    for i in range(arm.n_joints):
+        c, s, ca, sa = cos[i], sin[i], cos_alpha[i], sin_alpha[i]
+        if arm.convention == "standard":
+            x, y = c * x + s * y, c * y - s * x
+            origin = origin + d[i] * z + a[i] * x
+            y, z = ca * y + sa * z, ca * z - sa * y
+        else:
+            y, z = ca * y + sa * z, ca * z - sa * y
+            origin = origin + a[i] * x + d[i] * z
+            x, y = c * x + s * y, c * y - s * x
+        frame = out[i + 1]
+        frame[0], frame[1], frame[2], frame[3] = x, y, z, origin
+    return out
+
+
+def probe_of(arm, frames):
+    """Probe points (3, n_samples) from `frame_columns`."""
+    x, y, z, origin = frames[-1]
+    return origin + (arm.probe[0] * x + arm.probe[1] * y + arm.probe[2] * z)
+
+
+def cross(u, v):
+    """Cross product of (3, n_samples) arrays; np.cross costs several times as much."""
+    return np.stack(
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    )
+
+
+def parameter_jacobian(arm, angles):
+    """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's parameters.
+
+    In the order a, alpha, d, theta_offset, probe. A length moves the probe along the axis that
+    carries it; an angle turns it about that axis.
+    """
+    n = arm.n_joints
+    points = np.empty((len(angles), 3))
+    jac = np.empty((len(angles), 3, 4 * n + 3))
+    for rows in chunks(len(angles)):
+        frames = frame_columns(arm, dh_theta(arm, angles[rows]))
+        probe = probe_of(arm, frames)
+        points[rows] = probe.T
+        for i in range(n):
+            # Row i goes along and about z of one of its two frames, and x of the other.
+            of_x, of_z = frames[i + 1], frames[i]
+            if arm.convention == "modified":
+                of_x, of_z = of_z, of_x
+            jac[rows, :, i] = of_x[0].T
+            jac[rows, :, n + i] = cross(of_x[0], probe - of_x[3]).T
+            jac[rows, :, 2 * n + i] = of_z[2].T
+            jac[rows, :, 3 * n + i] = cross(of_z[2], probe - of_z[3]).T
+        jac[rows, :, 4 * n :] = frames[-1, :3].transpose(2, 1, 0)
+    return points, jac

@@ -1,0 +1,12 @@
+"""The static parameters of an arm, identified from measurements."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.calibration._calibrate import CalibrationResult, calibrate, check_length
+
+__all__ = [
+    "CalibrationResult",
+    "calibrate",
+    "check_length",
+]

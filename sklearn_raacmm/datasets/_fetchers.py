@@ -1,0 +1,360 @@
+"""Open data of real arms, measured and published by others; public in `sklearn_raacmm.datasets`."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from sklearn.datasets import get_data_home
+from sklearn.utils import Bunch
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.datasets._bunch import pack
+from sklearn_raacmm.datasets._checksums import PANDA, UR10
+from sklearn_raacmm.datasets._download import cached_file
+from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.utils import Interval, StrOptions, validate_params
+
+PANDA_URL = (
+    "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/"
+    "05a05ab4cbbe328c8f5bfcc76479c752ed07b82e/data"
+)
+UR10_URL = (
+    "https://raw.githubusercontent.com/christianlandgraf/ipa-robot-accuracy/"
+    "507fba69bdaf6c43c2faf306e70a7e37c5e39b89/Series_A"
+)
+UR10_FILE = "measurements_grid.csv"
+HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement; the sd is our guess
+_GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 17)
+
+_PANDA_DESCR = """\
+Ball-and-socket test of two Franka Panda arms
+---------------------------------------------
+
+Two Franka Panda robots, seven joints, held a ball in one of two sockets while the arm moved through
+many poses: the single-point (cone-hole) test of a measuring arm. The points of one socket should
+coincide. The two sockets of a placement are 50 mm apart.
+
+:Arms: panda_3, 387 poses at 6 placements; panda_2, 559 poses at 9 placements
+:Measured: joint angles, rad
+:Computed here: points and residuals, mm, with the arm calibrated on all rows and the 50 mm
+:Known faults: panda_2 holds outliers of up to 2.8 mm after calibration. panda_3 stood on a grid of
+    holes (150 mm from front to back, 175 mm from left to centre to right); its placement frontleft
+    is 25 mm off the grid. The ball is about 241 mm from joint 7's frame along its axis.
+
+Source: https://github.com/platonics-delft/kinematics_calibration, folder data, commit
+05a05ab4cbbe328c8f5bfcc76479c752ed07b82e.
+
+Licence: MIT, copyright (c) 2024 platonics (Giovanni Franzese, Max Spahn, Mariano Ramirez).
+
+Please cite: G. Franzese, M. Spahn, J. Kober, C. Della Santina, "MUKCa: Accurate and Affordable
+Cobot Calibration Without External Measurement Devices", 2025, arXiv:2503.12584.
+"""
+
+_UR10_DESCR = """\
+A UR10 against a laser tracker
+------------------------------
+
+A UR10, six joints, went to 619 goal positions in up to 24 orientations each, in one run of twelve
+hours; a Leica T-Mac on its flange was followed by a laser tracker. Here the residual is known in
+full, not only up to a constant per position.
+
+:Rows: 11 911 poses
+:Measured: commanded joint angles, rad; points in the tracker's frame, mm; temperature, degC
+:Computed here: points and residuals in the arm's base frame, mm, with the arm calibrated on all
+    rows, the tracker's frame and the place of the T-Mac included
+:Pose: the shoulder and elbow axes are parallel, there is no swivel between them; the pose is made
+    of joints 4 and 3 and the elevation of the line from shoulder to wrist.
+
+Source: https://github.com/christianlandgraf/ipa-robot-accuracy, Series_A/measurements_grid.csv,
+commit 507fba69bdaf6c43c2faf306e70a7e37c5e39b89.
+
+Licence: MIT, copyright (c) 2021 Christian Landgraf.
+
+Please cite: C. Landgraf et al., "A Hybrid Neural Network Approach for Increasing the Absolute
+Accuracy of Industrial Robots", IEEE CASE 2021.
+"""
+
+_CONSTRAINTS = {
+    "data_home": [str, PathLike, None],
+    "download_if_missing": ["boolean"],
+    "return_X_y": ["boolean"],
+    "as_frame": ["boolean"],
+    "n_retries": [Interval(Integral, 0, None, closed="left")],
+    "delay": [Interval(Real, 0, None, closed="left")],
+    "base_url": [str, None],
+}
+
+
+@validate_params(
+    _CONSTRAINTS | {"arm": [StrOptions(set(PANDA))]}, prefer_skip_nested_validation=True
+)
+def fetch_panda_ball_socket(
+    arm="panda_3",
+    *,
+    data_home=None,
+    download_if_missing=True,
+    return_X_y=False,
+    as_frame=False,
+    n_retries=3,
+    delay=1.0,
+    base_url=None,
+):
+    """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
+
+    Downloads up to 100 kB the first time. The data are those of the MUKCa project [1]_ (MIT
+    licence) and not part of this package.
+
+    Parameters
+    ----------
+    arm : {"panda_3", "panda_2"}, default="panda_3"
+        Which of the two robots: 387 poses at 6 placements of a pair of sockets, or 559 poses at 9,
+        with outliers.
+    data_home : str or path-like, default=None
+        Folder to keep the files in, under ``panda_ball_socket``. None: that of
+        :func:`sklearn.datasets.get_data_home`, usually ``~/scikit_learn_data``.
+    download_if_missing : bool, default=True
+        If False, raise an OSError where a file is not there or is not what it should be.
+    return_X_y : bool, default=False
+        Return ``(data, target, placements)`` only; split by the last.
+    as_frame : bool, default=False
+        Return pandas objects.
+    n_retries : int, default=3
+        How often to ask again where the network or the server fails.
+    delay : float, default=1.0
+        Seconds between tries.
+    base_url : str, default=None
+        Where to find ``<arm>/<placement>/hole_0.csv`` instead of the authors' repository: a mirror,
+        or ``"file:///..."`` for the folder ``data`` of a clone. What comes from there has to have
+        the same checksums.
+
+    Returns
+    -------
+    data : :class:`~sklearn.utils.Bunch`
+        As :func:`make_single_point`, but for the simulation:
+
+        data : ndarray or DataFrame of shape (n_poses, 7)
+            Joint angles, rad.
+        target : ndarray or DataFrame of shape (n_poses, 3)
+            Residuals dx, dy, dz, mm: point minus mean point of its socket.
+        groups : ndarray or Series of shape (n_poses,)
+            Label of the socket, ``"backleft/0"``: points of one group should coincide.
+        placements : ndarray or Series of shape (n_poses,)
+            Label of the placement of the two sockets. Split by it, not by socket: the other socket
+            is 50 mm away.
+        points : ndarray of shape (n_poses, 3)
+            Points that the calibrated arm shows, mm.
+        arm : Arm
+            The arm, calibrated on all rows and the known lengths.
+        nominal_arm : Arm
+            The arm before calibration.
+        lengths : list of (label, label, length, standard deviation)
+            The 50 mm between the two sockets of each placement, for
+            :func:`~sklearn_raacmm.calibrate`. The
+            standard deviation of 0.1 mm is our guess.
+        feature_names, target_names : list of str
+            Names of the columns.
+        frame : DataFrame
+            data, target, position and placement; only with ``as_frame=True``.
+        DESCR : str
+            Description, source, licence, citation.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be had, or is not byte for byte what its authors published.
+
+    Warns
+    -----
+    UserWarning
+        Before another try, and before a damaged file is replaced by a whole one.
+
+    Notes
+    -----
+    ``arm``, ``points`` and ``target`` come from a calibration that has seen all rows. To judge a
+    correction at placements left out, calibrate on the others alone, as
+    ``examples/plot_real_arm.py`` does.
+
+    References
+    ----------
+    .. [1] G. Franzese, M. Spahn, J. Kober, C. Della Santina, "MUKCa: Accurate and Affordable Cobot
+       Calibration Without External Measurement Devices", 2025, arXiv:2503.12584.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.datasets import fetch_panda_ball_socket
+    >>> test = fetch_panda_ball_socket("panda_3")  # doctest: +SKIP
+    >>> test.data.shape, test.target.shape  # doctest: +SKIP
+    ((387, 7), (387, 3))
+    """
+    home = Path(get_data_home(data_home)) / "panda_ball_socket" / arm
+    url = f"{_address(base_url, PANDA_URL)}/{arm}"
+    labels, tables = [], []
+    for placement, checksums in PANDA[arm].items():
+        for hole, checksum in enumerate(checksums):
+            path = cached_file(
+                home / placement / f"hole_{hole}.csv",
+                f"{url}/{placement}/hole_{hole}.csv",
+                checksum,
+                download_if_missing=download_if_missing,
+                n_retries=n_retries,
+                delay=delay,
+            )
+            tables.append(np.loadtxt(path, delimiter=",", ndmin=2))
+            labels.append(f"{placement}/{hole}")
+    angles = np.concatenate(tables)
+    groups = np.repeat(labels, [len(table) for table in tables])
+    lengths = [(f"{name}/0", f"{name}/1", HOLES_MM, HOLES_SD_MM) for name in PANDA[arm]]
+    nominal = Arm.from_name("panda", probe=(0, 0, 241))
+    calibrated = calibrate(nominal, angles, groups, lengths=lengths).arm
+    points = calibrated.forward(angles)
+    data = Bunch(
+        data=angles,
+        target=position_residuals(points, groups),
+        groups=groups,
+        placements=np.array([label.split("/")[0] for label in groups]),
+        points=points,
+        arm=calibrated.replace(name=f"{arm}, calibrated"),
+        nominal_arm=nominal,
+        lengths=lengths,
+        feature_names=[f"q{i}" for i in range(1, 8)],
+        target_names=["dx", "dy", "dz"],
+        DESCR=_PANDA_DESCR,
+    )
+    return pack(data, return_X_y, as_frame, split_by="placements")
+
+
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+def fetch_ur10_tracker(
+    *,
+    data_home=None,
+    download_if_missing=True,
+    return_X_y=False,
+    as_frame=False,
+    n_retries=3,
+    delay=1.0,
+    base_url=None,
+):
+    """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
+
+    Downloads 2.4 MB the first time. The data were published with [1]_ (MIT licence) and are not
+    part of this package.
+
+    Parameters
+    ----------
+    data_home : str or path-like, default=None
+        Folder to keep the file in, under ``ur10_tracker``. None: that of
+        :func:`sklearn.datasets.get_data_home`, usually ``~/scikit_learn_data``.
+    download_if_missing : bool, default=True
+        If False, raise an OSError where the file is not there or is not what it should be.
+    return_X_y : bool, default=False
+        Return ``(data, target, groups)`` only; split by the last.
+    as_frame : bool, default=False
+        Return pandas objects.
+    n_retries : int, default=3
+        How often to ask again where the network or the server fails.
+    delay : float, default=1.0
+        Seconds between tries.
+    base_url : str, default=None
+        Where to find ``measurements_grid.csv`` instead of the authors' repository: a mirror, or
+        ``"file:///..."`` for a folder. What comes from there has to have the same checksum.
+
+    Returns
+    -------
+    data : :class:`~sklearn.utils.Bunch`
+        data : ndarray or DataFrame of shape (11911, 6)
+            Commanded joint angles, rad.
+        target : ndarray or DataFrame of shape (11911, 3)
+            Residuals dx, dy, dz in the arm's base frame, mm: what the calibrated arm shows minus
+            what the tracker measured.
+        groups : ndarray or Series of shape (11911,)
+            Number of the goal position: split by it.
+        points : ndarray of shape (11911, 3)
+            Points that the calibrated arm shows, mm.
+        tracker_points : ndarray of shape (11911, 3)
+            Measured points in the tracker's frame, mm.
+        temperature : ndarray of shape (11911,)
+            In degC.
+        arm : Arm
+            The arm, calibrated on all rows.
+        nominal_arm : Arm
+            The arm before calibration.
+        feature_names, target_names : list of str
+            Names of the columns.
+        frame : DataFrame
+            data, target and position; only with ``as_frame=True``.
+        DESCR : str
+            Description, source, licence, citation.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be had, or is not byte for byte what its authors published.
+
+    Warns
+    -----
+    UserWarning
+        Before another try, and before a damaged file is replaced by a whole one.
+
+    Notes
+    -----
+    ``arm``, ``points`` and ``target`` come from a calibration that has seen all rows. To judge a
+    correction at goals left out, calibrate on the others alone, as
+    ``examples/plot_real_tracker.py`` does.
+
+    References
+    ----------
+    .. [1] C. Landgraf et al., "A Hybrid Neural Network Approach for Increasing the Absolute
+       Accuracy of Industrial Robots", IEEE CASE 2021.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.datasets import fetch_ur10_tracker
+    >>> test = fetch_ur10_tracker()  # doctest: +SKIP
+    >>> test.data.shape, test.target.shape  # doctest: +SKIP
+    ((11911, 6), (11911, 3))
+    """
+    path = cached_file(
+        Path(get_data_home(data_home)) / "ur10_tracker" / UR10_FILE,
+        f"{_address(base_url, UR10_URL)}/{UR10_FILE}",
+        UR10,
+        download_if_missing=download_if_missing,
+        n_retries=n_retries,
+        delay=delay,
+    )
+    # Semicolons between fields, decimal commas.
+    text = path.read_text(encoding="utf-8-sig").replace(",", ".")
+    table = np.loadtxt(text.splitlines()[1:], delimiter=";", usecols=range(_POINT.stop))
+    angles, tracker_points = table[:, _JOINTS], table[:, _POINT]
+    goals = np.unique(table[:, _GOAL].round(6), axis=0, return_inverse=True)[1].ravel()
+    nominal = Arm.from_name("ur10", probe=(0, 0, 93))
+    result = calibrate(nominal, angles, points=tracker_points)
+    points = result.arm.forward(angles)
+    data = Bunch(
+        data=angles,
+        target=points - (tracker_points - result.base_translation) @ result.base_rotation,
+        groups=goals,
+        points=points,
+        tracker_points=tracker_points,
+        temperature=table[:, _TEMPERATURE],
+        arm=result.arm.replace(name="ur10, calibrated"),
+        nominal_arm=nominal,
+        feature_names=[f"q{i}" for i in range(1, 7)],
+        target_names=["dx", "dy", "dz"],
+        DESCR=_UR10_DESCR,
+    )
+    return pack(data, return_X_y, as_frame)
+
+
+def _address(given, default):
+    if given is None:
+        return default
+    if "://" not in given:
+        raise ValueError(
+            f"base_url must be an address like https://... or file:///..., got {given!r}."
+        )
+    return given.rstrip("/")

@@ -1,0 +1,324 @@
+"""Simulated measurements with an articulated arm CMM, and open data of real arms.
+
+What is made (``make_...``) is simulated, with errors that are physical: what a user of a real arm
+would have is at the top level of each data set, what only a simulation knows under ``simulation``.
+What is fetched (``fetch_...``) was measured by others, who published it.
+"""
+
+import warnings
+from functools import lru_cache
+
+import numpy as np
+from sklearn.utils import Bunch, check_random_state
+
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.datasets._arm_errors import ArmErrors
+from sklearn_raacmm.datasets._bunch import pack
+from sklearn_raacmm.datasets._simulation import SimulatedArm
+from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.utils import floats
+
+_SHARE_OF_REACH = (0.2, 0.8)
+_MAX_ELEVATION = np.deg2rad(35)
+
+
+def make_single_point(
+    n_positions=10,
+    n_poses=100,
+    *,
+    machine="typical",
+    random_state=0,
+    return_X_y=False,
+    as_frame=False,
+):
+    """Simulate the cone-hole test: the probe in one cone, the elbow swung from left to right.
+
+    Parameters
+    ----------
+    n_positions : int, default=10
+        Number of positions of the cone, spread over 20 to 80 % of the radial reach and all
+        azimuths.
+    n_poses : int, default=100
+        Number of poses at each position, at least 2.
+    machine : SimulatedArm or ArmErrors or str, default="typical"
+        The arm; or the sizes of its error sources, or the name of a mix of them ("typical",
+        "gravity", "eccentricity", "none"), of which `random_state` draws an individual.
+    random_state : int, RandomState instance or None, default=0
+        Draws positions, poses and noise. :func:`make_gauge` with the same int and the same
+        `machine` measures with the same individual, at other places.
+    return_X_y : bool, default=False
+        Return ``(data, target, groups)`` only. The groups come along because rows of one position
+        resemble each other: whoever splits them at random flatters his model.
+    as_frame : bool, default=False
+        Return pandas objects.
+
+    Returns
+    -------
+    data : :class:`~sklearn.utils.Bunch`
+        What the arm's user has:
+
+        data : ndarray or DataFrame of shape (n_positions * n_poses, 6)
+            Encoder readings, rad.
+        target : ndarray or DataFrame of shape (n_positions * n_poses, 3)
+            Residuals dx, dy, dz, mm: point minus mean point of its position.
+        groups : ndarray or Series of shape (n_positions * n_poses,)
+            Number of the position.
+        points : ndarray of shape (n_positions * n_poses, 3)
+            Points that the calibrated arm shows, mm.
+        arm : Arm
+            The arm as calibrated on simulated data of its own, at another temperature.
+        nominal_arm : Arm
+            The arm before calibration.
+        feature_names, target_names : list of str
+            Names of the columns.
+        frame : DataFrame
+            data, target and position; only with ``as_frame=True``.
+        simulation : Bunch
+            What nobody has outside a simulation: ``machine`` (SimulatedArm), ``positions``
+            (centres of the cones, mm), ``true_points`` (where the probe really was, mm),
+            ``perfect_correction`` (what the best possible model would predict from the readings,
+            mm; ``points - perfect_correction`` scatter by noise alone: the noise floor).
+
+    Raises
+    ------
+    ValueError
+        If a number is too small, the machine unknown, or no reachable place is found.
+
+    See Also
+    --------
+    make_gauge : Known lengths.
+
+    Notes
+    -----
+    The poses are found by inverse kinematics such that the true probe is within 1e-6 mm of the
+    cone's centre plus the seating error. The same seed means the same data with every version and
+    on every platform, but for the rounding of sines and cosines.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.metrics import single_point_repeatability
+    >>> test = make_single_point(n_positions=3, n_poses=20)
+    >>> test.data.shape, test.target.shape
+    ((60, 6), (60, 3))
+    >>> before = single_point_repeatability(test.points, test.groups)
+    >>> perfect = test.points - test.simulation.perfect_correction
+    >>> 0 < single_point_repeatability(perfect, test.groups) < before < 0.2
+    True
+    """
+    _check_counts(n_positions=(n_positions, 1), n_poses=(n_poses, 2))
+    machine, rng = _machine_and_stream(machine, random_state, stream=1)
+    positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
+    data = _measure(machine, positions, poses, rng)
+    return pack(data, return_X_y, as_frame)
+
+
+def make_gauge(
+    lengths=(300.0, 500.0),
+    n_placements=10,
+    n_poses=10,
+    *,
+    machine="typical",
+    random_state=0,
+    return_X_y=False,
+    as_frame=False,
+):
+    """Simulate measurements of gauges: two cones at a known distance, in many placements.
+
+    Parameters
+    ----------
+    lengths : float or array-like of shape (n_lengths,), default=(300.0, 500.0)
+        Lengths of the gauges, mm.
+    n_placements : int, default=10
+        Number of placements of each gauge, at random in 20 to 80 % of the radial reach, in all
+        directions.
+    n_poses : int, default=10
+        Number of poses at each end, at least 2.
+    machine : SimulatedArm or ArmErrors or str, default="typical"
+        As :func:`make_single_point`.
+    random_state : int, RandomState instance or None, default=0
+        As :func:`make_single_point`.
+    return_X_y : bool, default=False
+        Return ``(data, target, groups)`` only.
+    as_frame : bool, default=False
+        Return pandas objects.
+
+    Returns
+    -------
+    data : :class:`~sklearn.utils.Bunch`
+        As :func:`make_single_point`, where a position is an end of a placed gauge, and:
+
+        pairs : ndarray of shape (n_lengths * n_placements, 2)
+            Groups of the two ends of each placement.
+        lengths : ndarray of shape (n_lengths * n_placements,)
+            Calibrated length of each placement, mm.
+
+    Raises
+    ------
+    ValueError
+        If a number is too small, a length does not fit, or the machine is unknown.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.datasets import make_gauge
+    >>> from sklearn_raacmm.metrics import gauge_lengths, length_error
+    >>> test = make_gauge(300, n_placements=3)
+    >>> measured = gauge_lengths(test.points, test.groups, test.pairs)
+    >>> bool(length_error(measured, test.lengths, statistic="max") < 0.2)
+    True
+    """
+    _check_counts(n_placements=(n_placements, 1), n_poses=(n_poses, 2))
+    machine, rng = _machine_and_stream(machine, random_state, stream=2)
+    lengths = np.repeat(_check_lengths(lengths, machine), n_placements)
+    ends, poses = _draw_gauges(machine, lengths, n_poses, rng)
+    data = _measure(machine, ends, poses, rng)
+    data.update(pairs=np.arange(2 * len(lengths)).reshape(-1, 2), lengths=lengths)
+    return pack(data, return_X_y, as_frame)
+
+
+@lru_cache(maxsize=8)
+def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
+    """Calibrate the arm as its user would, before it warms, with cones and gauges of its own."""
+    rng = np.random.RandomState(machine.calibration_seed)
+    positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
+    lengths = np.repeat([300.0, 500.0], n_placements)
+    ends, end_poses = _draw_gauges(machine, lengths, 10, rng)
+    cones = np.vstack([positions, ends])
+    angles, groups, _ = _readings(machine, cones, poses + end_poses, rng, warming_k=0.0)
+    pairs = n_positions + np.arange(2 * len(lengths)).reshape(-1, 2)
+    with warnings.catch_warnings():
+        # A gauge that disagrees is right here: what is wrong is the arm, by up to 0.1 mm a length.
+        warnings.filterwarnings("ignore", ".*known lengths disagree", UserWarning)
+        result = calibrate(
+            machine.nominal_arm,
+            angles,
+            groups,
+            # 0.01 mm: what a user knows of his gauges and of the cones at their ends.
+            lengths=[(a, b, length, 0.01) for (a, b), length in zip(pairs, lengths, strict=True)],
+        )
+    return result.arm.replace(name="calibrated (simulated)")
+
+
+def _readings(machine, cones, poses, rng, warming_k=None):
+    """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
+    groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
+    seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
+    true_points = cones[groups] + seating
+    angles = machine.solve(np.vstack(poses), true_points, warming_k=warming_k)
+    return machine.read(angles, rng), groups, true_points
+
+
+def _measure(machine, cones, poses, rng):
+    angles, groups, true_points = _readings(machine, cones, poses, rng)
+    arm = _calibrated_arm(machine)
+    points = arm.forward(angles)
+    return Bunch(
+        data=angles,
+        target=position_residuals(points, groups),
+        groups=groups,
+        points=points,
+        arm=arm,
+        nominal_arm=machine.nominal_arm,
+        feature_names=[f"theta{i}" for i in range(1, 7)],
+        target_names=["dx", "dy", "dz"],
+        simulation=Bunch(
+            machine=machine,
+            positions=cones,
+            true_points=true_points,
+            perfect_correction=points - machine.forward(angles),
+        ),
+    )
+
+
+def _draw_cones(machine, n, n_poses, rng):
+    """Cones spread evenly over the radial reach, and poses that reach them."""
+    low, high = _SHARE_OF_REACH
+    cones, poses = [], []
+    for stratum in range(n):
+        for _ in range(100):
+            share = low + (high - low) * (stratum + rng.uniform()) / n
+            cone = _in_direction(machine, share, rng)
+            found = _poses_or_none(machine, cone, n_poses, rng)
+            if found is not None:
+                break
+        else:
+            raise ValueError(f"No place for a cone was found at {share:.0%} of the reach.")
+        cones.append(cone)
+        poses.append(found)
+    return np.array(cones), poses
+
+
+def _draw_gauges(machine, lengths, n_poses, rng):
+    """Place the gauges: their ends, two rows each, and poses that reach them."""
+    ends, poses = [], []
+    for length in lengths:
+        for _ in range(1000):
+            middle = _in_direction(machine, rng.uniform(*_SHARE_OF_REACH), rng)
+            direction = rng.normal(size=3)
+            half = length / 2 * direction / np.linalg.norm(direction)
+            pair = [middle - half, middle + half]
+            found = [_poses_or_none(machine, pair[0], n_poses, rng)]
+            if found[0] is not None:
+                found.append(_poses_or_none(machine, pair[1], n_poses, rng))
+                if found[1] is not None:
+                    break
+        else:
+            raise ValueError(f"No place for a gauge of {length:g} mm was found.")
+        ends += pair
+        poses += found
+    return np.array(ends), poses
+
+
+def _in_direction(machine, share, rng):
+    azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(-_MAX_ELEVATION, _MAX_ELEVATION)
+    direction = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    return machine.shoulder + share * machine.reach * direction
+
+
+def _poses_or_none(machine, cone, n_poses, rng):
+    share = np.linalg.norm(cone - machine.shoulder) / machine.reach
+    if not _SHARE_OF_REACH[0] <= share <= _SHARE_OF_REACH[1] or cone[2] < 0:  # below the table
+        return None
+    try:
+        return machine.find_poses(cone, n_poses, rng)
+    except ValueError:
+        return None
+
+
+@lru_cache(maxsize=8)
+def _individual(errors, seed):
+    return SimulatedArm(errors, random_state=seed)
+
+
+def _machine_and_stream(machine, random_state, stream):
+    # An instance of RandomState gives the next int, so that both uses below agree on it.
+    if isinstance(random_state, int | np.integer):
+        seed = int(random_state)
+    else:
+        seed = check_random_state(random_state).randint(2**31 - 1)
+    if not isinstance(machine, SimulatedArm):
+        if not isinstance(machine, ArmErrors):
+            machine = ArmErrors.from_name(machine)
+        machine = _individual(machine, seed)
+    return machine, np.random.RandomState([seed, stream])
+
+
+def _check_counts(**counts):
+    for name, (value, low) in counts.items():
+        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < low:
+            raise ValueError(f"{name} must be a whole number of at least {low}, got {value!r}.")
+
+
+def _check_lengths(lengths, machine):
+    lengths = np.atleast_1d(floats("lengths", lengths))
+    # Both ends in the shell: the longest gauge spans it.
+    longest = 2 * _SHARE_OF_REACH[1] * machine.reach
+    if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():
+        raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {lengths}.")
+    return lengths

@@ -1,0 +1,386 @@
+"""The physics of the simulated arm: where its probe really is, and poses that reach a point.
+
+Public in `sklearn_raacmm.datasets`.
+"""
+
+from numbers import Integral, Real
+
+import numpy as np
+from sklearn.utils import check_random_state
+
+from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.datasets._arm_errors import ArmErrors
+from sklearn_raacmm.utils import floats, refuse_huge
+
+_ARCSEC = np.pi / (180 * 3600)  # rad
+
+# What the arm weighs, N: tubes with what runs inside them, and the joints at their ends.
+_TUBE_WEIGHT_N_PER_M = 15.6
+_ELBOW_WEIGHT_N = 9.8
+_WRIST_WEIGHT_N = 5.9
+# Thermal expansion, 1/K: carbon-fibre tubes, and aluminium for everything else.
+_TUBE_EXPANSION = 0.5e-6
+_BODY_EXPANSION = 23e-6
+# The probe cannot lean further from a cone's axis than this, nor the wrist fold further.
+_MAX_LEAN = np.deg2rad(60)
+_MAX_SWING = np.deg2rad(110)
+_MAX_WRIST = np.deg2rad(110)
+_ELBOW_RANGE = np.deg2rad([8, 165])
+
+
+class SimulatedArm:
+    """A six-joint arm CMM with physical errors: what it reads, and where its probe really is.
+
+    Parameters
+    ----------
+    errors : ArmErrors or str, default="typical"
+        Sizes of the error sources, or the name of a mix, see :meth:`ArmErrors.from_name`.
+    random_state : int, RandomState instance or None, default=0
+        Draws the individual: its parameter errors, amplitudes and phases. The same individual has
+        the same draws whatever the sizes.
+
+    Attributes
+    ----------
+    errors : ArmErrors
+        Sizes of the error sources.
+    nominal_arm : Arm
+        The drawing: what the maker believes before calibration.
+    true_arm : Arm
+        The geometry that was really built. Only a simulation knows it.
+    shoulder : ndarray of shape (3,)
+        Crossing of the first two axes, mm.
+    reach : float
+        Radial reach of the stretched arm from its shoulder, mm.
+    calibration_seed : int
+        Draws the measurements that this individual is calibrated with.
+
+    Notes
+    -----
+    Every source but the geometry moves the probe to first order: turns and shifts of the parts
+    add up. What is of second order stays below a micrometre at the default sizes.
+
+    With z the axis of a joint, O its origin and P the probe, a turn by a small angle e moves the
+    probe by e z x (P - O). A joint i under gravity turns by its compliance times
+    z_i . sum (r_k - O_i) x F_k, over the weights F_k at r_k beyond it. A tube of length L with
+    its own weight w per length and a load F at its end sinks by (w L^4 / 8 + F L^3 / 3) / EI and
+    slopes by (w L^3 / 6 + F L^2 / 2) / EI, times the cosine of its elevation (the cantilever of
+    every textbook); EI follows from the sag. The moment at its end is left out: hinges and
+    swivels pass none on about their own axes. Gravity points along the base's -z.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.datasets import SimulatedArm
+    >>> machine = SimulatedArm("typical", random_state=0)
+    >>> angles = [[0.0, -1.5, 0.2, 1.5, 0.0, 0.1]]
+    >>> sorted(machine.deviations(angles))
+    ['eccentricity', 'runout', 'sag', 'torsion', 'warming', 'wobble']
+    """
+
+    def __init__(self, errors="typical", *, random_state=0):
+        self.errors = errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
+        # RandomState, not Generator: its stream is frozen, so a seed means the same data for ever.
+        rng = check_random_state(random_state)
+        self.nominal_arm = Arm.from_name("aacmm6")
+        self.reach = float(
+            self.nominal_arm.d[[2, 4]].sum() + np.linalg.norm(self.nominal_arm.probe)
+        )
+        self.shoulder = np.array([0.0, 0.0, self.nominal_arm.d[0]])
+        length, angle = self.errors.length_mm, np.deg2rad(self.errors.angle_deg)
+        # Base height and the first encoder's zero define the base frame: they have no error.
+        free = np.arange(6) > 0
+        self.true_arm = self.nominal_arm.replace(
+            a=self.nominal_arm.a + length * rng.normal(size=6),
+            d=self.nominal_arm.d + length * rng.normal(size=6) * free,
+            alpha=self.nominal_arm.alpha + angle * rng.normal(size=6),
+            theta_offset=self.nominal_arm.theta_offset + angle * rng.normal(size=6) * free,
+            probe=self.nominal_arm.probe + length * rng.normal(size=3),
+            name="true (simulated)",
+        )
+        self._amplitudes = rng.uniform(0.5, 1.5, size=(2, 6))
+        self._phases = rng.uniform(-np.pi, np.pi, size=(4, 6))
+        self.calibration_seed = rng.randint(2**31 - 1)
+
+    def __repr__(self):
+        return f"SimulatedArm({self.errors})"
+
+    def deviations(self, angles, *, warming_k=None):
+        """How far each source moves the probe from where the true geometry alone would have it.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, 6)
+            Encoder angles free of noise, rad.
+        warming_k : float, default=None
+            Warming in K; None takes that of `errors`.
+
+        Returns
+        -------
+        deviations : dict of str to ndarray of shape (n_samples, 3)
+            In mm, by source.
+        """
+        errors = self.errors
+        frames = self.true_arm.frames(angles)
+        angles = np.asarray(angles, dtype=np.float64)
+        rotation, origin = frames[..., :3], frames[..., 3]
+        axes, bases = rotation[:, :-1, :, 2], origin[:, :-1]
+        probe = origin[:, -1] + rotation[:, -1] @ self.true_arm.probe
+        levers = probe[:, None] - bases
+
+        def turned(joint_errors):
+            return np.einsum("nj,njk->nk", joint_errors, np.cross(axes, levers))
+
+        amplitudes = self._amplitudes * np.array(errors.eccentricity_arcsec)[:, None] * _ARCSEC
+        eccentricity = sum(
+            amplitudes[k] * np.cos((k + 1) * angles + self._phases[k]) for k in range(2)
+        )
+        compliance = np.full(6, errors.joint_compliance_urad_per_nm * 1e-6)
+        compliance[1] *= 1 - errors.counterbalance
+        # Joint i turns the x axis of frame i about the z axis of frame i - 1.
+        x = rotation[:, 1:, :, 0]
+        y = np.cross(axes, x)
+        tilt, shift = (
+            np.cos(angles + p)[..., None] * x + np.sin(angles + p)[..., None] * y
+            for p in self._phases[2:]
+        )
+        tubes = (origin[:, 3] - origin[:, 2]) + (origin[:, 5] - origin[:, 4])
+        body = (probe - origin[:, 0]) - tubes
+        warming = errors.warming_k if warming_k is None else warming_k
+        if not (isinstance(warming, Real) and np.isfinite(warming)):
+            raise ValueError(f"warming_k must be a finite number, got {warming!r}.")
+        return {
+            "eccentricity": turned(eccentricity),
+            "torsion": turned(compliance * self._torques(axes, origin)),
+            "sag": self._sag(origin, probe),
+            "wobble": errors.wobble_arcsec * _ARCSEC * np.cross(tilt, levers).sum(axis=1),
+            "runout": errors.runout_um * 1e-3 * shift.sum(axis=1),
+            "warming": warming * (_TUBE_EXPANSION * tubes + _BODY_EXPANSION * body),
+        }
+
+    def gravity_torques(self, angles):
+        """Torque of the arm's own weight about each joint, before any counterbalance.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, 6)
+            Encoder angles, rad.
+
+        Returns
+        -------
+        torques : ndarray of shape (n_samples, 6)
+            In N m.
+        """
+        frames = self.true_arm.frames(angles)
+        return self._torques(frames[:, :-1, :, 2], frames[..., 3])
+
+    def _loads(self):
+        """Weights of the upper tube, the elbow, the forearm tube and the wrist, N."""
+        upper, forearm = (_TUBE_WEIGHT_N_PER_M * self.nominal_arm.d[[2, 4]] / 1e3).tolist()
+        return upper, _ELBOW_WEIGHT_N, forearm, _WRIST_WEIGHT_N
+
+    def _torques(self, axes, origin):
+        upper, elbow, forearm, wrist = self._loads()
+        # A tube has the torque of two halves of its weight at its ends; frame k hangs on joints
+        # 1 to k.
+        weights = {2: upper / 2, 3: upper / 2 + elbow, 4: forearm / 2, 5: forearm / 2 + wrist}
+        torques = np.zeros(axes.shape[:2])
+        for k, weight in weights.items():
+            levers = (origin[:, k, None] - origin[:, :k]) / 1e3  # m
+            moments = np.cross(levers, [0.0, 0.0, -weight])
+            torques[:, :k] += (axes[:, :k] * moments).sum(axis=2)
+        return torques
+
+    def _sag(self, origin, probe):
+        upper, elbow, forearm, wrist = self._loads()
+        moved = np.zeros_like(probe)
+        for k, (start, end, load) in enumerate(((2, 3, elbow + forearm + wrist), (4, 5, wrist))):
+            tube = origin[:, end] - origin[:, start]
+            length = np.linalg.norm(tube, axis=1, keepdims=True)
+            along = tube / length
+            across = np.array([0.0, 0.0, -1.0]) + along[:, 2:] * along
+            weight = (upper, forearm)[k]  # w L
+            sag = self.errors.sag_um[k] * 1e-3
+            slope = sag / length * (weight / 6 + load / 2) / (weight / 8 + load / 3)
+            moved += sag * across
+            moved += np.cross(slope * np.cross(along, across), probe - origin[:, end])
+        return moved
+
+    def forward(self, angles, *, warming_k=None):
+        """Where the probe really is.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, 6)
+            Encoder angles free of noise, rad.
+        warming_k : float, default=None
+            Warming in K; None takes that of `errors`.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            True centres of the probe, mm.
+        """
+        return self.true_arm.forward(angles) + sum(
+            self.deviations(angles, warming_k=warming_k).values()
+        )
+
+    def read(self, angles, random_state=None):
+        """Read the encoders: noise and quantisation on top of the angles.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, 6)
+            Encoder angles free of noise, rad.
+        random_state : int, RandomState instance or None, default=None
+            Draws the noise.
+
+        Returns
+        -------
+        readings : ndarray of shape (n_samples, 6)
+            In rad.
+        """
+        rng = check_random_state(random_state)
+        angles = check_angles(angles, 6, "rad")
+        readings = angles + self.errors.encoder_noise_arcsec * _ARCSEC * rng.normal(
+            size=angles.shape
+        )
+        step = self.errors.quantisation_arcsec * _ARCSEC
+        return np.round(readings / step) * step if step else readings
+
+    def find_poses(self, point, n_poses, random_state=None):
+        """Poses that a person would take with the probe in a cone, the elbow from left to right.
+
+        Parameters
+        ----------
+        point : array-like of shape (3,)
+            Centre of the cone in the base frame, mm. The cone opens upwards.
+        n_poses : int
+            Number of poses.
+        random_state : int, RandomState instance or None, default=None
+            Draws the poses.
+
+        Returns
+        -------
+        angles : ndarray of shape (n_poses, 6)
+            In rad, sorted by joint 3. The nominal arm's probe is within 1e-6 mm of the point, it
+            leans at most 60 degrees from the cone's axis, and elbow and wrist are above the cone.
+
+        Raises
+        ------
+        ValueError
+            If so many poses cannot be found.
+        """
+        rng = check_random_state(random_state)
+        point = _points("point", point, (3,))
+        if not isinstance(n_poses, Integral) or isinstance(n_poses, bool) or n_poses < 0:
+            raise ValueError(f"n_poses must be a whole number of at least 0, got {n_poses!r}.")
+        found = np.empty((0, 6))
+        for _ in range(10):
+            candidates = self._candidates(point, 4 * n_poses + 40, rng)
+            reached = _reach(
+                self.nominal_arm.forward, self.nominal_arm, candidates, point, n_steps=25
+            )
+            found = np.vstack([found, reached[self._is_handy(reached, point)]])
+            # More than asked for, so that even steps from left to right can be chosen.
+            if len(found) >= 1.5 * n_poses:
+                found = found[np.argsort(found[:, 2], kind="stable")]
+                return found[np.linspace(0, len(found) - 1, n_poses).astype(int)]
+        raise ValueError(
+            f"Only {len(found)} poses reach the point {point.round(1)} mm, {n_poses} are needed: "
+            f"it is {np.linalg.norm(point - self.shoulder) / self.reach:.0%} of the reach away."
+        )
+
+    def solve(self, angles, points, *, warming_k=None):
+        """Move poses a little until the true probe is at the points.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, 6)
+            Poses nearby, rad.
+        points : ndarray of shape (n_samples, 3)
+            Where the true probe shall be, mm.
+        warming_k : float, default=None
+            Warming in K; None takes that of `errors`.
+
+        Returns
+        -------
+        angles : ndarray of shape (n_samples, 6)
+            In rad; the true probe is within 1e-6 mm of the points.
+
+        Raises
+        ------
+        ValueError
+            If some points are out of reach.
+        """
+
+        def forward(q):
+            return self.forward(q, warming_k=warming_k)
+
+        angles = check_angles(angles, 6, "rad")
+        points = _points("points", points, (len(angles), 3))
+        angles = _reach(forward, self.true_arm, angles, points, n_steps=25)
+        missed = np.linalg.norm(forward(angles) - points, axis=1) > 1e-6
+        if missed.any():
+            raise ValueError(f"{missed.sum()} of {len(missed)} points are out of the arm's reach.")
+        return angles
+
+    def _candidates(self, point, n, rng):
+        """Rough poses towards a point: swing, elbow and wrist at random, the rest to match."""
+        angles = np.column_stack(
+            [
+                np.zeros(n),
+                np.full(n, -np.pi / 2),  # upper arm horizontal
+                rng.uniform(-_MAX_SWING, _MAX_SWING, n),
+                rng.uniform(*_ELBOW_RANGE, n),
+                rng.uniform(-np.pi, np.pi, n),
+                rng.uniform(-_MAX_WRIST, _MAX_WRIST, n),
+            ]
+        )
+        here = self.nominal_arm.forward(angles) - self.shoulder
+        there = point - self.shoulder
+        # Turn the shoulder until the probe's height is right, then the base.
+        angles[:, 1] += np.arctan2(here[:, 2], np.hypot(here[:, 0], here[:, 1]))
+        angles[:, 1] -= np.arctan2(there[2], np.hypot(there[0], there[1]))
+        here = self.nominal_arm.forward(angles)
+        angles[:, 0] = np.arctan2(point[1], point[0]) - np.arctan2(here[:, 1], here[:, 0])
+        return angles
+
+    def _is_handy(self, angles, point):
+        frames = self.nominal_arm.frames(angles)
+        probe = frames[:, -1, :, :3] @ self.nominal_arm.probe
+        lean = -probe[:, 2] / np.linalg.norm(probe, axis=1)
+        heights = frames[:, 3:6, 2, 3]
+        return (
+            (np.linalg.norm(frames[:, -1, :, 3] + probe - point, axis=1) < 1e-6)
+            & (lean > np.cos(_MAX_LEAN))
+            & (heights > point[2]).all(axis=1)
+            & (np.abs(angles[:, 2]) <= _MAX_SWING)
+            & (angles[:, 3] >= _ELBOW_RANGE[0])
+            & (angles[:, 3] <= _ELBOW_RANGE[1])
+            & (np.abs(angles[:, 5]) <= _MAX_WRIST)
+        )
+
+
+def _points(name, points, shape):
+    points = floats(name, points)
+    if points.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {points.shape}.")
+    refuse_huge(name, points)
+    return points
+
+
+def _reach(forward, arm, angles, points, n_steps):
+    """Newton steps of least norm towards the points; who does not arrive stays where he got."""
+    for _ in range(n_steps):
+        missing = points - forward(angles)
+        if np.abs(missing).max() < 1e-10:
+            break
+        jacobian = arm.jacobian(angles)
+        normal = jacobian @ jacobian.transpose(0, 2, 1)
+        # A stretched arm is singular: 1e-6 of the trace keeps its steps finite.
+        normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        step = np.einsum(
+            "nij,ni->nj", jacobian, np.linalg.solve(normal, missing[..., None])[..., 0]
+        )
+        largest = np.abs(step).max(axis=1, keepdims=True)
+        angles = angles + step * np.minimum(1, 0.3 / np.maximum(largest, 1e-300))
+    return (angles + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,400 @@
+"""Figures of a correction, in the form of scikit-learn's displays.
+
+They are those of Gao et al. (2020), doi 10.1177/1729881420925638: single-point repeatability,
+gauge lengths before and after, and the residuals against the pose. The printed figures are lost in
+every copy at hand, so the layout is our own. Two more look at the poses in space and at the
+harmonics that a model found in the encoders. matplotlib is imported when something is drawn.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.display._drawing import (
+    AFTER,
+    BEFORE,
+    FLOOR,
+    axes_grid,
+    line,
+    name_places,
+    new_axes,
+    room_for_legend,
+    subtract,
+)
+from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
+from sklearn_raacmm.utils import check_points
+
+_NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
+
+
+class RepeatabilityDisplay:
+    """Single-point repeatability of every position, before and after the correction.
+
+    Make one with :meth:`from_estimator` or :meth:`from_predictions`. To see what a correction is
+    worth, show it positions that its model was not fitted on.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (n_positions,)
+        Repeatability, mm.
+
+    positions : array-like of shape (n_positions,), default=None
+        Labels of the positions. None: 1, 2, ...
+
+    floor : ndarray of shape (n_positions,), default=None
+        What a perfect correction would leave, mm; known in simulations only.
+
+    statistic : {"2s", "max", "mean"}, default="2s"
+        See :func:`~sklearn_raacmm.metrics.single_point_repeatability`.
+
+    name : str, default="after"
+        Name of the correction in the legend.
+
+    Attributes
+    ----------
+    ax_ : matplotlib Axes
+        Axes of the figure.
+
+    figure_ : matplotlib Figure
+        The figure.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn.model_selection import GroupKFold, cross_val_predict
+    >>> from sklearn.linear_model import Ridge
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.display import RepeatabilityDisplay
+    >>> test = make_single_point(n_positions=3, n_poses=10)  # simulated
+    >>> correction = cross_val_predict(
+    ...     Ridge(), test.data, test.target, groups=test.groups, cv=GroupKFold(3)
+    ... )
+    >>> display = RepeatabilityDisplay.from_predictions(
+    ...     test.points, correction, groups=test.groups
+    ... )
+    >>> display.before.shape
+    (3,)
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(self, *, before, after, positions=None, floor=None, statistic="2s", name="after"):
+        self.before = before
+        self.after = after
+        self.positions = positions
+        self.floor = floor
+        self.statistic = statistic
+        self.name = name
+
+    @classmethod
+    def from_estimator(cls, estimator, X, points, *, groups, ax=None, **options):
+        """Draw the repeatability of points corrected by a fitted model.
+
+        Parameters
+        ----------
+        estimator : object
+            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
+
+        X : array-like of shape (n_points, n_features)
+            What the model takes, such as joint angles.
+
+        points : array-like of shape (n_points, 3)
+            Measured points (or their residuals), mm.
+
+        groups : array-like of shape (n_points,)
+            Label of the position of each point.
+
+        ax : matplotlib Axes, default=None
+            Axes to draw on. None: new ones.
+
+        **options : dict
+            `perfect`, `statistic` and `name` of :meth:`from_predictions`.
+
+        Returns
+        -------
+        display : RepeatabilityDisplay
+            What was drawn.
+        """
+        check_is_fitted(estimator)
+        prediction = estimator.predict(X)
+        return cls.from_predictions(points, prediction, groups=groups, ax=ax, **options)
+
+    @classmethod
+    def from_predictions(
+        cls, points, y_pred, *, groups, perfect=None, statistic="2s", name="after", ax=None
+    ):
+        """Draw the repeatability of points before and after a given correction.
+
+        Parameters
+        ----------
+        points : array-like of shape (n_points, 3)
+            Measured points (or their residuals), mm.
+
+        y_pred : array-like of shape (n_points, 3)
+            Predicted residuals, to be subtracted from the points, mm.
+
+        groups : array-like of shape (n_points,)
+            Label of the position of each point.
+
+        perfect : array-like of shape (n_points, 3), default=None
+            What a perfect model would predict, mm, for the noise floor. Known in simulations only.
+
+        statistic : {"2s", "max", "mean"}, default="2s"
+            See :func:`~sklearn_raacmm.metrics.single_point_repeatability`.
+
+        name : str, default="after"
+            Name of the correction in the legend.
+
+        ax : matplotlib Axes, default=None
+            Axes to draw on. None: new ones.
+
+        Returns
+        -------
+        display : RepeatabilityDisplay
+            What was drawn.
+
+        Raises
+        ------
+        ValueError
+            If shapes differ, values are not finite, or a position holds a single point.
+        """
+        points = check_points(points, n_coordinates=3)
+
+        def spread(correction):
+            return single_point_repeatability(
+                subtract(points, correction), groups, statistic=statistic, aggregate=None
+            )
+
+        return cls(
+            before=spread(np.zeros_like(points)),
+            after=spread(y_pred),
+            positions=np.unique(groups),
+            floor=None if perfect is None else spread(perfect),
+            statistic=statistic,
+            name=name,
+        ).plot(ax)
+
+    def plot(self, ax=None, *, before_kwargs=None, after_kwargs=None):
+        """Draw.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, default=None
+            Axes to draw on. None: new ones.
+
+        before_kwargs, after_kwargs : dict, default=None
+            Passed to the two calls of matplotlib's ``plot``.
+
+        Returns
+        -------
+        self : object
+            The display, with `ax_` and `figure_`.
+        """
+        ax = new_axes(ax, figsize=(7, 3.6))
+        place = np.arange(1, len(self.before) + 1)
+        line(ax, place, self.before, "before", BEFORE, before_kwargs)
+        line(ax, place, self.after, self.name, AFTER, after_kwargs)
+        if self.floor is not None:
+            line(ax, place, self.floor, "noise floor", FLOOR, None)
+        labels = place if self.positions is None else self.positions
+        name_places(ax, place, labels)
+        ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} (mm)")
+        drawn = [self.before, self.after] + ([] if self.floor is None else [self.floor])
+        room_for_legend(ax, 0.0, np.max(drawn), 0.35)
+        ax.legend(fontsize="small", loc="upper left", title="mean", title_fontsize="small")
+        self.ax_, self.figure_ = ax, ax.figure
+        return self
+
+
+class LengthErrorDisplay:
+    """Length errors of gauges in several placements, before and after the correction.
+
+    Make one with :meth:`from_estimator` or :meth:`from_predictions`. Each calibrated length gets
+    axes of its own.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (n_placements,)
+        Measured minus calibrated length, mm.
+
+    lengths : ndarray of shape (n_placements,)
+        Calibrated lengths, mm.
+
+    floor : ndarray of shape (n_placements,), default=None
+        Errors that a perfect correction would leave, mm; known in simulations only.
+
+    name : str, default="after"
+        Name of the correction in the legend.
+
+    Attributes
+    ----------
+    axes_ : ndarray of matplotlib Axes of shape (n_lengths,)
+        Axes of each calibrated length, the shortest first.
+
+    figure_ : matplotlib Figure
+        The figure.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn.linear_model import Ridge
+    >>> from sklearn_raacmm.datasets import make_gauge, make_single_point
+    >>> from sklearn_raacmm.display import LengthErrorDisplay
+    >>> cones = make_single_point(n_positions=3, n_poses=10)  # simulated
+    >>> gauge = make_gauge((300, 500), n_placements=2)
+    >>> model = Ridge().fit(cones.data, cones.target)
+    >>> display = LengthErrorDisplay.from_estimator(
+    ...     model, gauge.data, gauge.points,
+    ...     groups=gauge.groups, pairs=gauge.pairs, lengths=gauge.lengths,
+    ... )
+    >>> [ax.get_title() for ax in display.axes_]
+    ['300 mm', '500 mm']
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(self, *, before, after, lengths, floor=None, name="after"):
+        self.before = before
+        self.after = after
+        self.lengths = lengths
+        self.floor = floor
+        self.name = name
+
+    @classmethod
+    def from_estimator(cls, estimator, X, points, *, groups, pairs, lengths, axes=None, **options):
+        """Draw the length errors of gauges corrected by a fitted model.
+
+        Parameters
+        ----------
+        estimator : object
+            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
+
+        X : array-like of shape (n_points, n_features)
+            What the model takes, such as joint angles.
+
+        points, groups, pairs, lengths, axes
+            See :meth:`from_predictions`.
+
+        **options : dict
+            `perfect` and `name` of :meth:`from_predictions`.
+
+        Returns
+        -------
+        display : LengthErrorDisplay
+            What was drawn.
+        """
+        check_is_fitted(estimator)
+        return cls.from_predictions(
+            points,
+            estimator.predict(X),
+            groups=groups,
+            pairs=pairs,
+            lengths=lengths,
+            axes=axes,
+            **options,
+        )
+
+    @classmethod
+    def from_predictions(
+        cls, points, y_pred, *, groups, pairs, lengths, perfect=None, name="after", axes=None
+    ):
+        """Draw the length errors of gauges before and after a given correction.
+
+        Parameters
+        ----------
+        points : array-like of shape (n_points, 3)
+            Measured points, mm.
+
+        y_pred : array-like of shape (n_points, 3)
+            Predicted residuals, to be subtracted from the points, mm.
+
+        groups : array-like of shape (n_points,)
+            Label of the gauge's end of each point.
+
+        pairs : array-like of shape (n_placements, 2)
+            Labels of the two ends of each placement.
+
+        lengths : float or array-like of shape (n_placements,)
+            Calibrated lengths, mm.
+
+        perfect : array-like of shape (n_points, 3), default=None
+            What a perfect model would predict, mm. Known in simulations only.
+
+        name : str, default="after"
+            Name of the correction in the legend.
+
+        axes : array-like of matplotlib Axes of shape (n_lengths,), default=None
+            Axes to draw on, one for each different length. None: new ones.
+
+        Returns
+        -------
+        display : LengthErrorDisplay
+            What was drawn.
+
+        Raises
+        ------
+        ValueError
+            If shapes differ, values are not finite, a pair names a group without points, a
+            measured length is not within half of the calibrated one (residuals given as points?),
+            or there are not as many axes as lengths.
+        """
+        points = check_points(points, n_coordinates=3)
+
+        def errors(correction):
+            measured = gauge_lengths(subtract(points, correction), groups, pairs)
+            error = length_error(measured, lengths)
+            wrong = np.abs(error) > 0.5 * np.broadcast_to(lengths, error.shape)
+            if wrong.any():
+                raise ValueError(
+                    f"{wrong.sum()} of {len(wrong)} measured lengths miss their calibrated one by "
+                    f"more than half of it (the first by {error[wrong][0]:.4g} mm). Points must be "
+                    "measured points in mm, not residuals."
+                )
+            return error
+
+        before = errors(np.zeros_like(points))
+        return cls(
+            before=before,
+            after=errors(y_pred),
+            lengths=np.broadcast_to(np.asarray(lengths, dtype=np.float64), before.shape),
+            floor=None if perfect is None else errors(perfect),
+            name=name,
+        ).plot(axes)
+
+    def plot(self, axes=None, *, before_kwargs=None, after_kwargs=None):
+        """Draw.
+
+        Parameters
+        ----------
+        axes : array-like of matplotlib Axes of shape (n_lengths,), default=None
+            Axes to draw on. None: new ones.
+
+        before_kwargs, after_kwargs : dict, default=None
+            Passed to the two calls of matplotlib's ``plot``.
+
+        Returns
+        -------
+        self : object
+            The display, with `axes_` and `figure_`.
+        """
+        sizes = np.unique(self.lengths)
+        axes = axes_grid(axes, (1, len(sizes)), figsize=(4.2 * len(sizes), 3.8), sharey=True)[0]
+        drawn = [self.before, self.after] + ([] if self.floor is None else [self.floor])
+        low, high = np.min(drawn), np.max(drawn)
+        for ax, size in zip(axes, sizes, strict=True):
+            rows = np.flatnonzero(self.lengths == size)
+            place = np.arange(1, len(rows) + 1)
+            ax.axhline(0, color="0.8", linewidth=1, zorder=0)
+            line(ax, place, self.before[rows], "before", BEFORE, before_kwargs)
+            line(ax, place, self.after[rows], self.name, AFTER, after_kwargs)
+            if self.floor is not None:
+                line(ax, place, self.floor[rows], "noise floor", FLOOR, None)
+            name_places(ax, place, place)
+            ax.set(xlabel="placement", title=f"{size:g} mm")
+            room_for_legend(ax, low - 0.05 * (high - low), high, 0.5)
+            ax.legend(
+                fontsize="small", loc="upper left", title="mean |error|", title_fontsize="small"
+            )
+        axes[0].set_ylabel("measured - calibrated (mm)")
+        self.axes_, self.figure_ = axes, axes[0].figure
+        return self

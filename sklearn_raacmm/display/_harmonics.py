@@ -1,0 +1,151 @@
+"""Harmonics of the encoders' errors; public in `sklearn_raacmm.display`."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.display._drawing import AFTER, axes_grid
+
+_DOTS = {"color": AFTER["color"], "linestyle": "", "marker": "o", "markersize": 4, "capsize": 2}
+
+
+class HarmonicDisplay:
+    """Amplitude and phase of every harmonic found, joint by joint.
+
+    Make one with :meth:`from_estimator`. Bars are one standard deviation either way.
+
+    Parameters
+    ----------
+    harmonics : structured ndarray of shape (n_harmonics,)
+        The table `harmonics_` of :class:`JointHarmonicRegressor`.
+
+    n_joints : int
+        Number of joints of the arm.
+
+    Attributes
+    ----------
+    amplitude_sd : ndarray of shape (n_harmonics,)
+        Standard deviations of the amplitudes, arc seconds.
+
+    phase_sd : ndarray of shape (n_harmonics,)
+        Standard deviations of the phases, degrees.
+
+    axes_ : ndarray of matplotlib Axes of shape (n_joints, 2)
+        A row for each joint; amplitudes and phases.
+
+    figure_ : matplotlib Figure
+        The figure.
+
+    Notes
+    -----
+    With c and s the coefficients of cosine and sine, the amplitude is ``hypot(c, s)`` and the phase
+    ``atan2(s, c)``; their standard deviations follow to first order, the covariance of c and s left
+    out. They are those of the fit, which supposes independent noise.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn_raacmm import JointHarmonicRegressor
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.display import HarmonicDisplay
+    >>> test = make_single_point(n_positions=6, n_poses=30, machine="eccentricity")  # simulated
+    >>> model = JointHarmonicRegressor(test.arm, n_harmonics=8)
+    >>> _ = model.fit(test.data, test.target, groups=test.groups)
+    >>> display = HarmonicDisplay.from_estimator(model)
+    >>> display.axes_.shape
+    (6, 2)
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(self, *, harmonics, n_joints):
+        self.harmonics = harmonics
+        self.n_joints = n_joints
+        cos, sin = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
+        cos_sd, sin_sd = harmonics["cos_sd_arcsec"], harmonics["sin_sd_arcsec"]
+        size = np.hypot(cos, sin)
+        self.amplitude_sd = np.hypot(cos * cos_sd, sin * sin_sd) / size
+        self.phase_sd = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
+
+    @classmethod
+    def from_estimator(cls, estimator, *, axes=None):
+        """Draw the harmonics that a fitted model found.
+
+        Parameters
+        ----------
+        estimator : JointHarmonicRegressor or ArmResidualRegressor
+            Fitted model.
+
+        axes : array-like of matplotlib Axes of shape (n_joints, 2), default=None
+            Axes to draw on. None: new ones.
+
+        Returns
+        -------
+        display : HarmonicDisplay
+            What was drawn.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        TypeError
+            If it is a model of another kind.
+        """
+        check_is_fitted(estimator)
+        # The whole correction keeps its first stage where that keeps its table.
+        table = getattr(estimator, "harmonics_", None)
+        table = getattr(table, "harmonics_", table)
+        names = getattr(getattr(table, "dtype", None), "names", None) or ()
+        if "amplitude_arcsec" not in names:
+            raise TypeError(
+                "Harmonics are drawn of a JointHarmonicRegressor or an ArmResidualRegressor, got "
+                f"{type(estimator).__name__}."
+            )
+        return cls(harmonics=table, n_joints=estimator.arm_.n_joints).plot(axes)
+
+    def plot(self, axes=None, *, errorbar_kwargs=None):
+        """Draw.
+
+        Parameters
+        ----------
+        axes : array-like of matplotlib Axes of shape (n_joints, 2), default=None
+            Axes to draw on. None: new ones.
+
+        errorbar_kwargs : dict, default=None
+            Passed to the calls of matplotlib's ``errorbar``.
+
+        Returns
+        -------
+        self : object
+            The display, with `axes_` and `figure_`.
+        """
+        n = self.n_joints
+        size = (8, 1.0 + 1.1 * n)
+        axes = axes_grid(axes, (n, 2), figsize=size, sharex=True, sharey="col")
+        style = _DOTS | (errorbar_kwargs or {})
+        for joint, (left, right) in enumerate(axes, start=1):
+            mine = self.harmonics["joint"] == joint
+            some = self.harmonics[mine]
+            left.set_ylabel(f"joint {joint}")
+            for ax in (left, right):
+                ax.grid(axis="y", color="0.9")
+                ax.set_axisbelow(True)
+            if not len(some):
+                left.text(
+                    0.98, 0.8, "none found", color="0.5", ha="right", transform=left.transAxes
+                )
+                continue
+            order = some["order"]
+            left.vlines(order, 0, some["amplitude_arcsec"], color=style["color"], linewidth=1)
+            left.errorbar(order, some["amplitude_arcsec"], self.amplitude_sd[mine], **style)
+            right.errorbar(order, some["phase_deg"], self.phase_sd[mine], **style)
+        axes[0, 0].set_title("amplitude (arc seconds)", fontsize="medium")
+        axes[0, 1].set_title("phase (deg)", fontsize="medium")
+        axes[0, 0].set_ylim(bottom=0)
+        axes[0, 1].set(ylim=(-200, 200), yticks=[-180, 0, 180])
+        for ax in axes[-1]:
+            ax.set_xlabel("order: cycles a turn")
+            ax.set_xlim(left=0)
+        self.axes_, self.figure_ = axes, axes[0, 0].figure
+        return self

@@ -1,0 +1,274 @@
+"""The arm's poses in space, over their residuals; public in `sklearn_raacmm.display`."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from numbers import Integral, Real
+
+import numpy as np
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.display._drawing import AFTER, pyplot, subtract
+from sklearn_raacmm.utils import check_option, check_points, deviations_by_group
+
+_STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
+# Not the grey of the other displays: that is the arm's here.
+_BEFORE = {"color": "tab:orange", "linewidth": 1.0}
+_AFTER = {"color": AFTER["color"], "linewidth": 1.0}
+# The longest residual is drawn as long as this share of the arm, or a little shorter.
+_LONGEST = 0.3
+
+
+class ArmPosesDisplay:
+    """Poses of an arm as stick figures in space, over their residuals, magnified.
+
+    In a single-point test all poses end at one point, and the residuals stand on it like bristles:
+    their directions and lengths are what a correction has to know from the pose. Where matplotlib
+    has a window (or ``%matplotlib widget`` a notebook), the mouse turns the figure.
+
+    Make one with :meth:`from_estimator` or :meth:`from_predictions`.
+
+    Parameters
+    ----------
+    chains : ndarray of shape (n_poses, n_corners, 3)
+        Corners of the arm from base to probe, mm.
+
+    before : ndarray of shape (n_poses, 3)
+        Cartesian residuals, mm.
+
+    after : ndarray of shape (n_poses, 3), default=None
+        What the correction leaves of them, mm.
+
+    name : str, default="after"
+        Name of the correction in the legend.
+
+    Attributes
+    ----------
+    ax_ : matplotlib Axes3D
+        Axes of the figure.
+
+    figure_ : matplotlib Figure
+        The figure.
+
+    magnification_ : float
+        How many times longer than in truth the residuals are drawn.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.display import ArmPosesDisplay
+    >>> test = make_single_point(n_positions=3, n_poses=10)  # simulated
+    >>> first = test.groups == 0
+    >>> display = ArmPosesDisplay.from_predictions(
+    ...     test.data[first], test.target[first], arm=test.arm
+    ... )
+    >>> display.chains[:, -1].round(0).tolist() == test.points[first].round(0).tolist()
+    True
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(self, *, chains, before, after=None, name="after"):
+        self.chains = chains
+        self.before = before
+        self.after = after
+        self.name = name
+
+    @classmethod
+    def from_estimator(cls, estimator, X, y, *, arm=None, ax=None, **options):
+        """Draw poses, their residuals, and what a fitted model leaves of them.
+
+        Parameters
+        ----------
+        estimator : object
+            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
+
+        X, y, arm, ax
+            See :meth:`from_predictions`.
+
+        **options : dict
+            The other parameters of :meth:`from_predictions`.
+
+        Returns
+        -------
+        display : ArmPosesDisplay
+            What was drawn.
+        """
+        check_is_fitted(estimator)
+        return cls.from_predictions(X, y, estimator.predict(X), arm=arm, ax=ax, **options)
+
+    @classmethod
+    def from_predictions(
+        cls,
+        X,
+        y,
+        y_pred=None,
+        *,
+        arm=None,
+        groups=None,
+        angle_unit="rad",
+        name="after",
+        ax=None,
+        **options,
+    ):
+        """Draw poses, their residuals, and what a given correction leaves of them.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_poses, n_joints)
+            Joint angles.
+
+        y : array-like of shape (n_poses, 3)
+            Cartesian residuals dx, dy, dz, mm.
+
+        y_pred : array-like of shape (n_poses, 3), default=None
+            Predicted residuals, mm. None: only `y` is drawn.
+
+        arm : Arm, default=None
+            The arm. None: the built-in six-joint arm CMM, as in
+            :class:`~sklearn_raacmm.PoseFeatures`.
+
+        groups : array-like of shape (n_poses,), default=None
+            Label of the position of each pose. A single-point test shows residuals only up to one
+            constant per position: with `groups`, the mean of what is left at each is taken away.
+
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `X`.
+
+        name : str, default="after"
+            Name of the correction in the legend.
+
+        ax : matplotlib Axes3D, default=None
+            Axes to draw on, made with ``projection="3d"``. None: new ones.
+
+        **options : dict
+            `max_poses` and `magnification` of :meth:`plot`.
+
+        Returns
+        -------
+        display : ArmPosesDisplay
+            What was drawn.
+
+        Raises
+        ------
+        ValueError
+            If shapes differ, values are not finite, or the axes are flat.
+        """
+        arm = Arm.from_name("aacmm6") if arm is None else arm
+        if not isinstance(arm, Arm):
+            raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
+        chains = arm_chains(arm, X, angle_unit)
+        y = check_points(y, n_coordinates=3)
+        if len(y) != len(chains):
+            raise ValueError(f"X has {len(chains)} rows, but y {len(y)}.")
+        after = None
+        if y_pred is not None:
+            after = subtract(y, y_pred)
+            after = after if groups is None else deviations_by_group(after, groups)[0]
+        return cls(chains=chains, before=y, after=after, name=name).plot(ax, **options)
+
+    def plot(
+        self,
+        ax=None,
+        *,
+        max_poses=12,
+        magnification="auto",
+        arm_kwargs=None,
+        before_kwargs=None,
+        after_kwargs=None,
+    ):
+        """Draw.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes3D, default=None
+            Axes to draw on, made with ``projection="3d"``. None: new ones.
+
+        max_poses : int, default=12
+            Most stick figures, evenly spaced among the poses. All residuals are drawn.
+
+        magnification : float or "auto", default="auto"
+            How many times longer than in truth the residuals are drawn. "auto": 1, 2 or 5 times a
+            power of ten, such that the longest is 12 to 30 % of the arm's extent.
+
+        arm_kwargs : dict, default=None
+            Passed to matplotlib's ``plot`` of the stick figures.
+
+        before_kwargs, after_kwargs : dict, default=None
+            Passed to matplotlib's ``plot`` of the residuals.
+
+        Returns
+        -------
+        self : object
+            The display, with `ax_`, `figure_` and `magnification_`.
+        """
+        if ax is not None and not hasattr(ax, "get_zlim"):
+            raise ValueError('The axes are flat; make them with projection="3d".')
+        whole = isinstance(max_poses, Integral) and not isinstance(max_poses, bool)
+        if not whole or max_poses < 1:
+            raise ValueError(f"max_poses must be a whole number of at least 1, got {max_poses!r}.")
+        if isinstance(magnification, str):
+            check_option("magnification", magnification, ("auto",))
+        elif not (isinstance(magnification, Real) and 0 < magnification < np.inf):
+            raise ValueError(f'magnification must be "auto" or positive, got {magnification!r}.')
+        if ax is None:
+            ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")
+        tips = self.chains[:, -1]
+        self.magnification_ = self._magnification() if magnification == "auto" else magnification
+        shown = np.unique(np.linspace(0, len(tips) - 1, min(max_poses, len(tips))).astype(int))
+        for chain in self.chains[shown]:
+            ax.plot(*chain.T, **(_STICKS | (arm_kwargs or {})))
+        for residuals, label, style, kwargs in (
+            (self.before, "before", _BEFORE, before_kwargs),
+            (self.after, self.name, _AFTER, after_kwargs),
+        ):
+            if residuals is not None:
+                lines = self._bristles(tips, residuals)
+                ax.plot(*lines.T, **(style | {"label": label} | (kwargs or {})))
+        corners = np.vstack([self.chains[shown].reshape(-1, 3), [[0, 0, 0]]])
+        ax.plot(*np.array([[0, 0, 0], [0, 0, 1e-9]]).T, "s", color="0.4", markersize=6)
+        ax.set(
+            xlabel="x (mm)",
+            ylabel="y (mm)",
+            zlabel="z (mm)",
+            title=f"{len(shown)} of {len(tips)} poses; residuals x {self.magnification_:g}",
+        )
+        ax.set_box_aspect(np.maximum(np.ptp(corners, axis=0), 0.1 * np.ptp(corners)), zoom=1.1)
+        ax.set_aspect("equal")
+        ax.legend(fontsize="small")
+        self.ax_, self.figure_ = ax, ax.figure
+        return self
+
+    def _bristles(self, tips, residuals):
+        """Points of one line that goes from every tip along its residual, NaN between them."""
+        lines = np.full((len(tips), 3, 3), np.nan)
+        lines[:, 0] = tips
+        lines[:, 1] = tips + self.magnification_ * residuals
+        return lines.reshape(-1, 3)
+
+    def _magnification(self):
+        longest = np.linalg.norm(self.before, axis=1).max()
+        if longest == 0:
+            return 1.0
+        most = _LONGEST * np.ptp(self.chains.reshape(-1, 3), axis=0).max() / longest
+        power = 10.0 ** np.floor(np.log10(most))
+        return float(power * max(digit for digit in (1, 2, 5) if digit * power <= most))
+
+
+def arm_chains(arm, angles, angle_unit="rad"):
+    """Corners of an arm from base to probe, (n_poses, 2 * n_joints + 2, 3), mm.
+
+    Between the origins of two frames a link runs along two sides of a corner: d along the joint's
+    axis and a across it, in the order of the convention.
+    """
+    frames = arm.frames(angles, angle_unit=angle_unit)
+    origins = frames[..., 3]
+    corners = np.empty((len(frames), 2 * arm.n_joints + 2, 3))
+    corners[:, 0:-1:2] = origins
+    if arm.convention == "standard":
+        corners[:, 1:-1:2] = origins[:, :-1] + arm.d[:, None] * frames[:, :-1, :, 2]
+    else:
+        corners[:, 1:-1:2] = origins[:, :-1] + arm.a[:, None] * frames[:, :-1, :, 0]
+    corners[:, -1] = arm.forward(angles, angle_unit=angle_unit)
+    return corners

@@ -1,0 +1,201 @@
+"""Residuals against the pose; public in `sklearn_raacmm.display`."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.display._drawing import AFTER, BEFORE, axes_grid, subtract
+from sklearn_raacmm.residuals import PoseFeatures, cartesian_to_cylindrical
+from sklearn_raacmm.utils import check_points, deviations_by_group
+
+_DOTS = {"linestyle": "", "marker": ".", "markersize": 4, "alpha": 0.7, "markeredgewidth": 0}
+_COMPONENTS = ("radial", "tangential", "axial")
+
+
+class ResidualDisplay:
+    """Radial, tangential and axial residuals against the three angles of the pose.
+
+    Make one with :meth:`from_estimator` or :meth:`from_predictions`.
+
+    Parameters
+    ----------
+    pose : ndarray of shape (n_points, 3)
+        Angles of the pose, rad.
+
+    before : ndarray of shape (n_points, 3)
+        Radial, tangential and axial residuals, mm.
+
+    after : ndarray of shape (n_points, 3), default=None
+        What the correction leaves of them, mm.
+
+    feature_names : sequence of str, default=("theta3", "theta4", "theta_dis")
+        Names of the angles.
+
+    name : str, default="after"
+        Name of the correction in the legend.
+
+    Attributes
+    ----------
+    axes_ : ndarray of matplotlib Axes of shape (3, 3)
+        A row for each component, a column for each angle.
+
+    figure_ : matplotlib Figure
+        The figure.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.display import ResidualDisplay
+    >>> test = make_single_point(n_positions=3, n_poses=10)  # simulated
+    >>> display = ResidualDisplay.from_predictions(test.data, test.target, arm=test.arm)
+    >>> [ax.get_xlabel() for ax in display.axes_[-1]]
+    ['theta3 (deg)', 'theta4 (deg)', 'theta_dis (deg)']
+    >>> plt.close(display.figure_)
+    """
+
+    def __init__(
+        self,
+        *,
+        pose,
+        before,
+        after=None,
+        feature_names=("theta3", "theta4", "theta_dis"),
+        name="after",
+    ):
+        self.pose = pose
+        self.before = before
+        self.after = after
+        self.feature_names = feature_names
+        self.name = name
+
+    @classmethod
+    def from_estimator(cls, estimator, X, y, *, arm=None, axes=None, **options):
+        """Draw the residuals and what a fitted model leaves of them.
+
+        Parameters
+        ----------
+        estimator : object
+            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
+
+        X, y, arm, axes
+            See :meth:`from_predictions`.
+
+        **options : dict
+            `groups`, `angle_unit` and `name` of :meth:`from_predictions`.
+
+        Returns
+        -------
+        display : ResidualDisplay
+            What was drawn.
+        """
+        check_is_fitted(estimator)
+        return cls.from_predictions(X, y, estimator.predict(X), arm=arm, axes=axes, **options)
+
+    @classmethod
+    def from_predictions(
+        cls,
+        X,
+        y,
+        y_pred=None,
+        *,
+        arm=None,
+        groups=None,
+        angle_unit="rad",
+        name="after",
+        axes=None,
+    ):
+        """Draw the residuals and what a given correction leaves of them.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_points, n_joints)
+            Joint angles.
+
+        y : array-like of shape (n_points, 3)
+            Cartesian residuals dx, dy, dz, mm.
+
+        y_pred : array-like of shape (n_points, 3), default=None
+            Predicted residuals, mm. None: only `y` is drawn.
+
+        arm : Arm, default=None
+            The arm, as in :class:`~sklearn_raacmm.PoseFeatures`.
+
+        groups : array-like of shape (n_points,), default=None
+            Label of the position of each point. A single-point test shows residuals only up to one
+            constant per position: with `groups`, the mean of what is left at each is taken away.
+
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `X`.
+
+        name : str, default="after"
+            Name of the correction in the legend.
+
+        axes : array-like of matplotlib Axes of shape (3, 3), default=None
+            Axes to draw on. None: new ones.
+
+        Returns
+        -------
+        display : ResidualDisplay
+            What was drawn.
+
+        Raises
+        ------
+        ValueError
+            If shapes differ, values are not finite, or the arm has another number of joints.
+        """
+        features = PoseFeatures(arm, angle_unit=angle_unit, append_azimuth=True)
+        columns = features.fit_transform(X)
+        azimuth = np.arctan2(columns[:, 4], columns[:, 3])
+        y = check_points(y, n_coordinates=3)
+        if len(y) != len(columns):
+            raise ValueError(f"X has {len(columns)} rows, but y {len(y)}.")
+        after = None
+        if y_pred is not None:
+            left = subtract(y, y_pred)
+            left = left if groups is None else deviations_by_group(left, groups)[0]
+            after = cartesian_to_cylindrical(left, azimuth)
+        return cls(
+            pose=columns[:, :3],
+            before=cartesian_to_cylindrical(y, azimuth),
+            after=after,
+            feature_names=features.get_feature_names_out()[:3],
+            name=name,
+        ).plot(axes)
+
+    def plot(self, axes=None, *, before_kwargs=None, after_kwargs=None):
+        """Draw.
+
+        Parameters
+        ----------
+        axes : array-like of matplotlib Axes of shape (3, 3), default=None
+            Axes to draw on. None: new ones.
+
+        before_kwargs, after_kwargs : dict, default=None
+            Passed to the calls of matplotlib's ``plot``.
+
+        Returns
+        -------
+        self : object
+            The display, with `axes_` and `figure_`.
+        """
+        axes = axes_grid(axes, (3, 3), figsize=(8, 6.5), sharex="col", sharey=True)
+        # Rasterised: thousands of dots would make a vector file of megabytes.
+        dots = _DOTS | {"rasterized": True}
+        for i, j in np.ndindex(3, 3):
+            ax, angle = axes[i, j], np.rad2deg(self.pose[:, j])
+            style = dots | {"color": BEFORE["color"], "label": "before"} | (before_kwargs or {})
+            ax.plot(angle, self.before[:, i], **style)
+            if self.after is not None:
+                style = dots | {"color": AFTER["color"], "label": self.name} | (after_kwargs or {})
+                ax.plot(angle, self.after[:, i], **style)
+            if i == 2:
+                ax.set_xlabel(f"{self.feature_names[j]} (deg)")
+            if j == 0:
+                ax.set_ylabel(f"{_COMPONENTS[i]} residual (mm)")
+        if self.after is not None:
+            axes[0, 2].legend(fontsize="small", markerscale=4)
+        self.axes_, self.figure_ = axes, axes[0, 0].figure
+        return self

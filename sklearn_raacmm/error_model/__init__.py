@@ -1,0 +1,21 @@
+"""The linear error model of an arm: its columns, their normal equations and the evidence."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, loads, term_columns, wobbles
+from sklearn_raacmm.error_model._fit_checks import check_fit
+from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor, quantile
+from sklearn_raacmm.error_model._normal_equations import Smooth
+
+__all__ = [
+    "ARCSEC",
+    "JointHarmonicRegressor",
+    "Smooth",
+    "Terms",
+    "check_fit",
+    "loads",
+    "quantile",
+    "term_columns",
+    "wobbles",
+]

@@ -1,0 +1,130 @@
+"""What the models of an arm ask of their training data; each fault gets one clear sentence."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm, check_angles, points_of
+from sklearn_raacmm.calibration import check_length
+from sklearn_raacmm.utils import (
+    check_data,
+    check_weights,
+    encode_groups,
+    group_means,
+    group_weights,
+)
+
+# For warnings: each check is called by `check_fit`, that by fit, which two decorators wrap.
+_CALLER = 6
+# Part of its own length by which a point that was measured may be off.
+_SHARE_OF_POINTS = 0.05
+# Share of the residuals' size below which a position's mean residual counts as zero: residuals of a
+# single-point test have such means by construction, to rounding (or to the digits of a file).
+_CENTRED = 1e-3
+
+
+def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
+    """All that `fit` is given.
+
+    Parameters
+    ----------
+    estimator : JointHarmonicRegressor or ArmResidualRegressor
+    X, y, sample_weight, groups, lengths
+        As for its `fit`.
+    linear : JointHarmonicRegressor
+        Has the options of the linear model.
+
+    Returns
+    -------
+    arm : Arm
+    X : ndarray of shape (n, n_joints)
+    y : ndarray of shape (n, 3)
+    weights : ndarray of shape (n,)
+    codes : ndarray of shape (n,) or None
+        Index of each row's position, where positions have offsets.
+    lengths : list of (int, int, float, float)
+    """
+    X, y = check_data(estimator, X, y)
+    arm = _check_arm(estimator.arm, X.shape[1])
+    check_angles(X, X.shape[1], "rad", _CALLER)  # warns of degrees
+    y = _check_residuals(y, arm, X)
+    weights = check_weights(sample_weight, X)
+    codes = _check_offsets(linear.offsets, y, weights, groups)
+    return arm, X, y, weights, codes, _check_lengths(lengths, codes, groups, linear.kinematics)
+
+
+def _check_arm(arm, n_columns):
+    """The arm, or the built-in one; refuses angles that are not its own."""
+    arm = Arm.from_name("aacmm6") if arm is None else arm
+    if n_columns != arm.n_joints:
+        raise ValueError(
+            f"X has {n_columns} columns, but the arm {arm!r} has {arm.n_joints} joints: one column "
+            "of joint angles each is needed."
+        )
+    return arm
+
+
+def _check_residuals(y, arm, angles):
+    """Residuals (n, 3) as float64, which the arm's points are not."""
+    if y.ndim != 2 or y.shape[1] != 3:
+        raise ValueError(
+            f"y has shape {y.shape}; Cartesian residuals (n_samples, 3) in mm are needed."
+        )
+    y = y.astype(np.float64, copy=False)
+    points = points_of(arm, angles)
+    size = np.linalg.norm(points)
+    if size > 0 and np.linalg.norm(y - points) < _SHARE_OF_POINTS * size:
+        raise ValueError(
+            f"y are points, not residuals: they are {size / np.sqrt(len(y)):.4g} mm from the base, "
+            "where the arm says that its probe is. Give arm.forward(angles) less the reference, or "
+            "position_residuals."
+        )
+    return y
+
+
+def _check_lengths(lengths, codes, groups, kinematics):
+    """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
+    lengths = list(lengths)
+    if not lengths:
+        if codes is not None and not kinematics:
+            warnings.warn(
+                "With kinematics=False and positions with offsets nothing holds the distances "
+                "between positions: they may come out worse than without correction. Keep "
+                "kinematics=True, give known lengths, or do not measure lengths with this model.",
+                UserWarning,
+                stacklevel=_CALLER,
+            )
+        return []
+    if codes is None:
+        raise ValueError(
+            "lengths are for positions with offsets; residuals against a reference, or without "
+            "groups, have no use for them."
+        )
+    labels = encode_groups(groups)[0].tolist()
+    return [check_length(entry, labels) for entry in lengths]
+
+
+def _check_offsets(offsets, y, weights, groups):
+    """Index of each row's position where offsets are to be fitted, else None."""
+    if groups is None:
+        if offsets is True:
+            raise ValueError("offsets=True needs groups: the position of each sample.")
+        return None
+    _, codes = encode_groups(groups, len(y))
+    if offsets == "auto":
+        total = group_weights(codes, weights)
+        means = group_means(y, codes, weights)[total > 0]
+        size = np.sqrt(weights @ np.square(y).mean(axis=1) / max(total.sum(), 1e-300))
+        offsets = bool(size > 0 and np.abs(means).max() <= _CENTRED * size)
+        if not offsets and size > 0 and np.median(np.abs(means)) <= _CENTRED * size:
+            warnings.warn(
+                "Most positions' mean residuals are zero, but not all: y looks like deviations "
+                "from means of other rows than these. No offsets are fitted; set offsets to True "
+                "or False.",
+                UserWarning,
+                stacklevel=_CALLER,
+            )
+    return codes if offsets else None

@@ -1,0 +1,24 @@
+"""A fitted model on its way: as C99, as ONNX, what to trust in its file, and what to say of it."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.export._export import (
+    TRUSTED_TYPES,
+    describe,
+    export_c,
+    fingerprint,
+    register_onnx,
+    to_onnx,
+)
+from sklearn_raacmm.export._model_card import ModelCard
+
+__all__ = [
+    "TRUSTED_TYPES",
+    "ModelCard",
+    "describe",
+    "export_c",
+    "fingerprint",
+    "register_onnx",
+    "to_onnx",
+]

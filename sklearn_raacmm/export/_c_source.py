@@ -1,0 +1,287 @@
+"""A fitted chain as one C99 source and its header."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm._version import __version__
+from sklearn_raacmm.correction import ArmResidualRegressor
+from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.export import _c_columns, _c_steps
+from sklearn_raacmm.export._c_text import Numbers, comment_text
+from sklearn_raacmm.export._steps import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
+from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+
+
+class Body(NamedTuple):
+    """What a chain computes, without the names that its functions go by."""
+
+    text: str  # tables and static functions, the last of which is evaluate()
+    n_inputs: int
+    n_outputs: int
+    arm: object  # or None
+    angle_unit: str
+    steps: tuple  # of text, for people
+
+
+class _Writer:
+    """Collects tables and functions, and the statements of evaluate(), step by step."""
+
+    def __init__(self, model, numbers, std):
+        self.numbers, self.std = numbers, std
+        self.arm, self.angle_unit = arm_of(model)
+        self.parts, self.statements, self.after, self.steps = [], [], [], []
+        self.n_inputs = int(next(leaves(model)).estimator.n_features_in_)
+        self.size = self.x_size = self.n_inputs
+        self.loaded = False  # whether x holds something by now
+        self.n_scalers, self.n_outputs = 0, None
+        if self.arm is not None:
+            self.parts.append(_c_steps.kinematics(numbers, self.arm, self.angle_unit))
+        self.parts.append(_c_steps.all_finite(numbers))
+        for path, step in leaves(model):
+            if self.n_outputs is not None:
+                raise ValueError(f"{path} comes after the regressor, which cannot be exported.")
+            self.add(path, step)
+        if self.n_outputs is None:
+            raise ValueError(f"The model has no regressor at its end: none of {KNOWN}.")
+        self.statements += self.after
+
+    def add(self, path, step):
+        """One step: its text, and the statement that calls it."""
+        if isinstance(step, PoseFeatures):
+            if self.loaded:
+                raise ValueError(
+                    f"{path} comes after another transformer, which cannot be exported: "
+                    "PoseFeatures has to see the joint angles."
+                )
+            text, names = _c_steps.pose_features(self.numbers, step)
+            self.size = self.x_size = len(names)
+            self._put(text, "pose_features(arm, x);", f"PoseFeatures: {', '.join(names)}")
+            self.statements.append(f"valid = all_finite(x, {self.size}) && valid;")
+            self.loaded = True
+        elif isinstance(step, SCALERS):
+            self._load()
+            self.n_scalers += 1
+            text = _c_steps.scaler(self.numbers, step, self.size, self.n_scalers)
+            self._put(text, f"scaler_{self.n_scalers}(x);", type(step).__name__)
+        elif isinstance(step, CylindricalResidualTarget):
+            self._cylindrical(path, step)
+        elif isinstance(step, RBFNetRegressor):
+            self._load()
+            text, self.n_outputs = _c_steps.network(self.numbers, step, self.std)
+            about = f"RBFNetRegressor: {step.kernel}, {len(step.centers_)} centres"
+            self._put(text, f"network(x, y{self._v});", about)
+        elif isinstance(step, LINEAR):
+            if self.std:
+                raise ValueError(
+                    f"{path} is a {type(step).__name__}, which has no standard deviation: export "
+                    "it with std=False."
+                )
+            self._load()
+            text, self.n_outputs = _c_steps.linear(self.numbers, step, self.size)
+            self._put(text, "linear(x, y);", type(step).__name__)
+        elif isinstance(step, JointHarmonicRegressor | ArmResidualRegressor):
+            self._of_angles(path, step)
+        else:
+            raise ValueError(
+                f"{path} is a {type(step).__name__}, which cannot be exported: only {KNOWN} and "
+                "pipelines of these can."
+            )
+
+    def _of_angles(self, path, step):
+        if self.loaded:
+            raise ValueError(
+                f"{path} comes after another transformer, which cannot be exported: it has to see "
+                "the joint angles."
+            )
+        self.n_outputs = 3
+        if isinstance(step, JointHarmonicRegressor):
+            text = _c_columns.error_model(self.numbers, step, self.std)
+            about = f"JointHarmonicRegressor: {len(step.coef_)} terms"
+            self._put(text, f"error_model(arm, y{self._v});", about)
+            return
+        # How much a stage is trusted depends on its standard deviation.
+        doubted = self.std or step.fade_ > 0
+        stages = ["none", "harmonics", "harmonics+network"].index(step.use_)
+        if stages > 0:
+            self.parts.append(_c_columns.error_model(self.numbers, step.harmonics_, doubted))
+        if stages > 1:
+            if step.features == "pose":
+                pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
+                self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
+            self.parts.append(_c_steps.azimuth_direction(self.numbers))
+            self.parts.append(_c_steps.network(self.numbers, step.network_, doubted, False)[0])
+            self.parts.append(_c_steps.rotation(self.numbers, doubted))
+        text = _c_columns.guarded_sum(self.numbers, step, self.std)
+        self._put(text, f"guarded_sum(arm, y{self._v});", f"ArmResidualRegressor: {step.use_}")
+        # A pose without features has no correction at all.
+        self.statements += [f"valid = all_finite(y, {self.n_outputs}) && valid;"]
+
+    @property
+    def _v(self):
+        return ", v" if self.std else ""
+
+    def _put(self, text, statement, about):
+        self.parts.append(text)
+        self.statements.append(statement)
+        self.steps.append(about)
+
+    def _load(self):
+        if not self.loaded:
+            self.statements += [f"for (int i = 0; i < {self.size}; ++i)", "    x[i] = input[i];"]
+        self.loaded = True
+
+    def _cylindrical(self, path, step):
+        if self.after:
+            raise ValueError(f"{path} is the second of its kind, which cannot be exported.")
+        if step._drops_direction:
+            self._load()
+            self.size -= 2
+            self.parts.append(_c_steps.given_direction(self.numbers))
+            self.statements.append(f"valid = given_direction(x + {self.size}, cs) && valid;")
+        elif step._rotates:
+            if self.loaded:
+                raise ValueError(
+                    f"{path} takes its azimuth from the joint angles but comes after a "
+                    "transformer, which cannot be exported."
+                )
+            self.parts.append(_c_steps.azimuth_direction(self.numbers))
+            self.statements.append("azimuth_direction(arm, cs);")
+        if step._rotates:
+            self.parts.append(_c_steps.rotation(self.numbers, self.std))
+            self.after.append(f"to_cartesian(cs, y{self._v});")
+            self.steps.append("CylindricalResidualTarget: in the frame of the probe's azimuth")
+
+    def evaluate(self):
+        """The function that calls all others."""
+        real, q = self.numbers.real, self.n_outputs
+        arm = "struct arm_state *arm, " if self.arm is not None else ""
+        lines = [f"{real} x[{self.x_size}];"] if self.loaded else []
+        if any("cs" in statement for statement in self.statements):
+            lines.append(f"{real} cs[2];")
+        lines.append(f"int valid = all_finite(input, {self.n_inputs});")
+        if self.arm is not None:
+            lines.append("kinematics(input, arm);")
+        lines += self.statements
+        if self.std:
+            # Not each function asks for the standard deviation.
+            lines += [
+                "if (!valid && v)",
+                f"    for (int j = 0; j < {q}; ++j)",
+                f"        v[j] = ({real})NAN;",
+            ]
+        lines += [
+            "if (!valid)",
+            f"    for (int j = 0; j < {q}; ++j)",
+            f"        y[j] = ({real})NAN;",
+        ]
+        body = "\n".join(f"    {line}" for line in lines)
+        return (
+            f"static void evaluate(const {real} input[{self.n_inputs}], {arm}{real} y[{q}]"
+            f"{', ' + real + ' *v' if self.std else ''})\n"
+            f"{{\n{body}\n}}\n"
+        )
+
+
+def body_of(model, dtype="double", std=False):
+    """Everything that a chain computes, see `Body`; ValueError where it cannot be written."""
+    check_fitted(model)
+    writer = _Writer(model, Numbers(dtype), std)
+    text = "\n".join([*writer.parts, writer.evaluate()])
+    return Body(
+        text, writer.n_inputs, writer.n_outputs, writer.arm, writer.angle_unit, tuple(writer.steps)
+    )
+
+
+def fingerprint_of(model):
+    """SHA-256 of what a chain computes: constants and operations, in double precision."""
+    return hashlib.sha256(body_of(model).text.encode()).hexdigest()
+
+
+def sources(model, name, stem, dtype, std, notes):
+    """Text of the C file and of the header."""
+    body = body_of(model, dtype, std)
+    digest = fingerprint_of(model)
+    facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
+    if body.arm is not None:
+        label = f" {body.arm.name}" if body.arm.name else ""
+        facts.append(f"arm{label}: {body.n_inputs} joints, {body.arm.convention} DH, mm and rad")
+    facts += [*body.steps, *notes]
+    banner = "".join(f" * {comment_text(fact, 90)}".rstrip() + "\n" for fact in facts)
+    functions = _functions(body, name, dtype, std)
+    functions.append(
+        (
+            f"const char *{name}_fingerprint(void)",
+            "SHA-256 of what the model computes: the same for the same model.",
+            f'    return "{digest}";\n',
+        )
+    )
+    guard = f"{name.upper()}_H"
+    declared = "".join(f"/* {about} */\n{head};\n\n" for head, about, _ in functions)
+    header = (
+        f"/* {stem}.h\n{banner} */\n#ifndef {guard}\n#define {guard}\n\n#ifdef __cplusplus\n"
+        f'extern "C" {{\n#endif\n\n{declared}#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'
+    )
+    defined = "".join(f"\n{head}\n{{\n{text}}}\n" for head, _, text in functions)
+    source = (
+        f"/* {stem}.c\n{banner} *\n"
+        " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
+        " * changes, so every function may be called from any thread. Do not compile it with\n"
+        " * -ffast-math, which takes away the NaN that stands for a refusal.\n */\n"
+        f'#include "{stem}.h"\n\n#include <math.h>\n\n{body.text}{defined}'
+    )
+    return source, header
+
+
+def _functions(body, name, real, std):
+    """Public functions: head, comment and body of each."""
+    n, q = body.n_inputs, body.n_outputs
+    unit = "degrees" if body.angle_unit == "deg" else "rad"
+    argument = "joint_angles" if body.arm else "features"
+    given = f"const {real} {argument}[{n}]"
+    state, arm = ("    struct arm_state arm;\n", "&arm, ") if body.arm else ("", "")
+    none = ", 0" if std else ""
+    corrects = body.arm is not None and q == 3
+    verb, out = ("correct", "correction_mm") if corrects else ("predict", "prediction")
+    refusal = "All are NaN if an input is NaN or\n   infinite, or the model is not defined there."
+    about = f"What the model predicts from {argument.replace('_', ' ')}. {refusal}"
+    if corrects:
+        about = (
+            "How far off the probe is, in the base frame, mm: subtract it from the measured\n"
+            f"   point. Joint angles in {unit}, as the encoders give them. {refusal}"
+        )
+    functions = [
+        (
+            f"void {name}_{verb}({given}, {real} {out}[{q}])",
+            about,
+            f"{state}    evaluate({argument}, {arm}{out}{none});\n",
+        )
+    ]
+    if corrects:
+        functions.append(
+            (
+                f"void {name}_point({given}, {real} point_mm[3])",
+                "The corrected centre of the probe in the base frame, mm; NaN as above.",
+                f"{state}    {real} y[3];\n    evaluate({argument}, {arm}y{none});\n"
+                "    for (int k = 0; k < 3; ++k)\n        point_mm[k] = arm.probe[k] - y[k];\n",
+            )
+        )
+    if std:
+        spread = "std_mm" if corrects else "std"
+        root = f"sqrt{'f' if real == 'float' else ''}"
+        functions.append(
+            (
+                f"void {name}_{verb}_std({given}, {real} {out}[{q}], {real} {spread}[{q}])",
+                "The same with its standard deviation, as predict(return_std=True) gives it: it "
+                "grows\n   away from the poses that the model was fitted on.",
+                f"{state}    evaluate({argument}, {arm}{out}, {spread});\n"
+                f"    for (int j = 0; j < {q}; ++j)\n"
+                f"        {spread}[j] = {root}({spread}[j]);\n",
+            )
+        )
+    return functions

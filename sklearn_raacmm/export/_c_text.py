@@ -1,0 +1,103 @@
+"""Pieces of C99 source: names, numbers, tables and comments that cannot be anything else."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import re
+
+import numpy as np
+
+from sklearn_raacmm.utils import show
+
+# C99 promises 63 significant characters within a file; the rest is for what is appended.
+_MAX_NAME = 40
+_KEYWORDS = """
+    auto break case char const continue default do double else enum extern float for goto if inline
+    int long register restrict return short signed sizeof static struct switch typedef union
+    unsigned void volatile while
+    alignas alignof and and_eq asm atomic_cancel atomic_commit atomic_noexcept bitand bitor bool
+    catch char8_t char16_t char32_t class co_await co_return co_yield compl concept const_cast
+    consteval constexpr constinit decltype delete dynamic_cast explicit export false friend
+    mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public
+    reflexpr reinterpret_cast requires static_assert static_cast synchronized template this
+    thread_local throw true try typeid typename typeof typeof_unqual using virtual wchar_t xor
+    xor_eq main
+"""
+
+
+def check_name(name):
+    """A prefix for C functions, or one clear sentence."""
+    fits = isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name, re.ASCII)
+    if not fits or "__" in name or len(name) > _MAX_NAME:
+        raise ValueError(
+            "name must be a C identifier: a letter, then letters, digits or single underscores, "
+            f"at most {_MAX_NAME} characters; got {show(name)}."
+        )
+    if name in _KEYWORDS.split():
+        raise ValueError(f"name must not be a word of C or C++, got {name!r}.")
+    return name
+
+
+def comment_text(text, limit=72):
+    """Text as it may stand in a comment: it cannot end it, nor splice lines, nor be a trigraph."""
+    return re.sub(r"[^A-Za-z0-9 _.,:;=+()\[\]'|#%<>/-]", "_", str(text))[:limit]
+
+
+class Numbers:
+    """Numbers and arrays as C literals of one precision.
+
+    Literals are the shortest decimals that read back as the same number.
+    """
+
+    def __init__(self, dtype):
+        self.real = dtype
+        self.literal_type = np.float64 if dtype == "double" else np.float32
+        self.suffix = "" if dtype == "double" else "f"
+
+    def literal(self, value):
+        """One number."""
+        with np.errstate(over="ignore"):
+            number = self.literal_type(value)
+        if not np.isfinite(number):
+            raise ValueError(
+                f"The model holds {float(value):g}, which is not a finite {self.real}: it cannot "
+                "be written as C."
+            )
+        text = np.format_float_scientific(number, trim="-", exp_digits=1)
+        if 1e-4 <= abs(number) < 1e9 or number == 0:
+            text = np.format_float_positional(number, trim="0")
+        return text + self.suffix
+
+    def table(self, name, array, note=""):
+        """A static constant array of one or two dimensions."""
+        array = np.asarray(array, dtype=float)
+        shape = "".join(f"[{n}]" for n in array.shape)
+        if array.ndim == 1:
+            body = _wrapped(array, self.literal, "    ")
+        else:
+            rows = []
+            for row in array:
+                text = _wrapped(row, self.literal, "     ")
+                rows.append("    {" + text[5:] + "}")
+            body = ",\n".join(rows)
+        head = f"/* {note} */\n" if note else ""
+        return f"{head}static const {self.real} {name}{shape} = {{\n{body}\n}};\n"
+
+
+def whole_table(name, array, note=""):
+    """A static constant array of integers."""
+    body = _wrapped(array, lambda value: str(int(value)), "    ")
+    head = f"/* {note} */\n" if note else ""
+    return f"{head}static const int {name}[{len(array)}] = {{\n{body}\n}};\n"
+
+
+def _wrapped(values, literal, indent, width=96):
+    """Values with commas, in lines of limited width."""
+    lines, line = [], indent
+    for i, value in enumerate(values):
+        word = literal(value) + ("," if i + 1 < len(values) else "")
+        if len(line) + len(word) + 1 > width and line != indent:
+            lines.append(line.rstrip())
+            line = indent
+        line += word + " "
+    return "\n".join([*lines, line.rstrip()])

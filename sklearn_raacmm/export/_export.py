@@ -1,0 +1,312 @@
+"""A fitted model on its way: as C99, as ONNX, what to trust in its file, and what to say of it."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import re
+from pathlib import Path
+
+from sklearn_raacmm._version import __version__
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.correction import ArmResidualRegressor
+from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.export._c_source import fingerprint_of, sources
+from sklearn_raacmm.export._c_text import check_name
+from sklearn_raacmm.export._model_card import card_of
+from sklearn_raacmm.export._steps import check_fitted, leaves
+from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+from sklearn_raacmm.utils import show, write_whole
+
+#: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
+#: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
+TRUSTED_TYPES = [
+    f"{kind.__module__}.{kind.__qualname__}"
+    for kind in (
+        Arm,
+        Arm.azimuth,
+        ArmResidualRegressor,
+        JointHarmonicRegressor,
+        PoseFeatures,
+        RBFNetRegressor,
+        CylindricalResidualTarget,
+    )
+]
+
+
+def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
+    r"""Write a fitted model as one C99 file and its header.
+
+    The file needs nothing but the mathematical library: no memory is allocated, nothing static
+    changes, and it compiles as C++, too. The same model gives the same bytes.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted. A pipeline, in either of the two forms of :class:`CylindricalResidualTarget`, of
+        :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler or
+        RobustScaler, and :class:`RBFNetRegressor`, LinearRegression or Ridge; one of these
+        regressors, :class:`JointHarmonicRegressor` or :class:`ArmResidualRegressor` by itself; or a
+        search that has found one of all these.
+
+    path : str or path-like
+        The C file, ending in ".c"; the header beside it ends in ".h". Both are written beside
+        their places and renamed when complete, so that a full disk leaves old files whole.
+
+    name : str, default=None
+        A C identifier that the functions' names begin with; None: the stem of `path`. With N
+        joints (or features) and M outputs the functions are
+
+        - ``void <name>_correct(const double joint_angles[N], double correction_mm[3])``: what
+          ``predict`` gives, to be subtracted from the measured point;
+        - ``void <name>_point(const double joint_angles[N], double point_mm[3])``: the corrected
+          centre of the probe, through the arm's kinematics;
+        - ``void <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
+          std_mm[3])``, if `std`;
+        - ``const char *<name>_fingerprint(void)``.
+
+        Joint angles are in the unit that `model` takes. A model without an arm, or without three
+        outputs, has ``<name>_predict(const double features[N], double prediction[M])`` instead of
+        the first two.
+
+    dtype : {"double", "float"}, default="double"
+        Precision of everything, the functions' arguments included. In single precision a
+        correction is good to about 1e-5 of its size, but a point 1 m away to 0.1 micrometre only.
+
+    std : bool, default=False
+        Also write the standard deviation, by which the caller can tell poses that the model knows
+        from those it does not. Its tables grow with the square of the number of centres (or terms);
+        those of an :class:`ArmResidualRegressor` that fades are there in any case.
+
+    card : ModelCard or str, default=None
+        Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
+        plain ones become underscores.
+
+    Returns
+    -------
+    source, header : pathlib.Path
+        The two files.
+
+    Raises
+    ------
+    ValueError
+        If a step cannot be exported (the sentence names it), `name` is not a C identifier or a
+        word of C or C++, `path` does not end in ".c" or holds unusual characters, or a number of
+        the model is not finite in this precision.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Notes
+    -----
+    Where ``predict`` raises, on angles that are NaN or infinite or a pose without an azimuth, the
+    functions give NaN. Angles more than two turns away only warn in Python, and pass here.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from sklearn_raacmm import RBFNetRegressor
+    >>> from sklearn_raacmm.export import export_c
+    >>> X = np.linspace(0, 6, 50)[:, None]
+    >>> model = RBFNetRegressor(5).fit(X, np.sin(X[:, 0]))
+    >>> with TemporaryDirectory() as folder:
+    ...     source, header = export_c(model, Path(folder) / "sine.c")
+    ...     text = header.read_text()
+    >>> print(*[line for line in text.splitlines() if line.endswith(";")], sep="\n")
+    void sine_predict(const double features[1], double prediction[1]);
+    const char *sine_fingerprint(void);
+    """
+    path = Path(path)
+    if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z0-9_.+-]+", path.name, re.ASCII):
+        raise ValueError(
+            "path must name a file of letters, digits, '_', '.', '+' and '-' that ends in .c, got "
+            f"{show(str(path))}."
+        )
+    name = check_name(path.stem if name is None else name)
+    if not (isinstance(dtype, str) and dtype in ("double", "float")):
+        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+    if not isinstance(std, bool):
+        raise ValueError(f"std must be True or False, got {show(std)}.")
+    notes = () if card is None else str(card).splitlines()
+    source, header = sources(model, name, path.stem, dtype, std, notes)
+    header_path = path.with_suffix(".h")
+    write_whole({path: source, header_path: header})
+    return path, header_path
+
+
+def fingerprint(model):
+    """Fingerprint of what a fitted model computes.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted, of a kind that :func:`export_c` writes.
+
+    Returns
+    -------
+    str
+        SHA-256 as 64 hexadecimal digits, of every constant and operation in double precision. The
+        same one is in what :func:`export_c` writes.
+
+    Raises
+    ------
+    ValueError
+        If the model cannot be exported.
+    """
+    return fingerprint_of(model)
+
+
+def register_onnx():
+    """Register the package's converters with skl2onnx.
+
+    After that ``skl2onnx.to_onnx`` converts :class:`PoseFeatures`, :class:`RBFNetRegressor` and
+    :class:`CylindricalResidualTarget` wherever they stand: in pipelines, searches, column
+    transformers. To call it again does no harm.
+
+    Raises
+    ------
+    ImportError
+        Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
+    """
+    # Late: skl2onnx takes a second to import.
+    from sklearn_raacmm.export import _onnx
+
+    _onnx.register()
+
+
+def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
+    """Convert a fitted model to ONNX.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted: any that skl2onnx converts, with this package's estimators in it, see
+        :func:`register_onnx`.
+
+    path : str or path-like, default=None
+        File to write, beside its place and renamed when complete. None only returns the model.
+
+    dtype : {"double", "float"}, default="double"
+        Type of the input X of shape (n_samples, n_features) and of the output. This package's
+        steps compute in float64 in either case.
+
+    target_opset : int, default=None
+        Version of the ONNX operators, 13 or newer; None leaves it to skl2onnx.
+
+    card : ModelCard or str, default=None
+        Facts to keep in the file's metadata, see :func:`describe`.
+
+    Returns
+    -------
+    onnx.ModelProto
+        The model. Rows that ``predict`` refuses come out as NaN.
+
+    Raises
+    ------
+    ImportError
+        Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
+    ValueError
+        If an estimator has no converter.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    With ``onnxruntime``, in any language that has it::
+
+        to_onnx(model, "arm.onnx")
+        session = onnxruntime.InferenceSession("arm.onnx")
+        (correction_mm,) = session.run(None, {"X": joint_angles})
+    """
+    if not (isinstance(dtype, str) and dtype in ("double", "float")):
+        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+    if target_opset is not None and not isinstance(target_opset, int | dict):
+        raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
+    check_fitted(model)
+    register_onnx()
+    from skl2onnx import to_onnx as convert
+    from skl2onnx.common.data_types import DoubleTensorType, FloatTensorType
+    from skl2onnx.common.exceptions import MissingConverter, MissingShapeCalculator
+
+    kind = DoubleTensorType if dtype == "double" else FloatTensorType
+    n_features = next(leaves(model)).estimator.n_features_in_
+    try:
+        converted = convert(
+            model, initial_types=[("X", kind([None, n_features]))], target_opset=target_opset
+        )
+    except (MissingConverter, MissingShapeCalculator) as error:
+        names = {type(step).__name__ for _, step in leaves(model)}
+        missing = [name for name in sorted(names) if f"{name}'" in str(error)]
+        raise ValueError(
+            f"{' and '.join(missing) or type(model).__name__} cannot be converted to ONNX: "
+            "skl2onnx knows no converter."
+        ) from error
+    facts = {"sklearn_raacmm_version": __version__}
+    if card is not None:
+        facts["model_card"] = str(card)
+    for key, value in facts.items():
+        entry = converted.metadata_props.add()
+        entry.key, entry.value = key, value
+    if path is not None:
+        write_whole({path: converted.SerializeToString()})
+    return converted
+
+
+def describe(model, X=None, y=None, groups=None, *, n_folds=5):
+    """Say what a fitted model is, so that whoever receives its file knows.
+
+    A fitted model does not keep the poses that it was fitted on: give them here, and pass the card
+    on with the file.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+
+    X : array-like of shape (n_samples, n_features), default=None
+        What the model was fitted on, usually joint angles in the unit it takes: for the number of
+        rows, the range of every joint and the hull of the probe's positions.
+
+    y : array-like of shape (n_samples, 3) or (n_samples,), default=None
+        Residuals in mm that it was fitted on: for the error before and after.
+
+    groups : array-like of shape (n_samples,), default=None
+        Label of the position of each row.
+
+    n_folds : int, default=5
+        Where `groups` are given, the error after the correction is that at positions left out, a
+        copy of the model having been fitted on the others, in so many folds. 0, or without
+        `groups`: that at the rows given, and the card says so.
+
+    Returns
+    -------
+    ModelCard
+        A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
+        the single-point repeatability, the mean over positions.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together or the model, or hold NaN or infinity.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.export import describe
+    >>> from sklearn.pipeline import make_pipeline
+    >>> test = make_single_point(n_positions=6, n_poses=20, random_state=0)  # simulated
+    >>> model = make_pipeline(
+    ...     PoseFeatures(test.arm, append_azimuth=True),
+    ...     CylindricalResidualTarget(RBFNetRegressor(20)),
+    ... ).fit(test.data, test.target)
+    >>> card = describe(model, test.data, test.target, test.groups, n_folds=3)
+    >>> card["training"]["positions"], card["input"]
+    (6, '6 joint angles in rad')
+    >>> print(str(card)[:32])
+    # Residual correction of an arm
+    """
+    return card_of(model, X, y, groups, n_folds=n_folds)

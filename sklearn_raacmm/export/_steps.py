@@ -1,0 +1,121 @@
+"""A fitted model taken apart into the steps that leave Python, each with its name."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from functools import partial
+from types import MethodType
+from typing import NamedTuple
+
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+
+SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
+LINEAR = (LinearRegression, Ridge)
+
+
+class Step(NamedTuple):
+    """One estimator of the chain, by the path that leads to it."""
+
+    path: str
+    estimator: object
+
+
+def leaves(model, path=None):
+    """Steps in the order in which data pass; a wrapper comes before what it wraps.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+    path : str, optional
+        What to call it in a message.
+
+    Yields
+    ------
+    Step
+    """
+    path = type(model).__name__ if path is None else path
+    if isinstance(model, Pipeline):
+        for name, step in model.steps:
+            if step is not None and not (isinstance(step, str) and step == "passthrough"):
+                yield from leaves(step, name if path == "Pipeline" else f"{path}.{name}")
+        return
+    if hasattr(model, "best_estimator_"):  # of a search: what it has found
+        yield from leaves(model.best_estimator_, path)
+        return
+    yield Step(path, model)
+    if isinstance(model, CylindricalResidualTarget) and hasattr(model, "regressor_"):
+        yield from leaves(model.regressor_, f"{path}.regressor")
+
+
+def check_fitted(model):
+    """Refuse a class, or an estimator that is not fitted, with one sentence."""
+    if isinstance(model, type) or not hasattr(model, "fit"):
+        raise TypeError(f"model must be a fitted estimator, got {model!r}.")
+    for path, step in leaves(model):
+        try:
+            check_is_fitted(step)
+        except NotFittedError:
+            raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
+
+
+def azimuth_arm(path, azimuth):
+    """Arm and angle unit of a callable `azimuth`, which has to be the method of an `Arm`."""
+    unit, method = "rad", azimuth
+    if (
+        isinstance(azimuth, partial)
+        and not azimuth.args
+        and set(azimuth.keywords) == {"angle_unit"}
+    ):
+        unit, method = azimuth.keywords["angle_unit"], azimuth.func
+    known = isinstance(method, MethodType) and method.__func__ is Arm.azimuth
+    if not known or not isinstance(method.__self__, Arm):
+        raise ValueError(
+            f"{path} takes its azimuth from {azimuth!r}, which cannot be exported: only the method "
+            "of an Arm can, azimuth=arm.azimuth."
+        )
+    return method.__self__, unit
+
+
+def arm_of(model):
+    """Arm and angle unit of a chain, (None, None) where it has none.
+
+    Raises
+    ------
+    ValueError
+        If two steps disagree.
+    """
+    found = []
+    for path, step in leaves(model):
+        if isinstance(step, PoseFeatures):
+            found.append((path, step.arm_, step.angle_unit))
+        elif isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
+            found.append((path, *azimuth_arm(path, step.azimuth)))
+        elif isinstance(getattr(step, "arm_", None), Arm):
+            found.append((path, step.arm_, "rad"))
+    for path, arm, unit in found[1:]:
+        if (arm, unit) != found[0][1:]:
+            what = "arms" if arm != found[0][1] else "angle units"
+            raise ValueError(
+                f"{found[0][0]} and {path} have different {what}, so the model cannot be exported: "
+                f"{found[0][1]!r} in {found[0][2]}, {arm!r} in {unit}."
+            )
+    return found[0][1:] if found else (None, None)
+
+
+def n_outputs(network):
+    """Number of outputs of a fitted `RBFNetRegressor`, whatever the shape of its target."""
+    return 1 if getattr(network.intercept_, "ndim", 0) == 0 else len(network.intercept_)
+
+
+_KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, RBFNetRegressor, *LINEAR)
+KNOWN = ", ".join([known.__name__ for known in _KNOWN])
+KNOWN += ", JointHarmonicRegressor, ArmResidualRegressor"

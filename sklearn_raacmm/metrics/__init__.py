@@ -1,0 +1,39 @@
+"""Measures that an articulated arm is judged by, and scorers for model selection.
+
+Lengths go in and come out in mm. The measures follow the tests they are named after, as secondary
+sources describe them ("after"): the standards themselves were not at hand, and a number from
+this module is no statement of conformance to any of them.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.metrics._acceptance import (
+    articulated_location_error,
+    gauge_lengths,
+    length_error,
+    probing_form_error,
+    probing_size_error,
+)
+from sklearn_raacmm.metrics._repeatability import (
+    axis_repeatability,
+    repeatability_report,
+    repeatability_scorer,
+    single_point_repeatability,
+    within_position_r2_score,
+    within_position_scatter,
+)
+
+__all__ = [
+    "articulated_location_error",
+    "axis_repeatability",
+    "gauge_lengths",
+    "length_error",
+    "probing_form_error",
+    "probing_size_error",
+    "repeatability_report",
+    "repeatability_scorer",
+    "single_point_repeatability",
+    "within_position_r2_score",
+    "within_position_scatter",
+]

@@ -1,0 +1,401 @@
+"""Measures that an articulated arm is judged by, and scorers for model selection.
+
+Lengths go in and come out in mm. The measures follow the tests they are named after, as secondary
+sources describe them ("after"): the standards themselves were not at hand, and a number from
+this module is no statement of conformance to any of them.
+"""
+
+import numpy as np
+from sklearn import config_context
+from sklearn.metrics import make_scorer
+from sklearn.utils import Bunch, check_array
+
+from sklearn_raacmm.utils import (
+    check_groups,
+    check_option,
+    check_points,
+    deviations_by_group,
+    refuse_disguised,
+)
+
+
+def single_point_repeatability(points, groups=None, *, statistic="2s", aggregate="mean"):
+    r"""Single-point articulation repeatability: how far points of one place lie apart.
+
+    With :math:`\delta_i = |p_i - \bar p|` the distance of point i from the mean of the n points
+    of its position, "2s" is :math:`2\sqrt{\sum\delta_i^2 / (n - 1)}` and "max" is
+    :math:`\max_i \delta_i`.
+
+    Parameters
+    ----------
+    points : array-like of shape (n_points, n_coordinates) or (n_points,)
+        Measured or corrected points, mm.
+    groups : array-like of shape (n_points,), default=None
+        Label of the position (the seat, the cone) of each point. None: all are of one position.
+    statistic : {"2s", "max", "mean"}, default="2s"
+        "2s" does not depend on the number of points; "max" grows with it; "mean" is the mean
+        of the distances.
+    aggregate : {"mean", "max", None}, default="mean"
+        How the positions are summarised. None gives one value per position, in the order of
+        ``np.unique(groups)``.
+
+    Returns
+    -------
+    repeatability : float or ndarray of shape (n_positions,)
+        In mm.
+
+    Raises
+    ------
+    ValueError
+        If points are not finite, if a position holds a single point, if the lengths of points
+        and groups differ, or for an unknown option.
+
+    Notes
+    -----
+    Equation 15 of Gao et al. (2020), doi 10.1177/1729881420925638 (a reconstruction), after the
+    single-point articulation performance test of ASME B89.4.22-2004, which states both numbers.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.metrics import single_point_repeatability
+    >>> points = [[0.0, 0, 0], [0.2, 0, 0], [5, 5, 5], [5, 5.4, 5]]
+    >>> single_point_repeatability(points, [1, 1, 2, 2], statistic="max", aggregate=None)
+    array([0.1, 0.2])
+    >>> round(single_point_repeatability(points, [1, 1, 2, 2]), 3)
+    0.424
+    """
+    check_option("statistic", statistic, ("2s", "max", "mean"))
+    check_option("aggregate", aggregate, ("mean", "max", None))
+    deviations, position, counts, _ = deviations_by_group(points, groups)
+    distances = np.linalg.norm(deviations, axis=1)
+    return _aggregate(_distance_statistic(distances, position, counts, statistic), aggregate)
+
+
+def axis_repeatability(points, groups=None, *, statistic="half_range", aggregate="mean"):
+    r"""Repeatability of each coordinate by itself.
+
+    Parameters
+    ----------
+    points : array-like of shape (n_points, n_coordinates)
+        Measured or corrected points, mm.
+    groups : array-like of shape (n_points,), default=None
+        Label of the position of each point. None: all are of one position.
+    statistic : {"half_range", "2s"}, default="half_range"
+        "half_range" is (max - min) / 2, the plus-or-minus figure of makers' certificates; "2s"
+        is twice the standard deviation with n - 1.
+    aggregate : {"mean", "max", None}, default="mean"
+        How the positions are summarised. None gives one row per position, in the order of
+        ``np.unique(groups)``.
+
+    Returns
+    -------
+    repeatability : ndarray of shape (n_coordinates,) or (n_positions, n_coordinates)
+        In mm.
+
+    Raises
+    ------
+    ValueError
+        As :func:`single_point_repeatability`.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.metrics import axis_repeatability
+    >>> axis_repeatability([[0.0, 1, 0], [0.2, 1, 0], [0.1, 1, 0.6]])
+    array([0.1, 0. , 0.3])
+    """
+    check_option("statistic", statistic, ("half_range", "2s"))
+    check_option("aggregate", aggregate, ("mean", "max", None))
+    deviations, position, counts, _ = deviations_by_group(points, groups)
+    return _aggregate(_axis_statistic(deviations, position, counts, statistic), aggregate)
+
+
+def repeatability_report(points, groups=None):
+    """Every single-point measure of every position, as columns of a table.
+
+    Parameters
+    ----------
+    points : array-like of shape (n_points, 3)
+        Measured or corrected points, mm.
+    groups : array-like of shape (n_points,), default=None
+        Label of the position of each point. None: all are of one position.
+
+    Returns
+    -------
+    report : :class:`~sklearn.utils.Bunch`
+        Arrays of shape (n_positions,), ready for ``pandas.DataFrame(report)``: ``position``,
+        ``n_points``, and in mm ``repeatability_2s``, ``deviation_max``, ``deviation_mean`` (see
+        :func:`single_point_repeatability`), ``half_range_x`` to ``_z`` and ``axis_2s_x`` to
+        ``_z`` (see :func:`axis_repeatability`).
+
+    Raises
+    ------
+    ValueError
+        As :func:`single_point_repeatability`; or if there are not three coordinates.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.metrics import repeatability_report
+    >>> report = repeatability_report([[0, 0, 0], [0.2, 0, 0]], ["A", "A"])
+    >>> print(report.position, report.n_points, report.deviation_max, report.half_range_x)
+    ['A'] [2] [0.1] [0.1]
+    """
+    deviations, position, counts, labels = deviations_by_group(points, groups)
+    if deviations.shape[1] != 3:
+        raise ValueError(f"points have {deviations.shape[1]} coordinates; x, y and z are needed.")
+    distances = np.linalg.norm(deviations, axis=1)
+    columns = {"position": labels, "n_points": counts}
+    for name, statistic in (
+        ("repeatability_2s", "2s"),
+        ("deviation_max", "max"),
+        ("deviation_mean", "mean"),
+    ):
+        columns[name] = _distance_statistic(distances, position, counts, statistic)
+    for name, statistic in (("half_range", "half_range"), ("axis_2s", "2s")):
+        values = _axis_statistic(deviations, position, counts, statistic)
+        columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
+    return Bunch(**columns)
+
+
+def within_position_scatter(y_true, y_pred, *, groups=None, statistic="2s", aggregate="mean"):
+    """Single-point repeatability left after a correction: that of ``y_true - y_pred``.
+
+    A cone-hole test shows residuals only up to one unknown constant per position. This measure
+    does not see that constant, so it does not punish a model for knowing better than the mean of
+    the poses that happened to be taken, as R2 or the mean squared error of centred residuals do.
+
+    Parameters
+    ----------
+    y_true : array-like of shape (n_points, n_coordinates) or (n_points,)
+        Residuals (or points), mm.
+    y_pred : array-like of the shape of y_true
+        The model's predictions, mm.
+    groups : array-like of shape (n_points,), default=None
+        Label of the position of each point. None: all are of one position.
+    statistic : {"2s", "max", "mean"}, default="2s"
+        See :func:`single_point_repeatability`.
+    aggregate : {"mean", "max", None}, default="mean"
+        See :func:`single_point_repeatability`.
+
+    Returns
+    -------
+    scatter : float or ndarray of shape (n_positions,)
+        In mm; smaller is better.
+
+    Raises
+    ------
+    ValueError
+        If the shapes of y_true and y_pred differ; or as :func:`single_point_repeatability`.
+
+    See Also
+    --------
+    repeatability_scorer : The same as a scorer for cross-validation and search.
+
+    Examples
+    --------
+    An unknown constant per position does not count:
+
+    >>> from sklearn_raacmm.metrics import within_position_scatter
+    >>> y_true = [[0.1, 0, 0], [-0.1, 0, 0], [0, 0.1, 0], [0, -0.1, 0]]
+    >>> y_pred = [[0.2, 0, 0], [0.0, 0, 0], [0, 0.0, 0], [0, -0.2, 0]]
+    >>> round(within_position_scatter(y_true, y_pred, groups=[1, 1, 2, 2]), 12)
+    0.0
+    """
+    return single_point_repeatability(
+        _difference(y_true, y_pred), groups, statistic=statistic, aggregate=aggregate
+    )
+
+
+def within_position_r2_score(y_true, y_pred, *, groups=None):
+    """Share of the variance within positions that a correction takes away.
+
+    One minus the sum of squared deviations of ``y_true - y_pred`` from its mean at each position,
+    over that of ``y_true``: R2 with one free constant per position.
+
+    Parameters
+    ----------
+    y_true : array-like of shape (n_points, n_coordinates) or (n_points,)
+        Residuals (or points), mm.
+    y_pred : array-like of the shape of y_true
+        The model's predictions, mm.
+    groups : array-like of shape (n_points,), default=None
+        Label of the position of each point. None: all are of one position.
+
+    Returns
+    -------
+    score : float
+        1 for a perfect correction, 0 for none, negative for one that does harm.
+
+    Raises
+    ------
+    ValueError
+        As :func:`within_position_scatter`; or if y_true does not vary within any position.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.metrics import within_position_r2_score
+    >>> within_position_r2_score([4.0, 0.0, 9.0, 5.0], [2.0, 0.0, 2.0, 0.0], groups=[1, 1, 2, 2])
+    0.75
+    """
+    after = (deviations_by_group(_difference(y_true, y_pred), groups)[0] ** 2).sum()
+    before = (deviations_by_group(y_true, groups)[0] ** 2).sum()
+    if before == 0:
+        raise ValueError("y_true does not vary within any position: there is nothing to explain.")
+    return float(1 - after / before)
+
+
+def repeatability_scorer(X=None, groups=None, *, statistic="2s", aggregate="mean"):
+    """Scorer for model selection: minus the scatter within positions after the correction.
+
+    Parameters
+    ----------
+    X : array-like of shape (n_samples, n_features), default=None
+        Only where metadata routing is off: the data that will be cross-validated. The scorer then
+        remembers the group of each row, because scikit-learn passes groups to the splitter only.
+    groups : array-like of shape (n_samples,), default=None
+        Only with X: the label of the position of each row of X.
+    statistic : {"2s", "max", "mean"}, default="2s"
+        See :func:`single_point_repeatability`.
+    aggregate : {"mean", "max"}, default="mean"
+        How the positions of a test fold are summarised.
+
+    Returns
+    -------
+    scorer : callable
+        ``scorer(estimator, X, y)``: minus :func:`within_position_scatter`, in mm, so that greater
+        is better. Without X and groups, a scorer of :func:`~sklearn.metrics.make_scorer` that
+        requests `groups`, for metadata routing.
+
+    Raises
+    ------
+    ValueError
+        If only one of X and groups is given, or if equal rows of X belong to different groups;
+        when scoring, if groups were not routed, or if a row was not among those of X.
+
+    Examples
+    --------
+    With metadata routing on, groups go to the splitter and to the scorer:
+
+    >>> import numpy as np
+    >>> import sklearn
+    >>> from sklearn.linear_model import Ridge
+    >>> from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
+    >>> from sklearn_raacmm.metrics import repeatability_scorer
+    >>> rng = np.random.default_rng(0)
+    >>> X, groups = rng.uniform(-1, 1, (60, 2)), np.repeat(np.arange(6), 10)
+    >>> y = X @ [[0.1, 0, 0], [0, 0.2, 0]] + 0.001 * rng.normal(size=(60, 3))
+    >>> with sklearn.config_context(enable_metadata_routing=True):
+    ...     search = GridSearchCV(
+    ...         Ridge(), {"alpha": [0.1, 100]}, scoring=repeatability_scorer(), cv=GroupKFold(3)
+    ...     ).fit(X, y, groups=groups)
+    >>> search.best_params_
+    {'alpha': 0.1}
+
+    With metadata routing off (scikit-learn's default), the scorer is told beforehand:
+
+    >>> scoring = repeatability_scorer(X, groups)
+    >>> scores = cross_val_score(Ridge(), X, y, groups=groups, cv=GroupKFold(3), scoring=scoring)
+    >>> bool(-0.02 < scores.min() < scores.max() < 0)
+    True
+    """
+    check_option("statistic", statistic, ("2s", "max", "mean"))
+    check_option("aggregate", aggregate, ("mean", "max"))
+    if (X is None) != (groups is None):
+        raise ValueError("Give X and groups together (metadata routing off), or neither (on).")
+    if X is not None:
+        return _RowScorer(X, groups, statistic, aggregate)
+    scorer = make_scorer(
+        _routed_scatter, greater_is_better=False, statistic=statistic, aggregate=aggregate
+    )
+    # set_score_request refuses to run while routing is off; the request itself is harmless then.
+    with config_context(enable_metadata_routing=True):
+        return scorer.set_score_request(groups=True)
+
+
+def _routed_scatter(y_true, y_pred, *, groups=None, statistic, aggregate):
+    if groups is None:
+        raise ValueError(
+            "repeatability_scorer() got no groups. Enable metadata routing and pass groups, or "
+            "tell the scorer beforehand: repeatability_scorer(X, groups)."
+        )
+    return within_position_scatter(
+        y_true, y_pred, groups=groups, statistic=statistic, aggregate=aggregate
+    )
+
+
+class _RowScorer:
+    """A scorer that looks the group of each row up by the row's content."""
+
+    def __init__(self, X, groups, statistic, aggregate):
+        refuse_disguised("X", X)
+        X = check_array(X, dtype=np.float64)
+        self.labels, position = check_groups(groups, len(X))
+        self.n_features, self.statistic, self.aggregate = X.shape[1], statistic, aggregate
+        self.position_of_row = {}
+        for row, p in zip(X, position, strict=True):
+            if self.position_of_row.setdefault(row.tobytes(), p) != p:
+                raise ValueError(
+                    f"The same row of X, {row}, belongs to the groups "
+                    f"{self.labels[self.position_of_row[row.tobytes()]]} and {self.labels[p]}: "
+                    "a row's group cannot be told from its content. Use metadata routing."
+                )
+
+    def __call__(self, estimator, X, y):
+        refuse_disguised("X", X)
+        rows = check_array(X, dtype=np.float64)
+        position = [self.position_of_row.get(row.tobytes(), -1) for row in rows]
+        n_unknown = position.count(-1)
+        if n_unknown:
+            raise ValueError(
+                f"{n_unknown} of {len(rows)} rows were not in the X given to "
+                "repeatability_scorer(X, groups), so their groups are unknown."
+            )
+        return -within_position_scatter(
+            y,
+            estimator.predict(X),
+            groups=position,
+            statistic=self.statistic,
+            aggregate=self.aggregate,
+        )
+
+    def __repr__(self):
+        return (
+            f"repeatability_scorer(X of shape ({len(self.position_of_row)}, {self.n_features}), "
+            f"groups of {len(self.labels)} positions, statistic={self.statistic!r}, "
+            f"aggregate={self.aggregate!r})"
+        )
+
+
+def _difference(y_true, y_pred):
+    y_true, y_pred = check_points(y_true), check_points(y_pred)
+    if y_true.shape != y_pred.shape:
+        raise ValueError(f"y_true has shape {y_true.shape}, but y_pred {y_pred.shape}.")
+    return y_true - y_pred
+
+
+def _distance_statistic(distances, position, counts, statistic):
+    if statistic == "2s":
+        return 2 * np.sqrt(np.bincount(position, distances**2) / (counts - 1))
+    if statistic == "mean":
+        return np.bincount(position, distances) / counts
+    largest = np.zeros(len(counts))
+    np.maximum.at(largest, position, distances)
+    return largest
+
+
+def _axis_statistic(deviations, position, counts, statistic):
+    shape = (len(counts), deviations.shape[1])
+    if statistic == "2s":
+        squares = np.zeros(shape)
+        np.add.at(squares, position, deviations**2)
+        return 2 * np.sqrt(squares / (counts[:, None] - 1))
+    low, high = np.zeros(shape), np.zeros(shape)  # the mean lies between: 0 is within the range
+    np.minimum.at(low, position, deviations)
+    np.maximum.at(high, position, deviations)
+    return (high - low) / 2
+
+
+def _aggregate(values, aggregate):
+    if aggregate is None:
+        return values
+    summary = getattr(np, aggregate)(values, axis=0)
+    return float(summary) if summary.ndim == 0 else summary

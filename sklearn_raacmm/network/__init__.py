@@ -1,0 +1,14 @@
+"""The radial basis function network, for any regression problem: it knows nothing of arms."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_inverse_root
+from sklearn_raacmm.network._rbf_net import RBFNetRegressor
+
+__all__ = [
+    "KERNELS",
+    "RBFNetRegressor",
+    "kernel_matrix",
+    "psd_inverse_root",
+]

@@ -1,0 +1,301 @@
+"""Two representations of the candidates that `_selection` chooses from.
+
+`WhitenedCandidates` holds coordinates in which the inner product of the selection is the Euclidean
+one: few where the kernel is smooth. `SymmetricCandidates` holds the kernel matrix itself.
+"""
+
+from functools import partial
+
+import numpy as np
+from scipy.linalg import blas, lapack, qr, solve_triangular
+
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky
+from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
+
+# A candidate that has shrunk to this part of its length is a combination of the chosen ones to
+# working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
+DEPENDENT = 1e-10
+DEPENDENT_RIDGED = 1e-13
+# Rank at which the factor of a rough kernel is cut where the number of steps is not known.
+MAX_RANK = 3000
+# Samples whose whole kernel matrix is held: 1.8 GB.
+MAX_SYMMETRIC = 15_000
+# Where a sample of the rows are candidates and the number of centres is given: the factor's rank,
+# in centres and at the least. With 2.5 the residual was up to 4 % larger than with an exact factor,
+# with 3.5 up to 2 % (three draws of candidates).
+RANK_PER_CENTER, MIN_RANK = 3.5, 256
+# A factor that leaves more than this of the diagonal does not ask for the last digits.
+COARSE = 1e-5
+
+
+class WhitenedCandidates:
+    """Candidates as rows of coordinates whose Euclidean inner product is the selection's.
+
+    Parameters
+    ----------
+    coordinates : ndarray of shape (n_candidates, rank)
+    target : ndarray of shape (rank, n_outputs)
+        Coordinates of the projection of the targets onto the candidates' span.
+    resolution : float
+        Part of a candidate's length below which its coordinates are not to be trusted.
+    """
+
+    def __init__(self, coordinates, target, resolution=DEPENDENT):
+        self.coordinates, self.target, self.resolution = coordinates, target, resolution
+        self.rank = coordinates.shape[1]
+
+    def squared_norms(self):
+        return np.einsum("ij,ij->i", self.coordinates, self.coordinates)
+
+    def correlations(self):
+        return self.coordinates @ self.target
+
+    def column(self, j):
+        """Candidate j, and the vector whose product with another gives their inner product."""
+        u = self.coordinates[j].copy()
+        return u, u
+
+    def inner(self, v):
+        """Inner products of every candidate with the direction whose dual vector is v."""
+        return self.coordinates @ v
+
+
+class SymmetricCandidates:
+    """Every sample is a candidate: the kernel matrix is symmetric, one triangle is read a step.
+
+    Parameters
+    ----------
+    K : ndarray of shape (n, n), Fortran order
+        Kernel matrix; only the lower triangle is read after construction.
+    weights : ndarray of shape (n,)
+    tail : ndarray of shape (n, n_tail)
+        Orthonormal basis of the weighted polynomial tail (rows times root weight).
+    Y : ndarray of shape (n, n_outputs)
+        Targets with the tail projected out, times root weight.
+    alpha : float
+    """
+
+    def __init__(self, K, weights, tail, Y, alpha):
+        self.K, self.tail, self.alpha = K, tail, alpha
+        # Running squared lengths are all there is: they are good to the root of machine epsilon.
+        self.resolution = 1e-6
+        self.root = np.sqrt(weights)
+        self.target = self.root[:, None] * Y
+        self.rank = len(K)
+
+    def _weigh(self, u):
+        u = self.root * u
+        u -= self.tail @ (self.tail.T @ u)
+        return self.root * u
+
+    def squared_norms(self):
+        weighted = self.root[:, None] * self.K
+        norms = np.einsum("ij,ij->j", weighted, weighted)
+        if self.tail.shape[1]:
+            norms -= ((self.tail.T @ weighted) ** 2).sum(axis=0)
+        return norms + self.alpha * self.K.diagonal()
+
+    def correlations(self):
+        return self.K @ self.target
+
+    def column(self, j):
+        u = self.K[:, j].copy()
+        v = self._weigh(u)
+        v[j] += self.alpha
+        return u, v
+
+    def inner(self, v):
+        return blas.dsymv(1.0, self.K, v, lower=1)
+
+
+class Features:
+    """Columns that span the candidates' ones, on any rows: a function of a block.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (m, d)
+        Where they are centred, in units of the widths.
+    shift, length_scale : ndarray of shape (d,)
+        From rows to such units.
+    kernel : str
+    root : ndarray of shape (m, m), optional
+        Lower triangular; the columns are multiplied by its inverse.
+    rows : ndarray of shape (n, m), optional
+        The result on all rows, where it is known.
+    """
+
+    def __init__(self, Z, shift, length_scale, kernel, root=None, rows=None):
+        self.Z, self.shift, self.length_scale, self.kernel = Z, shift, length_scale, kernel
+        self.root, self.rows = root, rows
+
+    def __call__(self, block):
+        if self.rows is not None:
+            return block.root * self.rows[block.part]
+        K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
+        if self.root is not None:
+            K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
+        K *= block.root
+        return K
+
+
+def _products(block, features, view):
+    """Inner products of features with themselves, the targets and the tail, over some rows."""
+    basis, targets = view.of(block)
+    F = features(block)
+    return F.T @ F, F.T @ targets, basis.T @ F
+
+
+def _add(one, other):
+    return tuple(a + b for a, b in zip(one, other, strict=True))
+
+
+def _triangle(block, features, view):
+    basis, targets = view.of(block)
+    return triangular_factor(np.hstack([basis, features(block), targets]))
+
+
+def _projected_triangle(problem, features, view, rank):
+    """R of the features with the tail projected out, and the targets in Q's coordinates."""
+    p = 0 if view.projection is None else len(view.projection)
+    function = partial(_triangle, features=features, view=view)
+    R = problem.reduce(function, stack_triangles, p + rank + len(view.outputs))
+    padded = np.zeros((R.shape[1], R.shape[1]))
+    padded[: len(R)] = R
+    inner = slice(p, p + rank)
+    return padded[inner, inner], padded[inner, p + rank :]
+
+
+def whiten(problem, view, factor, features, members, alphas):
+    """Coordinates of candidates for `forward_selection`, for every ridge.
+
+    Parameters
+    ----------
+    problem : Problem
+    view : View
+    factor : LowRankFactor
+        Of the candidates' kernel matrix. Its rows are overwritten.
+    features : Features
+        The same factor's on all rows.
+    members : list of ndarray
+        Outputs of each group.
+    alphas : list of float
+        Ridge of each group.
+
+    Returns
+    -------
+    groups : list of WhitenedCandidates
+    degrees_of_freedom : list of float
+        Trace of the smoother that uses all candidates.
+    """
+    rows, resolution = factor.rows, factor.residual
+    rank = rows.shape[1]
+    root, coarse = features.root, resolution > COARSE
+    raw = coarse and features.rows is None
+    if raw:
+        # Sums over raw kernel columns halve the work, and lose no digits that matter here.
+        features.root = None
+    function = partial(_products, features=features, view=view)
+    gram, cross, along = problem.reduce(function, _add, rank)
+    if raw:
+        features.root = root
+        gram = solve_triangular(root, solve_triangular(root, gram, lower=True).T, lower=True)
+        cross = solve_triangular(root, cross, lower=True)
+        along = solve_triangular(root, along.T, lower=True).T
+    gram -= along.T @ along
+    triangle = None
+    groups, degrees = [], []
+    for alpha, of in zip(alphas, members, strict=True):
+        # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
+        # machine epsilon; a ridge, or a coarse factor, does not ask for more.
+        trusted, failed = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT), True
+        strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
+        if strong or coarse or (alpha == 0 and resolution >= 1e-9):
+            trusted = max(resolution, 1e-7)
+            gram[np.diag_indices(rank)] += alpha
+            root, failed = lapack.dpotrf(gram, lower=1, clean=1)
+            gram[np.diag_indices(rank)] -= alpha
+        if not failed:
+            projected = solve_triangular(root, cross[:, of], lower=True, check_finite=False)
+        else:
+            if triangle is None:
+                triangle, rotated = _projected_triangle(problem, features, view, rank)
+            ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
+            Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
+            root, projected = R.T, Q[:rank].T @ rotated[:, of]
+        # The last group's take the rows' place, which nobody needs any more.
+        last = len(groups) == len(alphas) - 1
+        coordinates = blas.dtrmm(1.0, root, rows, side=1, lower=1, overwrite_b=last)
+        groups.append(WhitenedCandidates(coordinates, projected, trusted))
+        inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
+        degrees.append(rank - alpha * float(np.sum(np.square(inverse))))
+    return groups, degrees
+
+
+def candidate_groups(
+    problem, view, rows, shift, length_scale, members, kernel, alphas, n_select, *, whitened=False
+):
+    """The representation of the candidates that makes a step of the selection cheapest.
+
+    A smooth kernel has a factor of low rank: a step costs the number of candidates times the rank.
+    Where the rank is high, a product with the symmetric kernel matrix is cheaper for a given, small
+    number of steps.
+
+    Parameters
+    ----------
+    problem : Problem
+    view : View
+        How the targets are seen.
+    rows : ndarray of shape (n_candidates,)
+        Sorted indices of the candidates among the problem's rows.
+    shift, length_scale : ndarray of shape (d,)
+        By which rows are centred, and divided then.
+    members : list of ndarray
+        Outputs of each group.
+    kernel : str
+    alphas : list of float
+        Ridge of each group.
+    n_select : int or None
+        Number of steps, where it is known.
+    whitened : bool
+        Ask for `WhitenedCandidates`.
+
+    Returns
+    -------
+    groups : list of WhitenedCandidates or SymmetricCandidates
+    degrees_of_freedom : list of float or None
+        Trace of the smoother that uses all candidates, without the tail, where it is known.
+    """
+    n = problem.n_rows
+    Z = (problem.X[rows] - shift) / length_scale
+    if not KERNELS[kernel].positive_definite:
+        # The ridge on the weights of such kernels is left to the last fit.
+        features = Features(Z, shift, length_scale, kernel)
+        triangle, rotated = _projected_triangle(problem, features, view, len(rows))
+        return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
+
+    least = min(alphas)
+    tol = 1e-6 if least == 0 else min(1e-3 * least, 1e-6)
+    every = len(rows) == n
+    may_be_symmetric = n_select is not None and not whitened and every and n <= MAX_SYMMETRIC
+    max_rank = MAX_RANK
+    if may_be_symmetric:
+        # From about this rank on a step on the matrix itself makes up for the factor's price.
+        max_rank = max(64, int(1.4 * np.sqrt(n * n_select)))
+    elif n_select is not None and not every:
+        # Candidates are a sample anyway, and every row is multiplied by the factor's square.
+        max_rank = max(MIN_RANK, int(RANK_PER_CENTER * n_select))
+    resolve = n_select if least == 0 else None
+    limits = {"max_rank": max_rank, "all_or_nothing": may_be_symmetric}
+    factor = pivoted_cholesky(Z, kernel, tol=tol, resolve=resolve, **limits)
+    if may_be_symmetric and not factor.complete:
+        K = kernel_matrix(Z, Z, kernel).T
+        block = problem.block(slice(None))
+        basis, targets = view.of(block)
+        weights = block.root[:, 0] ** 2
+        pairs = zip(members, alphas, strict=True)
+        groups = [SymmetricCandidates(K, weights, basis, targets[:, of], a) for of, a in pairs]
+        return groups, None
+    root = np.asfortranarray(factor.rows[factor.pivots])
+    known = factor.rows if every else None
+    features = Features(Z[factor.pivots], shift, length_scale, kernel, root, known)
+    return whiten(problem, view, factor, features, members, alphas)

@@ -1,0 +1,559 @@
+"""Radial basis function network regression with centres chosen by orthogonal least squares."""
+
+from functools import partial
+from numbers import Integral, Real
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from sklearn.base import MultiOutputMixin, RegressorMixin
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.network._candidates import Features
+from sklearn_raacmm.network._center_choice import (
+    MAX_CANDIDATES,
+    Settings,
+    choose_centers,
+    choose_size,
+)
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
+from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem, dask_chunks, is_dask
+from sklearn_raacmm.network._nested_fits import (
+    nested_least_squares,
+    penalise,
+    stack_triangles,
+    triangular_factor,
+)
+from sklearn_raacmm.network._training_data import merge, prepare
+from sklearn_raacmm.network._width_search import SAMPLE_ROWS, tune
+from sklearn_raacmm.utils import (
+    LARGEST,
+    Interval,
+    StrOptions,
+    VersionedEstimator,
+    check_data,
+    check_features,
+    check_weights,
+    fit_context,
+    floats,
+    one_blas_thread,
+)
+
+# Data of more rows are read in blocks, and repeated rows not merged.
+IN_MEMORY_ROWS = 100_000
+# Kernel values held at a time while predicting: they stay in a core's cache.
+_CHUNK = 2**18
+# Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
+_MAX_RANGE = 1e6
+_PER_OUTPUT = (
+    "coef_",
+    "intercept_",
+    "linear_coef_",
+    "alpha_",
+    "noise_variance_",
+    "signal_variance_",
+)
+
+
+class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
+    r"""Radial basis function network with centres chosen by orthogonal least squares.
+
+    The model is a polynomial of low degree plus a few radial functions at centres taken from the
+    training rows,
+
+    .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr),
+
+    fitted by penalised least squares, :math:`\sum_i s_i |y_i - f(x_i)|^2 + \alpha\, w^\top K w`
+    with K the kernel matrix of the centres. Centres are added one at a time, each the one that
+    lowers this objective most (orthogonal least squares [1]_). By default the widths
+    :math:`\ell` (one a feature) and the ridge :math:`\alpha` maximise the marginal likelihood
+    of a low-rank Gaussian process [2]_ times a weak prior against narrow widths, and centres are
+    added until the network is as good as that process.
+
+    Parameters
+    ----------
+    n_centers : int or "auto", default="auto"
+        Number of centres. "auto" leaves it to `criterion`.
+
+    kernel : str, default="gaussian"
+        Radial function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
+        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
+        :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "rational_quadratic",
+        :math:`1 / (1 + r^2/2)`; "inverse_multiquadric", :math:`1 / \sqrt{1 + r^2}`;
+        "multiquadric", :math:`\sqrt{1 + r^2}`; "thin_plate", :math:`r^2 \log r`. The last two are
+        not positive definite: their ridge penalises :math:`w^\top w`.
+
+    length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
+        Width of the radial functions, in the units of X: one number, or one for each feature,
+        shape (n_features,); infinity leaves a feature out.
+        "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
+        standard deviation.
+
+    alpha : float or "auto", default="auto"
+        Ridge, in units of the sum of sample weights. 0 is plain least squares. In terms of a
+        Gaussian process it is the noise variance over the signal variance.
+
+    degree : {-1, 0, 1}, default=0
+        Degree of the unpenalised polynomial: none, a constant, or linear in the features.
+
+    criterion : str, default="auto"
+        How "auto" finds the number of centres:
+
+        - "posterior": stop as soon as what further centres could still gain, summed over all
+          samples, is below `tol` times the noise variance times the effective number of
+          parameters of the network that has all candidates: leaving them out then costs about
+          `tol` of the error that noise causes anyway. Needs `alpha` > 0 and a positive definite
+          kernel.
+        - "gcv": least generalised cross-validation score along the path, parameters counted
+          1.5-fold. "loo": least leave-one-out error (PRESS). "bic": least Bayesian information
+          criterion.
+        - "error_reduction": stop when the unexplained share of the targets' variance is at most
+          `tol` (Chen's criterion).
+        - "mse": stop when the mean squared residual, in the squared units of y, is at most `tol`.
+        - "auto": "posterior" where it applies, else "gcv".
+
+    tol : float, default=0.02
+        See `criterion`.
+
+    max_centers : int, default=None
+        Most centres that "auto" may take. None: 2000.
+
+    candidates : int, default=None
+        Number of distinct training rows, drawn at random, that may become centres. None: all, or
+        10 000 where there are more.
+
+    selection : {"ols", "newrb"}, default="ols"
+        "newrb" chooses as MATLAB's function of this name does: targets are neither centred nor
+        scaled, several outputs count by the sum of their squared error-reduction ratios, and the
+        polynomial enters the last fit only. See the notes.
+
+    refine : bool, default=False
+        After the forward pass exchange centres, one for a better one, until nothing improves. A
+        given number of centres is then used better, at up to several times the cost.
+
+    random_state : int, RandomState instance or None, default=None
+        Draws `candidates`, and the rows on which the widths are found where X has more than a few
+        thousand. Without effect on smaller problems but for ties.
+
+    Attributes
+    ----------
+    centers_ : ndarray of shape (n_centers, n_features)
+        Centres, in the order of selection.
+
+    center_indices_ : ndarray of shape (n_centers,)
+        Their rows in X.
+
+    coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
+        Weights, in the units of y.
+
+    intercept_ : float or ndarray of shape (n_outputs,)
+        Constant term.
+
+    linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
+        Linear term; zero unless `degree` is 1.
+
+    length_scale_ : ndarray of shape (n_features,)
+        Width of every feature; infinite for a feature that did not vary and so is ignored.
+
+    alpha_ : float or ndarray of shape (n_outputs,)
+        Ridge of every output. Outputs share widths and centres, but not their noise.
+
+    noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
+        Of the Gaussian process whose posterior the network approximates, in squared units of y;
+        the noise is that of an observation of mean weight.
+
+    error_reduction_ : ndarray of shape (n_centers,)
+        Share of the targets' variance (about the polynomial, averaged over outputs) by which each
+        centre lowered the objective.
+
+    criterion_path_ : ndarray of shape (n_tried,)
+        The criterion after 1, 2, ... centres. Empty where `n_centers` is given.
+
+    stop_reason_ : str
+        Why no more centres were tried: "n_centers", "max_centers", "criterion" or "dependent"
+        (every other candidate is a combination of the chosen ones to working precision).
+
+    n_iter_ : int
+        Number of centres tried.
+
+    n_features_in_ : int
+        Number of features seen during fit.
+
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
+        Names of features seen during fit, where X had string names.
+
+    See Also
+    --------
+    sklearn.gaussian_process.GaussianProcessRegressor : The same posterior mean with a centre at
+        every sample; cubic in their number.
+    scipy.interpolate.RBFInterpolator : Radial functions at every sample.
+
+    Notes
+    -----
+    The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows are
+    merged, and rows are sorted, so that neither row order nor writing a row twice instead of
+    doubling its weight matters. Of weights only the ratios count for what is found by itself: a row
+    that is there twice, target and all, is one observation of twice the weight.
+
+    Several outputs share widths and centres. Where they differ much in how fast they vary, give
+    each a network of its own: :class:`~sklearn.multioutput.MultiOutputRegressor`.
+
+    More than 100 000 rows are read in blocks, also from a memory-mapped file, in time linear in
+    their number and in memory that does not depend on it: centres and the rows that decide on the
+    widths then come from a sample, drawn by a hash of the rows' content, and repeated rows are
+    merged in that sample only. `fit` takes dask arrays, too; each chunk is worked on where it is.
+
+    Outputs share widths and centres. Where one waves many times while another waves once, fit one
+    network for each: ``MultiOutputRegressor(RBFNetRegressor())``.
+
+    To repeat MATLAB's ``newrb(P, T, goal, spread, MN)`` use ``RBFNetRegressor(MN,
+    length_scale=spread / sqrt(2 * log(2)), alpha=0, selection="newrb")``, with
+    ``n_centers="auto", max_centers=MN, criterion="mse", tol=goal`` where the goal is to stop it.
+
+    References
+    ----------
+    .. [1] S. Chen, C. F. N. Cowan, P. M. Grant, "Orthogonal least squares learning algorithm for
+       radial basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
+    .. [2] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
+       2006, chapter 8.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm import RBFNetRegressor
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.uniform(-3, 3, size=(200, 1))
+    >>> y = np.sin(2 * X[:, 0]) + 0.1 * rng.standard_normal(200)
+    >>> model = RBFNetRegressor(random_state=0).fit(X, y)
+    >>> len(model.centers_) < 20
+    True
+    >>> mean, std = model.predict([[0.5]], return_std=True)
+    >>> bool(abs(mean[0] - np.sin(1.0)) < 2 * std[0])
+    True
+    """
+
+    _parameter_constraints: dict = {
+        "n_centers": [Interval(Integral, 1, None, closed="left"), StrOptions({"auto"}), None],
+        "kernel": [StrOptions(set(KERNELS))],
+        "length_scale": [
+            Interval(Real, 0, None, closed="neither"),
+            StrOptions({"auto", "isotropic"}),
+            "array-like",
+        ],
+        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "degree": [Interval(Integral, -1, 1, closed="both")],
+        "criterion": [
+            StrOptions({"auto", "posterior", "gcv", "loo", "bic", "error_reduction", "mse"})
+        ],
+        "tol": [Interval(Real, 0, None, closed="left")],
+        "max_centers": [Interval(Integral, 1, None, closed="left"), None],
+        "candidates": [Interval(Integral, 1, None, closed="left"), None],
+        "selection": [StrOptions({"ols", "newrb"})],
+        "refine": ["boolean"],
+        "random_state": ["random_state"],
+    }
+
+    def __init__(
+        self,
+        n_centers="auto",
+        *,
+        kernel="gaussian",
+        length_scale="auto",
+        alpha="auto",
+        degree=0,
+        criterion="auto",
+        tol=0.02,
+        max_centers=None,
+        candidates=None,
+        selection="ols",
+        refine=False,
+        random_state=None,
+    ):
+        self.n_centers = n_centers
+        self.kernel = kernel
+        self.length_scale = length_scale
+        self.alpha = alpha
+        self.degree = degree
+        self.criterion = criterion
+        self.tol = tol
+        self.max_centers = max_centers
+        self.candidates = candidates
+        self.selection = selection
+        self.refine = refine
+        self.random_state = random_state
+
+    @fit_context(prefer_skip_nested_validation=True)
+    @one_blas_thread
+    def fit(self, X, y, sample_weight=None):
+        """Choose widths, ridge and centres, and fit the weights.
+
+        Parameters
+        ----------
+        X : array-like or dask array of shape (n_samples, n_features)
+            Training rows.
+
+        y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+            Targets.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights; an integer weight is worth that many repeats of the row.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If X or y hold NaN or infinity, a weight is negative or all are 0, `length_scale` does
+            not fit the features, or fewer distinct rows than `n_centers` are there.
+        """
+        rng = check_random_state(self.random_state)
+        problem = self._problem(X, y, sample_weight, rng)
+        width = check_length_scale(self.length_scale, self.n_features_in_)
+        check_not_too_narrow(width, problem.X)
+
+        length_scale, alpha = self._tune(problem, width, rng)
+        shift = problem.X.mean(axis=0)
+        settings = Settings(
+            self.kernel,
+            None if self.n_centers == "auto" else self.n_centers,
+            self.criterion,
+            self.tol,
+            self.max_centers,
+            self.candidates,
+            self.selection,
+            self.refine,
+        )
+        order, stop_reason = choose_centers(problem, alpha, shift, length_scale, settings, rng)
+        Z = (problem.X[order] - shift) / length_scale
+        definite = KERNELS[self.kernel].positive_definite
+        root = psd_root(kernel_matrix(Z, Z, self.kernel)) if definite else np.eye(len(order))
+        columns = Features(Z, shift, length_scale, self.kernel)
+        p = problem.n_tail
+        R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
+        path = nested_least_squares(R, p, root, alpha, problem.within)
+        k, scores, reached = choose_size(problem, alpha, columns, path, settings)
+
+        # Only now: who interrupts a fit keeps the model of the last one.
+        vars(self).pop("_posterior_", None)
+        self.length_scale_, self.criterion_path_ = length_scale, scores
+        self.stop_reason_ = "criterion" if reached else stop_reason
+        self.n_iter_ = len(order)
+        self.centers_ = problem.X[order[:k]]
+        self.center_indices_ = problem.first[order[:k]]
+        varying = problem.spread > 0
+        share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
+        self.error_reduction_ = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
+        solution = path.coefficients(k)
+        polynomial = problem.tail_map.T @ solution[:p]
+        self.coef_, self.intercept_, self.linear_coef_ = (
+            solution[p:].T,
+            polynomial[0],
+            polynomial[1:].T,
+        )
+        # The likelihood's estimates; without a ridge the residual and the targets' own variance.
+        ridged = alpha > 0
+        plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
+        noise = np.where(ridged, path.objective[k] / max(problem.n_total - p, 1), plain)
+        signal = noise / np.where(ridged, alpha, 1.0)
+        self.noise_variance_ = noise
+        self.signal_variance_ = np.where(ridged, signal, problem.spread**2)
+        self.alpha_ = alpha * problem.unit
+        self._weight_unit, self._tail_map = problem.unit, problem.tail_map
+        # One triangle, packed, from which those of all outputs follow.
+        size = min(len(path.rows), p + k)
+        self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
+        if self._flat:
+            for name in _PER_OUTPUT:
+                setattr(self, name, getattr(self, name)[0])
+        return self
+
+    def _problem(self, X, y, sample_weight, rng):
+        """The data, checked: in memory, or in blocks where they are many or elsewhere."""
+        held = max(MAX_CANDIDATES if self.candidates is None else self.candidates, SAMPLE_ROWS)
+        if is_dask(X):
+            chunks = dask_chunks(X, y, sample_weight)
+            if len(chunks) > IN_MEMORY_ROWS:
+                self.n_features_in_ = X.shape[1]
+                self._flat = y.ndim == 1
+                return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
+            X, y = X.compute(), np.asarray(y)
+            sample_weight = None if sample_weight is None else np.asarray(sample_weight)
+        X, y = check_data(self, X, y)
+        weights = check_weights(sample_weight, X)
+        self._flat = y.ndim == 1
+        Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
+        if len(X) <= IN_MEMORY_ROWS:
+            return prepare(merge(X, Y, weights), self.degree)
+        chunks = ArrayChunks(X, Y, weights)
+        return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
+
+    def _tune(self, problem, width, rng):
+        """Widths, and the ridge of every output in the problem's units, found where not given."""
+        alpha = None if isinstance(self.alpha, str) else float(self.alpha) / problem.unit
+        alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
+        if width is not None and alpha is not None:
+            return width, alphas
+        sample = problem.sample
+        view, rows = sample.view(), sample.block(slice(None))
+        tuned = tune(
+            sample.X,
+            view.of(rows)[1] / sample.root,
+            np.square(sample.root[:, 0]),
+            view.within,
+            self.kernel,
+            length_scale=width,
+            isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
+            alpha=None if alpha is None else alpha * problem.unit / sample.unit,
+            random_state=rng,
+        )
+        if alpha is None:
+            alphas[view.outputs] = leading_bits(tuned.alpha * sample.unit / problem.unit)
+        if width is None:
+            unit = sample.X.std(axis=0)
+            unit[unit == 0] = 1.0
+            width = unit * leading_bits(tuned.length_scale / unit)
+        return width, alphas
+
+    def predict(self, X, return_std=False, with_noise=True):
+        """Predict targets.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Rows.
+
+        return_std : bool, default=False
+            Also return the standard deviation of the prediction: that of the Gaussian process
+            whose posterior mean the network approximates. It grows to the signal's own standard
+            deviation away from the data.
+
+        with_noise : bool, default=True
+            Whether that standard deviation is of a new observation, or of the mean.
+
+        Returns
+        -------
+        y : ndarray of shape (n_samples,) or (n_samples, n_outputs)
+            Predicted mean.
+
+        y_std : ndarray of the same shape
+            Standard deviation, where asked for.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If X has another number of features than in fit, or holds NaN or infinity.
+        """
+        check_is_fitted(self)
+        X = check_features(self, X, dtype=np.float64, reset=False)
+        n, k = len(X), len(self.centers_)
+        shift = self.centers_.mean(axis=0) if k else 0.0
+        centers = (self.centers_ - shift) / self.length_scale_
+        coef = np.atleast_2d(self.coef_).T
+        mean = np.tile(np.atleast_1d(self.intercept_), (n, 1))
+        if np.any(self.linear_coef_):
+            mean += X @ np.atleast_2d(self.linear_coef_).T
+        variance = np.zeros((n, mean.shape[1]))
+        posterior = self._posterior(centers) if return_std else None
+        step = max(1, _CHUNK // max(k, 1))
+        for start in range(0, n, step):
+            part = slice(start, start + step)
+            K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel)
+            mean[part] += K @ coef
+            if return_std:
+                variance[part] = self._variance(X[part], K, posterior, with_noise)
+        flat = np.ndim(self.intercept_) == 0
+        if flat:
+            mean, variance = mean[:, 0], variance[:, 0]
+        return (mean, np.sqrt(variance)) if return_std else mean
+
+    def _posterior(self, centers):
+        """What variances are made of, kept from one call to the next but not in a file."""
+        if "_posterior_" not in self.__dict__:
+            p, k = len(self._tail_map), len(centers)
+            definite = KERNELS[self.kernel].positive_definite
+            K = kernel_matrix(centers, centers, self.kernel)
+            root = psd_root(K) if definite else np.eye(k)
+            outside = psd_inverse_root(K) if definite else np.empty((0, k))
+            # The packed triangle is trapezoidal where there were fewer rows than columns.
+            size = next(
+                m for m in range(p + k + 1) if m * (p + k) - m * (m - 1) // 2 == len(self._rows)
+            )
+            rows = np.zeros((size, p + k))
+            rows[np.triu_indices(size, m=p + k)] = self._rows
+            alphas = np.atleast_1d(self.alpha_) / self._weight_unit
+            triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(alphas)}
+            self._posterior_ = outside, [triangles[a] for a in alphas]
+        return self._posterior_
+
+    def __getstate__(self):
+        state = super().__getstate__().copy()
+        state.pop("_posterior_", None)
+        return state
+
+    def _variance(self, X, K, posterior, with_noise):
+        """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
+        prior_root, triangles = posterior
+        tail = np.column_stack([np.ones(len(X)), X]) @ self._tail_map.T
+        rows = np.hstack([tail, K]).T
+        outside = np.zeros(len(X))
+        if KERNELS[self.kernel].positive_definite:
+            outside = np.maximum(1 - np.square(K @ prior_root.T).sum(axis=1), 0.0)
+        noise, signal = np.atleast_1d(self.noise_variance_), np.atleast_1d(self.signal_variance_)
+        variance = np.outer(outside, signal)
+        of_weights = {}
+        for i, R in enumerate(triangles):
+            if id(R) not in of_weights:
+                solved = solve_triangular(R, rows, trans="T", check_finite=False)
+                of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
+            variance[:, i] += noise[i] * of_weights[id(R)]
+        return variance
+
+
+def _triangle(columns, block):
+    """Triangular factor of the tail, the centres' columns and the targets on some rows."""
+    return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
+
+
+def leading_bits(values):
+    """Values to the 14 leading bits, four digits.
+
+    An optimum that is flat is found to a few digits, the others are rounding of this or that BLAS;
+    of two centres worth the same they would choose one here, the other there.
+    """
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2**14) / 2**14, exponent)
+
+
+def check_length_scale(length_scale, n_features):
+    """Widths as an array of one a feature; None where they are to be found."""
+    if isinstance(length_scale, str):
+        return None
+    width = floats("length_scale", length_scale)
+    if width.ndim > 1 or (width.ndim == 1 and len(width) != n_features):
+        raise ValueError(
+            f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
+            f"of the {n_features} features."
+        )
+    if not np.all(width >= 1 / LARGEST):
+        raise ValueError(
+            f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r}."
+        )
+    return np.broadcast_to(width, n_features).copy()
+
+
+def check_not_too_narrow(width, X):
+    """Refuse given widths at which rounding of the distances changes the kernel."""
+    if width is None or not len(X):
+        return
+    ranges = np.ptp(X, axis=0)
+    i = int(np.argmax(ranges / width))
+    if ranges[i] > _MAX_RANGE * width[i]:
+        raise ValueError(
+            f"length_scale is {width[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
+            f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
+        )

@@ -1,0 +1,29 @@
+"""Residuals of the probe: from points, in the cylindrical frame, and as targets of a regressor."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.residuals._cylindrical import (
+    cartesian_to_cylindrical,
+    cylindrical_to_cartesian,
+    position_residuals,
+    std_to_cartesian,
+    to_cartesian,
+    to_cylindrical,
+)
+from sklearn_raacmm.residuals._pose_features import MIN_LENGTH_MM, PoseFeatures, pose_columns
+from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
+
+__all__ = [
+    "MIN_LENGTH_MM",
+    "NORM_TOLERANCE",
+    "CylindricalResidualTarget",
+    "PoseFeatures",
+    "cartesian_to_cylindrical",
+    "cylindrical_to_cartesian",
+    "pose_columns",
+    "position_residuals",
+    "std_to_cartesian",
+    "to_cartesian",
+    "to_cylindrical",
+]

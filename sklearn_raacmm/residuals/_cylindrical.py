@@ -1,0 +1,211 @@
+"""Pure functions on residuals: from points to residuals, and from one frame to the other.
+
+Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
+doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
+here are reconstructions, checked numerically.
+"""
+
+import numpy as np
+from sklearn.utils import check_array, check_consistent_length
+
+from sklearn_raacmm.utils import centred, encode_groups, floats, refuse_disguised, refuse_huge
+
+
+def position_residuals(points, groups, sample_weight=None):
+    """Residual of each probe point from the mean point of its position.
+
+    In a cone-hole test the probe sits in one seat while the arm moves through many poses: all
+    points of one position should coincide, and their mean stands in for the unknown true point.
+
+    Parameters
+    ----------
+    points : array-like of shape (n_points, 3)
+        Probe points in mm, as the arm's forward kinematics gives them.
+
+    groups : array-like of shape (n_points,)
+        Label of the position (the seat) each point belongs to: numbers or text.
+
+    sample_weight : array-like of shape (n_points,), default=None
+        Weight of each point in the mean of its position; equal if None.
+
+    Returns
+    -------
+    residuals : ndarray of shape (n_points, 3)
+        Point minus mean of its position, in mm, Cartesian: the `y` that
+        :class:`CylindricalResidualTarget` is fitted on.
+
+    Raises
+    ------
+    ValueError
+        If points, groups or weights differ in length, hold NaN, infinity or missing labels, or if
+        a position has fewer than two points of non-zero weight: its residual would be zero by
+        construction, which says nothing about the arm.
+
+    Notes
+    -----
+    This is the reference of equation (10), before the rotation. A residual is known only up to
+    one constant per position: where the true point is, the arm cannot tell.
+
+    Examples
+    --------
+    >>> points = [[500.0, 0, 0], [500.2, 0, 0], [0, 700, 10], [0, 700, 10.5]]
+    >>> position_residuals(points, ["A", "A", "B", "B"]).round(3)
+    array([[-0.1 ,  0.  ,  0.  ],
+           [ 0.1 ,  0.  ,  0.  ],
+           [ 0.  ,  0.  , -0.25],
+           [ 0.  ,  0.  ,  0.25]])
+    """
+    refuse_disguised("points", points)
+    points = check_array(points, dtype=np.float64, input_name="points")
+    refuse_huge("points", points)
+    if points.shape[1] != 3:
+        raise ValueError(f"points must have 3 columns (x, y, z in mm), got {points.shape[1]}.")
+    labels, codes = encode_groups(groups, len(points))
+    if sample_weight is None:
+        weight = np.ones(len(points))
+    else:
+        refuse_disguised("sample_weight", sample_weight)
+        weight = check_array(
+            sample_weight, dtype=np.float64, ensure_2d=False, input_name="sample_weight"
+        ).ravel()
+        refuse_huge("sample_weight", weight)
+        check_consistent_length(points, weight)
+        if np.any(weight < 0):
+            raise ValueError(
+                f"sample_weight must not be negative, but {np.sum(weight < 0)} of {weight.size} "
+                f"are (the least is {weight.min():g})."
+            )
+
+        # Denormal weights have few digits left, their products with points fewer.
+        weight = weight / max(weight.max(), 1e-300) if weight.max() < 1e-200 else weight
+    size = np.bincount(codes[weight > 0], minlength=len(labels))
+    if np.any(size < 2):
+        lonely = labels[size < 2]
+        shown = ", ".join(map(repr, lonely[:5].tolist())) + (", ..." if len(lonely) > 5 else "")
+        raise ValueError(
+            f"{len(lonely)} of {len(labels)} positions have fewer than 2 points of non-zero "
+            f"weight: {shown}. The residual of a lone point from its own mean is zero whatever "
+            "the arm does; leave these positions out."
+        )
+    return centred(points, codes, weight)
+
+
+def cartesian_to_cylindrical(vectors, azimuth):
+    """Turn Cartesian vectors into the cylindrical frame of the probe's azimuth.
+
+    Parameters
+    ----------
+    vectors : array-like of shape (n_points, 3)
+        x, y and z components, usually residuals in mm.
+
+    azimuth : array-like of shape (n_points,) or float
+        Azimuth of each probe point about the base axis, in rad.
+
+    Returns
+    -------
+    vectors : ndarray of shape (n_points, 3)
+        Radial, tangential and axial component, in the unit given.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, or something is not a finite number.
+
+    See Also
+    --------
+    cylindrical_to_cartesian : The inverse.
+
+    Notes
+    -----
+    Equation (10), linear in the residual: with phi the azimuth of the point itself, radial
+    ``x cos(phi) + y sin(phi)``, tangential ``-x sin(phi) + y cos(phi)``, axial ``z``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> cartesian_to_cylindrical([[0.0, 0.1, 0.02]], np.pi / 2).round(6)
+    array([[0.1 , 0.  , 0.02]])
+    """
+    vectors = _check_vectors(vectors)
+    return to_cylindrical(vectors, _direction(azimuth, len(vectors)))
+
+
+def cylindrical_to_cartesian(vectors, azimuth):
+    """Turn vectors in the cylindrical frame of the probe's azimuth into Cartesian ones.
+
+    Parameters
+    ----------
+    vectors : array-like of shape (n_points, 3)
+        Radial, tangential and axial component, usually residuals in mm.
+
+    azimuth : array-like of shape (n_points,) or float
+        Azimuth of each probe point about the base axis, in rad.
+
+    Returns
+    -------
+    vectors : ndarray of shape (n_points, 3)
+        x, y and z components, in the unit given.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, or something is not a finite number.
+
+    See Also
+    --------
+    cartesian_to_cylindrical : The inverse.
+
+    Notes
+    -----
+    The rotation of the compensation, equations (11) to (14).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> cylindrical_to_cartesian([[0.1, 0.0, 0.02]], np.pi / 2).round(6)
+    array([[0.  , 0.1 , 0.02]])
+    """
+    vectors = _check_vectors(vectors)
+    return to_cartesian(vectors, _direction(azimuth, len(vectors)))
+
+
+def _direction(azimuth, n):
+    """Cosine and sine of one azimuth for all vectors, or of one for each."""
+    azimuth = floats("azimuth", azimuth)
+    if azimuth.shape not in ((), (n,)):
+        raise ValueError(
+            f"azimuth must be one angle or one for each of {n} vectors, got shape {azimuth.shape}."
+        )
+    refuse_huge("azimuth", azimuth)
+    return np.cos(azimuth), np.sin(azimuth)
+
+
+def _check_vectors(vectors):
+    refuse_disguised("vectors", vectors)
+    vectors = check_array(vectors, dtype=np.float64, input_name="vectors")
+    refuse_huge("vectors", vectors)
+    if vectors.shape[1] != 3:
+        raise ValueError(f"vectors must have 3 columns, got {vectors.shape[1]}.")
+    return vectors
+
+
+def to_cylindrical(vectors, direction):
+    cos, sin = direction
+    x, y, z = vectors.T
+    return np.stack([x * cos + y * sin, y * cos - x * sin, z], axis=1)
+
+
+def to_cartesian(vectors, direction):
+    cos, sin = direction
+    radial, tangential, axial = vectors.T
+    return np.stack([radial * cos - tangential * sin, radial * sin + tangential * cos, axial], 1)
+
+
+def std_to_cartesian(std, direction):
+    """Turn standard deviations of independent components: variances add by the squares."""
+    cos, sin = (np.square(part) for part in direction)
+    # One number a row, for all components alike, is the same in every frame.
+    radial, tangential, axial = np.square(np.broadcast_to(std.T, (3, len(std))))
+    return np.sqrt(
+        np.stack([radial * cos + tangential * sin, radial * sin + tangential * cos, axial], axis=1)
+    )

@@ -1,0 +1,252 @@
+"""The pose of a measuring arm: its shape, as seen in the vertical plane that its base turns.
+
+Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
+doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
+here are reconstructions, checked numerically.
+"""
+
+import numpy as np
+from sklearn.base import TransformerMixin
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns, probe_of
+from sklearn_raacmm.utils import (
+    StrOptions,
+    VersionedEstimator,
+    check_feature_names_in,
+    check_features,
+    fit_context,
+)
+
+# Frames take 96 bytes a joint and row; a batch of them stays within a few megabytes.
+_BATCH_ROWS = 8192
+# A nanometre: below it a direction is made of rounding, on any arm.
+MIN_LENGTH_MM = 1e-6
+
+
+class PoseFeatures(TransformerMixin, VersionedEstimator):
+    """Describe the pose of an arm by three angles, from its joint angles.
+
+    What bends and misaligns a measuring arm depends on how its links hang, hardly on where its
+    base points. The pose says just that: the swivel of the upper arm `theta3`, the elbow `theta4`
+    and `theta_dis`, the elevation of the line from shoulder to wrist above the base plane, which
+    comes from the arm's calibrated forward kinematics.
+
+    Parameters
+    ----------
+    arm : Arm, default=None
+        The arm. Its `pose_joints` (swivel, elbow) and `pose_frames` (shoulder, wrist) say which
+        angles make the pose; features are named by the numbers of these joints. If None, the
+        built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
+
+    angle_unit : {"rad", "deg"}, default="rad"
+        Unit of the joint angles in `X`. Features are in rad in either case.
+
+    encoding : {"angle", "periodic"}, default="angle"
+        - "angle": each angle in rad. Joint angles stay as they are read, so a joint that turns
+          past a whole turn gives the same pose two different features.
+        - "periodic": cosine and sine of each angle, in which a whole turn is no difference.
+
+    joints : {"pose", "all"}, default="pose"
+        - "pose": the pose, as above.
+        - "all": the angles of all joints, with what the pose leaves out: the other encoders, the
+          wrist, and the azimuth through joint 1.
+
+    append_azimuth : bool, default=False
+        Append the direction of the probe's azimuth, `azimuth_cos` and `azimuth_sin`, as two last
+        columns for :class:`CylindricalResidualTarget`, which takes them off again.
+
+    Attributes
+    ----------
+    arm_ : Arm
+        The arm in use.
+
+    n_features_in_ : int
+        Number of joints.
+
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
+        Names of the columns of `X`, where they are all text.
+
+    See Also
+    --------
+    CylindricalResidualTarget : Regress on residuals in the frame of the azimuth.
+
+    Notes
+    -----
+    With O2 and O5 the origins of the shoulder and wrist frames, equations (4) to (6) come to
+    ``theta_dis = atan2(z5 - z2, hypot(x5 - x2, y5 - y2))``. It does not depend on joint 1 at all,
+    nor, on an ideal arm, on the joints past the elbow's roll. Two shoulder angles share one
+    elevation: the second reaches over the top.
+
+    Input in float32 gives output in float32; the kinematics is computed in float64.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm import PoseFeatures
+    >>> pose = PoseFeatures(angle_unit="deg")
+    >>> angles = [[0, 60, 20, 80, 0, 30], [90, 60, 20, 80, 0, 30]]
+    >>> pose.fit_transform(angles).round(3)
+    array([[ 0.349,  1.396, -0.056],
+           [ 0.349,  1.396, -0.056]])
+    >>> pose.get_feature_names_out().tolist()
+    ['theta3', 'theta4', 'theta_dis']
+    """
+
+    _parameter_constraints: dict = {
+        "arm": [Arm, None],
+        "angle_unit": [StrOptions({"rad", "deg"})],
+        "encoding": [StrOptions({"angle", "periodic"})],
+        "joints": [StrOptions({"pose", "all"})],
+        "append_azimuth": ["boolean"],
+    }
+
+    def __init__(
+        self, arm=None, *, angle_unit="rad", encoding="angle", joints="pose", append_azimuth=False
+    ):
+        self.arm = arm
+        self.angle_unit = angle_unit
+        self.encoding = encoding
+        self.joints = joints
+        self.append_azimuth = append_azimuth
+
+    @fit_context(prefer_skip_nested_validation=True)
+    def fit(self, X, y=None):
+        """Check the number of joints; there is nothing to learn.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints)
+            Joint angles, in the unit of `angle_unit`.
+
+        y : None
+            Ignored.
+
+        Returns
+        -------
+        self : object
+            Fitted transformer.
+
+        Raises
+        ------
+        ValueError
+            If the number of columns is not the arm's number of joints, or `X` holds NaN or
+            infinity.
+        """
+        X = check_features(self, X, dtype=[np.float64, np.float32])
+        self.arm_ = Arm.from_name("aacmm6") if self.arm is None else self.arm
+        if X.shape[1] != self.arm_.n_joints:
+            raise ValueError(
+                f"X has {X.shape[1]} columns, but the arm {self.arm_!r} has {self.arm_.n_joints} "
+                "joints: one column of joint angles each is needed."
+            )
+        return self
+
+    def transform(self, X):
+        """Compute the pose.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints)
+            Joint angles, in the unit of `angle_unit`.
+
+        Returns
+        -------
+        features : ndarray of shape (n_samples, n_features_out)
+            Angles in rad, or cosines and sines; see `get_feature_names_out` for the columns.
+
+        Raises
+        ------
+        ValueError
+            If the wrist lies on the shoulder, which leaves `theta_dis` undefined, or, with
+            `append_azimuth`, the probe on the base axis, which leaves its azimuth undefined.
+        """
+        check_is_fitted(self)
+        X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
+        features = np.empty((len(X), len(self._names())), dtype=X.dtype)
+        for start in range(0, len(X), _BATCH_ROWS):
+            rows = slice(start, start + _BATCH_ROWS)
+            features[rows] = self._features(X[rows].astype(np.float64, copy=False), start)
+        return features
+
+    def _features(self, X, first_row):
+        # The angles as they are: degrees taken for radians are warned of.
+        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=5)
+        if self.joints == "pose" or self.append_azimuth:
+            frames = frame_columns(self.arm_, dh_theta(self.arm_, angles))
+        if self.joints == "all":
+            columns = list(angles.T)
+        else:
+            columns = pose_columns(self.arm_, angles, frames, first_row)
+        if self.encoding == "periodic":
+            columns = [part(column) for column in columns for part in (np.cos, np.sin)]
+        if self.append_azimuth:
+            columns += list(_azimuth_direction(probe_of(self.arm_, frames), first_row))
+        return np.stack(columns, axis=1)
+
+    def get_feature_names_out(self, input_features=None):
+        """Get the names of the features.
+
+        Parameters
+        ----------
+        input_features : array-like of str, default=None
+            Only checked against the names or the number of columns seen in `fit`.
+
+        Returns
+        -------
+        names : ndarray of str
+            `theta3`, `theta4`, `theta_dis` by the numbers of the arm's joints, or these with
+            `_cos` and `_sin` for the periodic encoding.
+        """
+        check_is_fitted(self)
+        check_feature_names_in(self, input_features)
+        return np.asarray(self._names(), dtype=object)
+
+    def _names(self):
+        if self.joints == "all":
+            names = [f"theta{i + 1}" for i in range(self.arm_.n_joints)]
+        else:
+            names = [f"theta{joint}" for joint in self.arm_.pose_joints] + ["theta_dis"]
+        if self.encoding == "periodic":
+            names = [f"{name}_{part}" for name in names for part in ("cos", "sin")]
+        return names + (["azimuth_cos", "azimuth_sin"] if self.append_azimuth else [])
+
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.transformer_tags.preserves_dtype = ["float64", "float32"]
+        return tags
+
+
+def pose_columns(arm, angles, frames, first_row=0):
+    """The pose's joint angles and theta_dis, each (n,), from angles and `frame_columns`."""
+    shoulder, wrist = arm.pose_frames
+    theta_dis = _elevation(frames[wrist, 3] - frames[shoulder, 3], arm.pose_frames, first_row)
+    return [angles[:, joint - 1] for joint in arm.pose_joints] + [theta_dis]
+
+
+def _elevation(line, pose_frames, first_row=0):
+    """Elevation of lines (3, n) from shoulder to wrist, equations (4) to (6)."""
+    x, y, z = line
+    reach = np.hypot(x, y)
+    length = np.hypot(reach, z)
+    if length.min(initial=np.inf) < MIN_LENGTH_MM:
+        short = np.flatnonzero(length < MIN_LENGTH_MM)
+        shoulder, wrist = pose_frames
+        raise ValueError(
+            f"theta_dis is undefined: the origins of frames {shoulder} and {wrist} coincide, first "
+            f"in row {first_row + short[0]}. Choose the arm's pose_frames (shoulder, wrist) apart."
+        )
+    return np.arctan2(z, reach)
+
+
+def _azimuth_direction(points, first_row=0):
+    """Cosine and sine of the azimuth of points (3, n) about the base axis."""
+    x, y, _ = points
+    radius = np.hypot(x, y)
+    if radius.min(initial=np.inf) < MIN_LENGTH_MM:
+        on_axis = np.flatnonzero(radius < MIN_LENGTH_MM)
+        raise ValueError(
+            f"The azimuth is undefined: the probe lies on the base axis, first in row "
+            f"{first_row + on_axis[0]} (radius {radius[on_axis[0]]:.3g} mm). Leave such poses out."
+        )
+    return x / radius, y / radius

@@ -1,0 +1,329 @@
+"""The frame in which the arm's residual is a function of its shape alone.
+
+A measuring arm looks the same from every side: its base swivels about a vertical axis. What its
+geometry does to the probe is therefore the same at every azimuth, once it is said in the radial,
+tangential and axial direction of the probe instead of x, y and z. This module turns Cartesian
+residuals into that frame and back; it knows nothing of arms or of any particular regressor.
+
+Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
+doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
+here are reconstructions, checked numerically.
+"""
+
+import numpy as np
+from scipy.sparse import issparse
+from sklearn import get_config
+from sklearn.base import RegressorMixin, clone
+from sklearn.linear_model import LinearRegression
+from sklearn.utils import check_array, check_consistent_length, get_tags
+from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_raacmm.residuals._cylindrical import (
+    std_to_cartesian,
+    to_cartesian,
+    to_cylindrical,
+)
+from sklearn_raacmm.utils import (
+    HasMethods,
+    StrOptions,
+    VersionedEstimator,
+    check_feature_names,
+    check_n_features,
+    fit_context,
+    refuse_disguised,
+    refuse_huge,
+    safe_indexing,
+)
+
+# A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
+NORM_TOLERANCE = 1e-5
+
+
+class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
+    """Meta-estimator to regress on residuals in the cylindrical frame of the probe.
+
+    The target is the Cartesian residual of the probe point, measured minus reference. It is
+    turned into radial, tangential and axial components before the wrapped regressor sees it, and
+    predictions are turned back, as :class:`~sklearn.compose.TransformedTargetRegressor` does with
+    an invertible function: only here the function depends on the row, through the probe's azimuth.
+
+    Subtract what `predict` returns from the measured point to correct it.
+
+    Parameters
+    ----------
+    regressor : object, default=None
+        Regressor for the three components, cloned before fitting. If None,
+        :class:`~sklearn.linear_model.LinearRegression`. Scale features inside it:
+        ``make_pipeline(StandardScaler(), RBFNetRegressor())``. A search over its parameters, such
+        as ``regressor__rbfnetregressor__n_centers``, needs one to be given: None has none.
+
+    azimuth : "appended", callable or None, default="appended"
+        Where the azimuth of the probe comes from.
+
+        - "appended": the last two columns of `X` are its direction, cosine and sine, as
+          ``PoseFeatures(arm, append_azimuth=True)`` leaves them. They are not passed on to the
+          regressor. Their norm is checked, so that a scaler put in between raises.
+        - callable: ``azimuth(X)`` returns it in rad, shape (n_samples,), from the `X` given to
+          `fit` and `predict`; usually ``arm.azimuth``, with `X` the joint angles in rad. Take a
+          method or a function defined in a module rather than a lambda, which cannot be saved.
+        - None: no rotation, the Cartesian residual is learnt directly. For comparison: an arm's
+          residual is not a function of its pose in this frame.
+
+    Attributes
+    ----------
+    regressor_ : object
+        Fitted regressor, on radial, tangential and axial residuals in mm.
+
+    n_features_in_ : int
+        Number of columns of `X` seen during fit, the appended direction included.
+
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
+        Names of the columns of `X`, where they are all text.
+
+    See Also
+    --------
+    PoseFeatures : The arm's pose, and its azimuth, from joint angles.
+    position_residuals : The target from a cone-hole test.
+
+    Notes
+    -----
+    Two forms give the same predictions. Outermost, on joint angles (A)::
+
+        CylindricalResidualTarget(
+            make_pipeline(PoseFeatures(arm), StandardScaler(), RBFNetRegressor()),
+            azimuth=arm.azimuth,
+        )
+
+    and as the last step of a pipeline (B), which also serves angles in degrees, since only
+    `PoseFeatures` has to know their unit::
+
+        make_pipeline(
+            PoseFeatures(arm, append_azimuth=True),
+            CylindricalResidualTarget(make_pipeline(StandardScaler(), RBFNetRegressor())),
+        )
+
+    A target of one dimension or one column has no direction and passes through unrotated; so
+    does one of more than three columns if `X` has no azimuth appended. With an azimuth known,
+    more than three columns are an error, and two always are.
+
+    The model is equation (7) of Gao et al. (2020), (radial, tangential, axial) = f(pose), with
+    the rotation of equations (10) to (14).
+
+    Examples
+    --------
+    A residual of 0.1 mm along the arm, wherever it points, is one constant in this frame:
+
+    >>> import numpy as np
+    >>> from sklearn_raacmm import CylindricalResidualTarget
+    >>> phi = np.linspace(0, 6, 50)
+    >>> reach = np.linspace(300, 900, 50)
+    >>> X = np.stack([reach, np.cos(phi), np.sin(phi)], axis=1)
+    >>> y = 0.1 * np.stack([np.cos(phi), np.sin(phi), np.zeros(50)], axis=1)
+    >>> model = CylindricalResidualTarget().fit(X, y)
+    >>> model.predict([[500.0, 0.0, 1.0]]).round(6) + 0.0
+    array([[0. , 0.1, 0. ]])
+    >>> model.regressor_.intercept_.round(6) + 0.0
+    array([0.1, 0. , 0. ])
+    """
+
+    _parameter_constraints: dict = {
+        "regressor": [HasMethods(["fit", "predict"]), None],
+        "azimuth": [StrOptions({"appended"}), callable, None],
+    }
+
+    def __init__(self, regressor=None, *, azimuth="appended"):
+        self.regressor = regressor
+        self.azimuth = azimuth
+
+    @fit_context(prefer_skip_nested_validation=False)
+    def fit(self, X, y, **fit_params):
+        """Fit the regressor on the residuals in the cylindrical frame.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Whatever the regressor takes, with the azimuth's direction in the two last columns if
+            ``azimuth="appended"``.
+
+        y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
+            Cartesian residuals in mm, measured minus reference. One column or one dimension
+            passes through unrotated.
+
+        **fit_params : dict
+            Passed to the regressor's `fit`, such as `sample_weight`, or
+            `rbfnetregressor__sample_weight` where the regressor is a pipeline; routed by request
+            if metadata routing is enabled.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If `y` has the wrong number of columns, or NaN or infinity; if the last two columns
+            of `X` are not a direction where they should be; if the azimuth is not one finite
+            number per row.
+        """
+        for name, value in (("X", X), ("y", y)):
+            refuse_disguised(name, value)
+        validate_data(self, X, y, skip_check_array=True)
+        y = check_array(y, ensure_2d=False, dtype="numeric", input_name="y", estimator=self)
+        refuse_huge("y", y)
+        check_consistent_length(X, y)
+        n_targets = 1 if y.ndim == 1 else y.shape[1]
+
+        self._rotates = n_targets == 3 and self.azimuth is not None
+        self._drops_direction = self.azimuth == "appended" and (
+            self._rotates or _ends_in_direction(X)
+        )
+        if n_targets == 2 or (n_targets > 3 and (callable(self.azimuth) or self._drops_direction)):
+            raise ValueError(
+                f"y has {n_targets} columns, but a residual has 3 (dx, dy, dz in mm), or 1 to pass "
+                "through unrotated."
+            )
+        features, direction = self._split(X)
+        if self._rotates:
+            y = to_cylindrical(y, direction)
+        if get_config()["enable_metadata_routing"]:
+            fit_params = process_routing(self, "fit", **fit_params).regressor.fit
+        self.regressor_ = clone(self._get_regressor()).fit(features, y, **fit_params)
+        return self
+
+    def predict(self, X, **predict_params):
+        """Predict Cartesian residuals, to be subtracted from the measured points.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            As in `fit`.
+
+        **predict_params : dict
+            Passed to the regressor's `predict`, such as ``return_std=True``; routed by request if
+            metadata routing is enabled.
+
+        Returns
+        -------
+        residuals : ndarray of shape (n_samples, 3)
+            dx, dy and dz in mm; of the shape of the training target if that was not rotated.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviation of dx, dy and dz in mm; only with ``return_std=True``. Variances
+            are rotated as those of independent radial, tangential and axial components, which is
+            how scikit-learn's Gaussian process predicts them.
+        """
+        if "regressor_" not in vars(self):  # first, for it costs less than to ask for all tags
+            check_is_fitted(self)
+        if predict_params.get("return_cov"):
+            raise ValueError(
+                "return_cov=True is not supported: a covariance between rows would have to be "
+                "turned by two azimuths at once. Use return_std=True."
+            )
+        refuse_disguised("X", X)
+        if getattr(X, "ndim", 2) == 1:
+            check_array(X, estimator=self)  # for its sentence on how to reshape
+        # What validate_data does without checking the array, but for the tags of all steps within.
+        check_feature_names(self, X, reset=False)
+        check_n_features(self, X, reset=False)
+        features, direction = self._split(X)
+        if get_config()["enable_metadata_routing"]:
+            predict_params = process_routing(self, "predict", **predict_params).regressor.predict
+        prediction = self.regressor_.predict(features, **predict_params)
+        if not self._rotates:
+            return prediction
+        if isinstance(prediction, tuple):
+            mean, std = prediction
+            return to_cartesian(mean, direction), std_to_cartesian(std, direction)
+        return to_cartesian(prediction, direction)
+
+    def _split(self, X):
+        """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
+        if self._drops_direction:
+            X = X if hasattr(X, "shape") else np.asarray(X)
+            if type(X) is np.ndarray and X.ndim == 2 and X.shape[1] > 2 and X.dtype == np.float64:
+                tail = X[:, -2:]  # sound ones are not worth a full check
+                if np.all(np.abs(np.hypot(*tail.T) - 1) <= NORM_TOLERANCE):
+                    return X[:, :-2], (tail[:, 0], tail[:, 1])
+            direction = _appended_direction(X)
+            return safe_indexing(X, slice(None, -2), axis=1), direction
+        if self._rotates:
+            azimuth = check_array(
+                self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"
+            )
+            n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
+            if azimuth.shape != (n_samples,):
+                raise ValueError(
+                    f"azimuth must give one angle per row of X, shape ({n_samples},), got shape "
+                    f"{azimuth.shape}."
+                )
+            return X, (np.cos(azimuth), np.sin(azimuth))
+        return X, None
+
+    def _get_regressor(self):
+        if self.regressor is not None:
+            return self.regressor
+        if get_config()["enable_metadata_routing"]:
+            return LinearRegression().set_fit_request(sample_weight=True)
+        return LinearRegression()
+
+    def get_metadata_routing(self):
+        """Get metadata routing of this object.
+
+        Returns
+        -------
+        routing : MetadataRouter
+            `fit` and `predict` route to those of the regressor; `score` is our own.
+        """
+        methods = MethodMapping().add(caller="fit", callee="fit")
+        methods.add(caller="predict", callee="predict")
+        # Without the self-request a pipeline that ends here could not score with routing on.
+        router = MetadataRouter(owner=self).add_self_request(self)
+        return router.add(regressor=self._get_regressor(), method_mapping=methods)
+
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        inner = get_tags(self._get_regressor())
+        tags.regressor_tags.poor_score = True
+        tags.input_tags.sparse = inner.input_tags.sparse
+        tags.target_tags.multi_output = inner.target_tags.multi_output
+        return tags
+
+
+def _last_two_columns(X):
+    """Return the two last columns of X as floats."""
+    if issparse(X):
+        check_array(X, input_name="X")  # raises: sparse X is for the regressor alone
+    if len(X.shape) != 2 or X.shape[1] < 3:
+        raise ValueError(
+            f"X has shape {tuple(X.shape)}, but needs at least one feature and, in the two last "
+            "columns, the direction of the azimuth."
+        )
+    tail = safe_indexing(X, slice(-2, None), axis=1)
+    return check_array(tail, dtype=[np.float64, np.float32], input_name="X")
+
+
+def _appended_direction(X):
+    """Cosine and sine of the azimuth, the two last columns of X, checked."""
+    tail = _last_two_columns(X)
+    norm = np.hypot(*tail.T)
+    wrong = np.flatnonzero(np.abs(norm - 1) > NORM_TOLERANCE)
+    if wrong.size:
+        raise ValueError(
+            "The two last columns of X must be the direction (cos, sin) of the azimuth, as "
+            f"PoseFeatures(append_azimuth=True) leaves them, but {wrong.size} of {len(norm)} rows "
+            f"have a norm other than 1 (row {wrong[0]}: {norm[wrong[0]]:.4g}). Put a scaler inside "
+            "the regressor, not before CylindricalResidualTarget; or give azimuth=arm.azimuth and "
+            "fit on joint angles."
+        )
+    return tail[:, 0], tail[:, 1]
+
+
+def _ends_in_direction(X):
+    """Whether the two last columns of X are the direction of an azimuth."""
+    try:
+        _appended_direction(X if hasattr(X, "shape") else np.asarray(X))
+    except (TypeError, ValueError):
+        return False
+    return True

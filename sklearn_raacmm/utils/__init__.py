@@ -1,0 +1,75 @@
+"""Shared by all wings: groups, input checks, files, and what scikit-learn keeps private."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.utils._checks import (
+    LARGEST,
+    check_data,
+    check_features,
+    check_option,
+    check_points,
+    check_weights,
+    floats,
+    refuse_disguised,
+    refuse_huge,
+    refuse_masked,
+    show,
+)
+from sklearn_raacmm.utils._files import write_whole
+from sklearn_raacmm.utils._groups import (
+    centred,
+    check_groups,
+    deviations_by_group,
+    encode_groups,
+    group_means,
+    group_sums,
+    group_weights,
+)
+from sklearn_raacmm.utils._sklearn import (
+    HasMethods,
+    Interval,
+    StrOptions,
+    check_feature_names,
+    check_feature_names_in,
+    check_n_features,
+    fit_context,
+    one_blas_thread,
+    safe_indexing,
+    validate_params,
+)
+from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
+
+__all__ = [
+    "LARGEST",
+    "HasMethods",
+    "InconsistentPackageVersionWarning",
+    "Interval",
+    "StrOptions",
+    "VersionedEstimator",
+    "centred",
+    "check_data",
+    "check_feature_names",
+    "check_feature_names_in",
+    "check_features",
+    "check_groups",
+    "check_n_features",
+    "check_option",
+    "check_points",
+    "check_weights",
+    "deviations_by_group",
+    "encode_groups",
+    "fit_context",
+    "floats",
+    "group_means",
+    "group_sums",
+    "group_weights",
+    "one_blas_thread",
+    "refuse_disguised",
+    "refuse_huge",
+    "refuse_masked",
+    "safe_indexing",
+    "show",
+    "validate_params",
+    "write_whole",
+]

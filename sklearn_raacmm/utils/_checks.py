@@ -1,0 +1,127 @@
+"""Shared input checks: masked arrays, dates, mappings, overflowing numbers, options, points."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from scipy.sparse import issparse
+from sklearn.utils import check_array
+from sklearn.utils.validation import validate_data
+
+from sklearn_raacmm.utils._sklearn import check_sample_weight
+
+# Squares, and squares of sums of them, of anything smaller do not overflow.
+LARGEST = 1e50
+
+
+def show(value, limit=60):
+    """Representation of a value, short enough for a sentence."""
+    text = repr(value)
+    return text if len(text) <= limit else text[:limit] + "..."
+
+
+def refuse_disguised(name, value):
+    """Refuse masked values, dates and mappings.
+
+    NumPy shows what is under a mask and counts days; of a mapping scikit-learn sees the keys.
+    """
+    refuse_masked(name, value)
+    if isinstance(value, dict) and not issparse(value):  # SciPy has a sparse one
+        raise TypeError(
+            f"{name} must be an array, got {type(value).__name__}: of a data set, give its arrays, "
+            "such as data and target."
+        )
+    if _kinds(value) & {"m", "M"}:
+        raise ValueError(f"{name} must hold numbers, got dates or times.")
+
+
+def refuse_masked(name, value):
+    """Refuse an array with masked values."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise ValueError(
+            f"{name} has {np.ma.count_masked(value)} of {value.size} values masked: leave their "
+            "rows out, or fill them."
+        )
+
+
+def _kinds(value):
+    if isinstance(value, np.ndarray):
+        return {value.dtype.kind}
+    dtypes = getattr(value, "dtypes", ())  # of a frame
+    return {getattr(t, "kind", "") for t in (dtypes if np.iterable(dtypes) else [dtypes])}
+
+
+def refuse_huge(name, array):
+    """Refuse numbers whose squares overflow, and what is not a number at all."""
+    largest = max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
+    if largest <= LARGEST:  # false for NaN
+        return
+    n_bad = np.sum(~np.isfinite(array))
+    if n_bad:
+        raise ValueError(f"{name} holds {n_bad} values that are missing, NaN or infinity.")
+    raise ValueError(f"{name} holds {largest:g}: numbers above {LARGEST:g} are refused.")
+
+
+def floats(name, value):
+    """Numbers as float64."""
+    refuse_disguised(name, value)
+    try:
+        array = np.asarray(value)
+        # Strings and booleans convert, but nobody means them; complex numbers lose a part.
+        if array.dtype.kind in "iuf":
+            return array.astype(np.float64, copy=False)
+        if array.dtype.kind == "O" and not any(
+            x is None or isinstance(x, str | bool) for x in array.flat
+        ):
+            return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):  # the last of whole numbers above 1e308
+        pass
+    raise ValueError(f"{name} must hold numbers, got {show(value)}.")
+
+
+def check_features(estimator, X, **options):
+    """scikit-learn's check of X, and ours."""
+    refuse_disguised("X", X)
+    X = validate_data(estimator, X, **options)
+    refuse_huge("X", X)
+    return X
+
+
+def check_data(estimator, X, y):
+    """X and y as float64, checked by scikit-learn and by us; y of any number of columns."""
+    for name, value in (("X", X), ("y", y)):
+        refuse_disguised(name, value)
+    if issparse(y):
+        raise TypeError("y is sparse, but dense targets are needed.")
+    X, y = validate_data(estimator, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+    y = y.astype(np.float64, copy=False)
+    # Of y, too: scikit-learn looks for NaN before it turns None into it.
+    refuse_huge("X", X)
+    refuse_huge("y", y)
+    return X, y
+
+
+def check_weights(sample_weight, X):
+    """Weights (n,) as float64, not negative."""
+    refuse_disguised("sample_weight", sample_weight)
+    weights = check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+    refuse_huge("sample_weight", weights)
+    return weights
+
+
+def check_option(name, value, options):
+    """Refuse what is not one of the options."""
+    if not (value is None or isinstance(value, str)) or value not in options:
+        raise ValueError(f"{name}={value!r} is not one of {', '.join(map(repr, options))}.")
+
+
+def check_points(points, n_coordinates=None):
+    """Points as float64 of shape (n_points, n_coordinates); one dimension becomes one column."""
+    refuse_disguised("points", points)
+    points = check_array(points, dtype=np.float64, ensure_2d=False, input_name="points")
+    if points.ndim == 1:
+        points = points[:, None]
+    refuse_huge("points", points)
+    if n_coordinates not in (None, points.shape[1]):
+        raise ValueError(f"points has shape {points.shape}; (n_points, {n_coordinates}) is needed.")
+    return points

@@ -1,0 +1,131 @@
+"""Groups of rows: labels as indices, sums and means by group, and deviations from them."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from scipy.sparse import csc_array
+
+from sklearn_raacmm.utils._checks import check_points, refuse_masked
+
+# What stands for a missing label in a list or table of text.
+_MISSING = ("", "nan", "NaN", "None", "NaT", "<NA>")
+# Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
+_TINY = 1e-300
+
+
+def encode_groups(groups, n_samples=None):
+    """Turn the labels of groups into indices.
+
+    Parameters
+    ----------
+    groups : array-like of shape (n_samples,)
+        One label for each row: numbers or text.
+    n_samples : int, default=None
+        Number of rows that the labels have to match. None: any number.
+
+    Returns
+    -------
+    labels : ndarray of shape (n_groups,)
+        The different labels, sorted.
+    codes : ndarray of shape (n_samples,)
+        Index of each row's label.
+
+    Raises
+    ------
+    ValueError
+        If there are no groups, labels are missing or of several kinds, or their number is wrong.
+    """
+    if groups is None:
+        raise ValueError("groups must give the position of each point, got None.")
+    refuse_masked("groups", groups)
+    groups = np.asarray(groups)
+    if groups.ndim == 2 and groups.shape[1] == 1:  # a column of a table
+        groups = groups.ravel()
+    if groups.ndim != 1:
+        raise ValueError(
+            f"groups must be one label per point, got an array of shape {groups.shape}."
+        )
+    if n_samples is not None and len(groups) != n_samples:
+        raise ValueError(f"groups names {len(groups)} samples, but there are {n_samples}.")
+    if groups.dtype.kind == "f":
+        missing = np.isnan(groups)
+    elif groups.dtype.kind in "iub":
+        missing = np.zeros(len(groups), dtype=bool)
+    else:  # as text: a list of names with a NaN among them is an array of text by now
+        missing = np.isin(groups.astype(str), _MISSING)
+    if missing.any():
+        raise ValueError(
+            f"groups has {missing.sum()} missing labels among {groups.size} "
+            f"(the first in row {np.flatnonzero(missing)[0]})."
+        )
+    try:
+        return np.unique(groups, return_inverse=True)
+    except TypeError:
+        kinds = sorted({type(label).__name__ for label in groups})
+        raise ValueError(
+            f"groups must be labels of one kind, got {' and '.join(kinds)} mixed."
+        ) from None
+
+
+def group_sums(values, codes, weights=None, n_groups=None):
+    """Weighted sum of the rows of each group.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n, ...)
+    codes : ndarray of shape (n,)
+        Group of each row, from 0.
+    weights : ndarray of shape (n,), default=None
+        Equal if None.
+    n_groups : int, default=None
+        Number of groups; None: as many as `codes` names.
+
+    Returns
+    -------
+    ndarray of shape (n_groups, ...)
+    """
+    n = len(values)
+    n_groups = int(codes.max()) + 1 if n_groups is None else n_groups
+    weights = np.ones(n) if weights is None else weights
+    sum_up = csc_array((weights, codes, np.arange(n + 1)), shape=(n_groups, n))
+    return (sum_up @ values.reshape(n, -1)).reshape(n_groups, *values.shape[1:])
+
+
+def group_weights(codes, weights=None, n_groups=None):
+    """Sum of the weights of each group, (n_groups,); the number of rows without weights."""
+    return np.bincount(codes, weights=weights, minlength=n_groups or 0)
+
+
+def group_means(values, codes, weights=None):
+    """Weighted mean of the rows of each group, (n_groups, ...); see `group_sums`."""
+    # Sums of small differences: no digits are lost to a large mean.
+    origin = values[0]
+    total = np.maximum(group_weights(codes, weights), _TINY)
+    total = total.reshape(-1, *[1] * (values.ndim - 1))
+    return group_sums(values - origin, codes, weights) / total + origin
+
+
+def centred(values, codes, weights=None):
+    """Rows less the weighted mean of their group; as they are where `codes` is None."""
+    return values if codes is None else values - group_means(values, codes, weights)[codes]
+
+
+def check_groups(groups, n_samples):
+    """Labels and codes as `encode_groups`; None makes all rows one group."""
+    if groups is None:
+        return np.zeros(1, dtype=int), np.zeros(n_samples, dtype=int)
+    return encode_groups(groups, n_samples)
+
+
+def deviations_by_group(points, groups):
+    """Deviation of each point from its position's mean, its position, counts and labels."""
+    points = check_points(points)
+    labels, codes = check_groups(groups, len(points))
+    counts = group_weights(codes)
+    if counts.min() < 2:
+        raise ValueError(
+            f"{(counts < 2).sum()} of {len(counts)} positions hold a single point (the first: "
+            f"{labels[counts < 2][0]!s}); a scatter needs at least 2."
+        )
+    return centred(points, codes), codes, counts, labels

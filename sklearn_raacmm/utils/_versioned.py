@@ -1,0 +1,48 @@
+"""Estimators that remember in a file which version of the package wrote it."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import InconsistentVersionWarning
+
+from sklearn_raacmm._version import __version__
+
+_KEY = "_sklearn_raacmm_version"
+
+
+class InconsistentPackageVersionWarning(InconsistentVersionWarning):
+    """Warning that a model was saved by another version of sklearn_raacmm.
+
+    A subclass of scikit-learn's own, so that what filters or catches that one sees this one, too.
+    """
+
+    def __str__(self):
+        return (
+            f"{self.estimator_name} was saved by sklearn_raacmm {self.original_sklearn_version} "
+            f"and is loaded by {self.current_sklearn_version}: it may not work, or predict "
+            "something else. Check its predictions, or fit it again."
+        )
+
+
+class VersionedEstimator(BaseEstimator):
+    """BaseEstimator whose pickles carry the package's version, as scikit-learn's carry its own."""
+
+    def __getstate__(self):
+        return {**super().__getstate__(), _KEY: __version__}
+
+    def __setstate__(self, state):
+        state = dict(state)
+        version = state.pop(_KEY, "before 0.1.0")
+        if version != __version__:
+            warnings.warn(
+                InconsistentPackageVersionWarning(
+                    estimator_name=type(self).__name__,
+                    current_sklearn_version=__version__,
+                    original_sklearn_version=version,
+                ),
+                stacklevel=2,
+            )
+        super().__setstate__(state)

@@ -1,0 +1,482 @@
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import approx_fprime
+from scipy.spatial.transform import Rotation
+
+from sklearn_raacmm import Arm, calibrate
+from sklearn_raacmm.arm._kinematics import parameter_jacobian
+from sklearn_raacmm.calibration._identification import Fit, Problem, pack, unpack
+from sklearn_raacmm.datasets import make_single_point
+
+
+def disturbed(arm, seed=0, length_sd=0.3, angle_sd=5e-4):
+    """An arm with small errors of every parameter, and a probe nobody measured."""
+    rng, n = np.random.default_rng(seed), arm.n_joints
+    return arm.replace(
+        a=arm.a + rng.normal(0, length_sd, n),
+        d=arm.d + rng.normal(0, length_sd, n),
+        alpha=arm.alpha + rng.normal(0, angle_sd, n),
+        theta_offset=arm.theta_offset + rng.normal(0, angle_sd, n),
+        probe=arm.probe + rng.normal(0, 20, 3),
+    )
+
+
+def poses_at(arm, targets, n_poses, rng):
+    """Joint angles (len(targets) * n_poses, n_joints) that put the probe on the targets."""
+    targets = np.repeat(targets, n_poses, axis=0)
+    angles = np.empty((len(targets), arm.n_joints))
+    todo = np.arange(len(targets))
+    for _ in range(20):
+        q = rng.uniform(-2, 2, (len(todo), arm.n_joints))
+        for _ in range(40):
+            miss = targets[todo] - arm.forward(q)
+            step = (np.linalg.pinv(arm.jacobian(q)) @ miss[:, :, None])[:, :, 0]
+            q += step * np.minimum(1, 0.3 / (np.linalg.norm(step, axis=1, keepdims=True) + 1e-12))
+            q = np.angle(np.exp(1j * q))
+        angles[todo] = q
+        todo = todo[np.linalg.norm(targets[todo] - arm.forward(q), axis=1) > 1e-8]
+        if not len(todo):
+            return angles
+    raise AssertionError("targets out of reach")
+
+
+def single_point_test(arm, n_positions=8, n_poses=30, noise_mm=0.0, seed=0):
+    """Simulated cone-hole test: angles, labels, true positions."""
+    rng = np.random.default_rng(seed)
+    targets = np.column_stack(
+        [
+            rng.uniform(300, 600, n_positions),
+            rng.uniform(-400, 400, n_positions),
+            rng.uniform(0, 500, n_positions),
+        ]
+    )
+    seats = np.repeat(targets, n_poses, axis=0)
+    seats = seats + rng.normal(0, noise_mm, seats.shape) if noise_mm else seats
+    angles = poses_at(arm, seats, 1, rng)
+    return angles, np.repeat(np.arange(n_positions), n_poses), targets
+
+
+def scatter(arm, angles, groups):
+    """Mean distance from the mean of the group, by a plain loop."""
+    points = arm.forward(angles)
+    return np.mean(
+        np.concatenate(
+            [
+                np.linalg.norm(points[groups == g] - points[groups == g].mean(axis=0), axis=1)
+                for g in np.unique(groups)
+            ]
+        )
+    )
+
+
+NOMINAL = {name: Arm.from_name(name) for name in ("aacmm6", "panda", "ur10")}
+
+
+@pytest.mark.parametrize("name", NOMINAL)
+def test_parameter_jacobian_against_central_differences(name):
+    arm = disturbed(NOMINAL[name])
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (20, arm.n_joints))
+    points, jac = parameter_jacobian(arm, angles)
+    assert_allclose(points, arm.forward(angles), atol=1e-9)
+    x = pack(arm)
+    for i in range(len(x)):
+        step = np.eye(len(x))[i] * 1e-5
+        slope = unpack(arm, x + step).forward(angles) - unpack(arm, x - step).forward(angles)
+        assert_allclose(jac[:, :, i], slope / 2e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["single-point", "tracker"])
+def test_fit_jacobian_against_differences(kind):
+    arm = disturbed(NOMINAL["panda"])
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-1, 1, (12, 7))
+    if kind == "tracker":
+        problem = Problem(None, rng.normal(0, 500, (12, 3)), [])
+    else:
+        problem = Problem(rng.permutation(np.repeat([0, 1, 2], 4)), None, [(0, 2, 300.0, 2.0)])
+    x = pack(NOMINAL["panda"])
+    sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [7, 7, 7, 7, 3])
+    fit = Fit(arm, angles, problem, x, sd, "linear")
+    fit.sigma, fit.weights = 3.0, rng.uniform(0.5, 1, 12)
+    x = fit.x + 1e-3 * rng.normal(size=len(fit.x))
+    mask = np.ones(len(x), bool)
+    _, jac = fit._residuals_and_jacobian(x, mask)
+    numeric = approx_fprime(x, lambda v: fit._residuals_and_jacobian(v, mask)[0], 1e-6)
+    size = np.abs(numeric).max(axis=0)  # lengths and angles differ by a factor of a thousand
+    assert_allclose(jac / size, numeric / size, atol=1e-4)
+
+
+def test_single_point_data_are_explained_exactly_without_noise():
+    nominal = NOMINAL["aacmm6"]
+    truth = disturbed(nominal)
+    angles, groups, targets = single_point_test(truth)
+    lengths = [(i, j, np.linalg.norm(targets[i] - targets[j]), 1e-3) for i, j in [(0, 1), (2, 3)]]
+    # The prior shows in what is left; with one this weak it does not.
+    result = calibrate(nominal, angles, groups, lengths=lengths, prior_length=20, prior_angle=0.2)
+    assert result.scatter_before_mm > 0.1
+    assert result.scatter_after_mm < 1e-4
+    # A new position that was never shown, and a distance that was never given.
+    new_angles, new_groups, new_targets = single_point_test(truth, seed=9)
+    assert scatter(result.arm, new_angles, new_groups) < 1e-3
+    centres = np.array([result.arm.forward(new_angles[new_groups == g]).mean(0) for g in range(8)])
+    for i, j in [(0, 1), (2, 5), (4, 7)]:
+        true = np.linalg.norm(new_targets[i] - new_targets[j])
+        assert np.linalg.norm(centres[i] - centres[j]) == pytest.approx(true, abs=5e-3)
+
+
+def test_scatter_is_what_it_says():
+    truth = disturbed(NOMINAL["aacmm6"])
+    angles, groups, _ = single_point_test(truth, noise_mm=0.05)
+    result = calibrate(NOMINAL["aacmm6"], angles, groups)
+    given = scatter(NOMINAL["aacmm6"], angles, groups)
+    assert result.scatter_given_mm == pytest.approx(given, rel=1e-9)
+    assert result.scatter_after_mm == pytest.approx(scatter(result.arm, angles, groups), rel=1e-9)
+    assert_allclose(
+        np.linalg.norm(result.residuals_mm, axis=1).mean(), result.scatter_after_mm, rtol=1e-9
+    )
+    # 0.05 mm a coordinate is 0.08 mm on average
+    assert result.sigma_mm == pytest.approx(0.05, rel=0.15)
+    assert result.scatter_after_mm == pytest.approx(0.05 * np.sqrt(8 / np.pi), rel=0.1)
+
+
+def test_what_single_points_cannot_see_stays_nominal_and_is_named():
+    nominal = NOMINAL["aacmm6"]
+    angles, groups, _ = single_point_test(disturbed(nominal), noise_mm=0.05)
+    result = calibrate(nominal, angles, groups)
+    assert {"d1", "theta_offset1", "theta_offset6", "d6", "scale"} <= set(result.unidentified)
+    assert {"alpha1", "alpha2", "theta_offset3", "theta_offset4"}.isdisjoint(result.unidentified)
+    assert result.arm.d[0] == pytest.approx(nominal.d[0], abs=1e-4)
+    assert result.arm.theta_offset[0] == pytest.approx(nominal.theta_offset[0], abs=1e-4)
+    # Indeed nothing shows: the base may be lifted and turned as one likes.
+    moved = result.arm.replace(
+        d=result.arm.d + 9 * np.eye(6)[0], theta_offset=result.arm.theta_offset + np.eye(6)[0]
+    )
+    assert scatter(moved, angles, groups) == pytest.approx(result.scatter_after_mm, rel=1e-9)
+
+
+def test_noise_does_not_shrink_the_arm():
+    # Points of an arm half the size scatter half as much: least squares alone would take it.
+    nominal = NOMINAL["aacmm6"]
+    angles, groups, targets = single_point_test(nominal, noise_mm=2.0)
+    result = calibrate(nominal, angles, groups, prior_length=20)
+    centres = [result.arm.forward(angles[groups == g]).mean(axis=0) for g in (0, 1)]
+    true = np.linalg.norm(targets[0] - targets[1])
+    assert np.linalg.norm(centres[0] - centres[1]) == pytest.approx(true, rel=0.01)
+
+
+def test_known_lengths_give_the_scale():
+    nominal = NOMINAL["aacmm6"]
+    truth = nominal.replace(a=1.003 * nominal.a, d=1.003 * nominal.d, probe=1.003 * nominal.probe)
+    angles, groups, targets = single_point_test(truth, noise_mm=0.02)
+    lengths = [
+        (i, i + 1, np.linalg.norm(targets[i] - targets[i + 1]), 0.02) for i in range(0, 8, 2)
+    ]
+    without = calibrate(nominal, angles, groups)
+    result = calibrate(nominal, angles, groups, lengths=lengths)
+    assert without.arm.d[2] == pytest.approx(nominal.d[2], abs=0.3)
+    assert "scale" in without.unidentified
+    assert result.arm.d[2] == pytest.approx(truth.d[2], abs=0.1)
+    assert "scale" not in result.unidentified
+    assert result.scale_sd < 0.3 * without.scale_sd
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_tracker_data_give_arm_base_and_tool(seed):
+    nominal = NOMINAL["ur10"]
+    truth = disturbed(nominal, seed)
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2.5, 2.5, (400, 6))
+    turn = Rotation.from_euler("xyz", rng.uniform(-3, 3, 3)).as_matrix()
+    shift = rng.normal(0, 2000, 3)
+    points = truth.forward(angles) @ turn.T + shift + rng.normal(0, 0.05, (400, 3))
+    result = calibrate(nominal, angles[:300], points=points[:300])
+    assert result.scatter_before_mm > 0.5
+    assert result.scatter_after_mm < 0.1
+    predicted = result.arm.forward(angles[300:]) @ result.base_rotation.T + result.base_translation
+    assert np.linalg.norm(predicted - points[300:], axis=1).mean() < 0.1
+    assert_allclose(result.base_rotation @ result.base_rotation.T, np.eye(3), atol=1e-12)
+    # Parallel axes share their offsets: the sum is known, the single ones are not.
+    assert {"d2", "d3", "d4", "theta_offset1", "d1"} <= set(result.unidentified)
+    assert result.arm.d[1:4].sum() == pytest.approx(truth.d[1:4].sum(), abs=0.3)
+    assert result.arm.a[1] == pytest.approx(truth.a[1], abs=0.05)
+
+
+def test_the_trackers_frame_does_not_matter():
+    truth = disturbed(NOMINAL["aacmm6"])
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-2, 2, (100, 6))
+    points = truth.forward(angles) + rng.normal(0, 0.1, (100, 3))
+    turn = Rotation.from_euler("xyz", [2.0, -1.0, 3.0]).as_matrix()
+    first = calibrate(NOMINAL["aacmm6"], angles, points=points)
+    second = calibrate(NOMINAL["aacmm6"], angles, points=points @ turn.T + [5000, -300, 20])
+    assert_allclose(second.values, first.values, atol=2e-3)
+    assert second.scatter_after_mm == pytest.approx(first.scatter_after_mm, rel=1e-4)
+
+
+def test_order_and_names_of_groups_do_not_matter():
+    angles, groups, _ = single_point_test(disturbed(NOMINAL["aacmm6"]), noise_mm=0.05)
+    names = np.array(["c", "a", "h", "b", "g", "d", "f", "e"])[groups]
+    order = np.random.default_rng(0).permutation(len(groups))
+    first = calibrate(NOMINAL["aacmm6"], angles, groups)
+    second = calibrate(NOMINAL["aacmm6"], angles[order], names[order])
+    assert_allclose(second.values, first.values, atol=1e-4)
+    degrees = calibrate(NOMINAL["aacmm6"], np.rad2deg(angles), groups, angle_unit="deg")
+    assert_allclose(degrees.values, first.values, atol=1e-4)
+
+
+def test_standard_deviations_are_those_of_repeated_tests():
+    nominal = NOMINAL["aacmm6"]
+    angles, groups, _ = single_point_test(nominal, n_positions=6, n_poses=20)
+    jac, rng = nominal.jacobian(angles), np.random.default_rng(0)
+    z = []
+    for _ in range(25):
+        noise = rng.normal(0, 0.05, (len(angles), 3))
+        moved = angles + (np.linalg.pinv(jac) @ noise[:, :, None])[:, :, 0]
+        result = calibrate(nominal, moved, groups, loss="linear")
+        identified = ~np.isin(result.names, result.unidentified)
+        known = identified & (result.standard_deviations < 0.05)
+        z.append(((result.values - result.nominal) / result.standard_deviations)[known])
+    z = np.concatenate(z)
+    assert len(z) > 200
+    assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15
+
+
+@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
+def test_outliers_are_named_and_hardly_count(loss):
+    truth = disturbed(NOMINAL["aacmm6"])
+    angles, groups, _ = single_point_test(truth, noise_mm=0.02)
+    clean = calibrate(NOMINAL["aacmm6"], angles, groups, loss=loss)
+    bad = [17, 60, 201]
+    spoilt = angles.copy()
+    spoilt[bad, 1] += [4e-3, -6e-3, 5e-3]  # a few mm
+    result = calibrate(NOMINAL["aacmm6"], spoilt, groups, loss=loss)
+    plain = calibrate(NOMINAL["aacmm6"], spoilt, groups, loss="linear")
+    assert set(bad) <= set(result.outliers)
+    assert len(result.outliers) <= 5
+    assert result.outliers[0] in bad
+    robust_harm = scatter(result.arm, angles, groups) - clean.scatter_after_mm
+    plain_harm = scatter(plain.arm, angles, groups) - clean.scatter_after_mm
+    assert robust_harm < 0.5 * plain_harm
+    text = str(result)
+    assert f"row {result.outliers[0]} ({groups[result.outliers[0]]})" in text
+
+
+def test_a_wrong_length_is_named_and_hardly_counts():
+    truth = disturbed(NOMINAL["aacmm6"])
+    angles, groups, targets = single_point_test(truth, noise_mm=0.02)
+    pairs = [(0, 1), (2, 3), (4, 5), (6, 7), (1, 2)]
+    lengths = [(i, j, np.linalg.norm(targets[i] - targets[j]), 0.05) for i, j in pairs]
+    right = calibrate(NOMINAL["aacmm6"], angles, groups, lengths=lengths)
+    lengths[2] = (4, 5, lengths[2][2] + 25, 0.05)
+    with pytest.warns(UserWarning, match=r"1 of 5 known lengths disagree.*4 to 5 is"):
+        result = calibrate(NOMINAL["aacmm6"], angles, groups, lengths=lengths)
+    assert result.length_errors_mm[2] == pytest.approx(-25, abs=0.5)
+    assert np.abs(np.delete(result.length_errors_mm, 2)).max() < 0.3
+    assert result.scatter_after_mm < 1.2 * right.scatter_after_mm
+
+
+def test_only_free_fields_change():
+    nominal = NOMINAL["aacmm6"]
+    angles, groups, _ = single_point_test(disturbed(nominal), noise_mm=0.05)
+    result = calibrate(nominal, angles, groups, free=("theta_offset", "probe"))
+    for field in ("a", "alpha", "d"):
+        assert np.array_equal(getattr(result.arm, field), getattr(nominal, field))
+    held = [not name.startswith(("theta", "probe")) for name in result.names]
+    assert not result.standard_deviations[held].any()
+    assert result.standard_deviations[~np.array(held)].all()
+    nothing = calibrate(nominal, angles, groups, free=())
+    assert nothing.arm == nominal
+    assert nothing.scatter_after_mm == nothing.scatter_given_mm
+
+
+def test_result_is_a_plain_value():
+    angles, groups, _ = single_point_test(disturbed(NOMINAL["panda"]), n_poses=10)
+    result = pickle.loads(pickle.dumps(calibrate(NOMINAL["panda"], angles, groups)))
+    assert result.arm.name == "panda"
+    assert result.arm.convention == "modified"
+    text = str(result)
+    for word in ("theta_offset4", "not identified", "scale", "outliers"):
+        assert word in text
+
+
+# -- real arms ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "held_out"),
+    [("panda_3", 2.5, 0.20, 0.21), ("panda_2", 7.0, 0.37, 0.38)],
+)
+def test_panda(panda, name, before, after, held_out):
+    data, nominal = panda(name), NOMINAL["panda"]
+    result = calibrate(nominal, data.angles, data.groups)
+    assert result.scatter_before_mm > before
+    assert result.scatter_after_mm <= after
+    left_out = []
+    for placement in np.unique(data.placements):
+        test = data.placements == placement
+        fit = calibrate(nominal, data.angles[~test], data.groups[~test])
+        left_out.append((scatter(fit.arm, data.angles[test], data.groups[test]), test.sum()))
+    assert np.average([s for s, _ in left_out], weights=[n for _, n in left_out]) <= held_out
+    if name == "panda_3":
+        assert len(result.outliers) <= 2
+    else:
+        assert max(np.linalg.norm(result.residuals_mm, axis=1)) > 2
+        assert data.placements[result.outliers[0]] == "high"
+
+
+def test_panda_keeps_a_length_that_was_not_given(panda):
+    data = panda("panda_3")
+    placements = np.unique(data.placements)
+    lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in placements[:3]]
+    result = calibrate(NOMINAL["panda"], data.angles, data.groups, lengths=lengths)
+    for p in placements[3:]:
+        holes = [result.arm.forward(data.angles[data.groups == f"{p}/{i}"]).mean(0) for i in "01"]
+        assert np.linalg.norm(holes[0] - holes[1]) == pytest.approx(50.0, abs=0.25)
+
+
+def test_panda_finds_the_plate_that_stood_one_hole_off(panda):
+    # On the grid, left and right are said to be 350 mm apart. At the front they were not: all
+    # distances agree with a front left plate 25 mm farther out, such as back left to front left,
+    # said to be 150 mm, with hypot(150, 25).
+    data = panda("panda_3")
+    lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(data.placements)]
+    grid = [
+        ("backleft", "backright", 350.0),
+        ("backcenter", "frontcenter", 150.0),
+        ("backright", "frontright", 150.0),
+        ("frontleft", "frontright", 350.0),
+    ]
+    lengths += [(f"{a}/{i}", f"{b}/{i}", length, 0.5) for a, b, length in grid for i in "01"]
+    with pytest.warns(UserWarning, match="2 of 14 known lengths disagree.*frontleft/0 to"):
+        result = calibrate(NOMINAL["panda"], data.angles, data.groups, lengths=lengths)
+    assert result.scatter_after_mm <= 0.20
+    assert_allclose(result.length_errors_mm[-2:], 25, atol=1)
+    assert np.abs(result.length_errors_mm[:-2]).max() < 0.6
+    centre = [
+        result.arm.forward(data.angles[data.groups == f"{p}/0"]).mean(axis=0)
+        for p in ("backleft", "frontleft")
+    ]
+    assert np.linalg.norm(centre[0] - centre[1]) == pytest.approx(np.hypot(150, 25), abs=0.6)
+
+
+def test_ur10(ur10):
+    result = calibrate(NOMINAL["ur10"], ur10.angles, points=ur10.points)
+    assert result.scatter_before_mm > 0.7
+    assert result.scatter_after_mm <= 0.40
+    goals = np.random.default_rng(0).permutation(ur10.groups.max() + 1)
+    train = goals[ur10.groups] % 3 > 0
+    result = calibrate(NOMINAL["ur10"], ur10.angles[train], points=ur10.points[train])
+    predicted = result.arm.forward(ur10.angles) @ result.base_rotation.T + result.base_translation
+    assert np.linalg.norm(predicted - ur10.points, axis=1)[~train].mean() <= 0.42
+
+
+# -- bad input ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"angles": np.zeros((6, 5))}, r"6 joints, got \(6, 5\)"),
+        ({"angles": np.zeros((0, 6)), "groups": []}, "angles are empty"),
+        ({"groups": None}, "either groups, or points"),
+        ({"points": np.zeros((6, 3))}, "either groups, or points"),
+        ({"groups": [0, 0, 1]}, "groups names 3 samples, but there are 6"),
+        ({"groups": [0, 0, 1, 1, np.nan, 2]}, "1 missing labels among 6"),
+        ({"groups": np.array([0, "a", 1, 1, 2, 2], dtype=object)}, "labels of one kind"),
+        ({"groups": np.arange(6)}, "each of the 6 groups has one point"),
+        ({"groups": None, "points": np.zeros((6, 2))}, r"\(6, 3\), got \(6, 2\)"),
+        ({"groups": None, "points": np.full((6, 3), np.nan)}, "NaN or infinity, first in row 0"),
+        ({"groups": None, "points": np.zeros((6, 3)), "lengths": [(0, 1, 2, 3)]}, "no use for"),
+        ({"lengths": [(0, 7, 50.0, 0.1)]}, "name the group 7, which has no samples"),
+        ({"lengths": [(0, 1, 50.0)]}, "must be .label, label, length, standard deviation."),
+        ({"lengths": [(0, 1, 50.0, 0.0)]}, "must be positive"),
+        ({"lengths": [(1, 1, 50.0, 0.1)]}, "two different groups"),
+        ({"free": ("theta",)}, "free must name some of"),
+        ({"free": "probes"}, "free must name some of"),
+        ({"loss": "l1"}, "loss must be one of"),
+        ({"prior_length": 0}, "prior_length must be a positive number from 1e-09 .*, got 0"),
+    ],
+)
+def test_bad_input_gets_one_clear_sentence(change, message):
+    good = {"angles": np.zeros((6, 6)), "groups": [0, 0, 1, 1, 2, 2]}
+    with pytest.raises(ValueError, match=message):
+        calibrate(NOMINAL["aacmm6"], **{**good, **change})
+
+
+def test_not_an_arm():
+    with pytest.raises(TypeError, match="arm must be an Arm, got str"):
+        calibrate("panda", np.zeros((6, 7)), [0, 0, 0, 1, 1, 1])
+
+
+def test_groups_of_one_point_are_told_and_do_not_count():
+    truth = disturbed(NOMINAL["aacmm6"])
+    angles, groups, targets = single_point_test(truth, noise_mm=0.05)
+    first = calibrate(NOMINAL["aacmm6"], angles, groups)
+    extra = poses_at(truth, targets[:3], 1, np.random.default_rng(5))
+    more, labels = np.r_[angles, extra], np.r_[groups, [100, 101, 102]]
+    with pytest.warns(UserWarning, match="3 groups have one point and say nothing, such as 100"):
+        second = calibrate(NOMINAL["aacmm6"], more, labels)
+    assert_allclose(second.values, first.values, atol=1e-4)
+    assert second.sigma_mm == pytest.approx(first.sigma_mm, rel=1e-3)
+    # ... unless a length makes use of them
+    length = np.linalg.norm(targets[0] - targets[1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        calibrate(NOMINAL["aacmm6"], more[:-1], labels[:-1], lengths=[(100, 101, length, 0.05)])
+
+
+@pytest.mark.filterwarnings("ignore:The points still scatter")  # no arm had these angles
+def test_degrees_given_as_radians_are_doubted_once():
+    arm = Arm.from_name("aacmm6")
+    angles = np.rad2deg(np.random.default_rng(0).uniform(-2, 2, (60, 6)))
+    with pytest.warns(UserWarning, match="two turns") as caught:
+        calibrate(arm, angles, np.repeat(np.arange(6), 10))
+    said = [w for w in caught if "more than two turns" in str(w.message)]
+    assert len(said) == 1
+    assert said[0].filename == __file__
+
+
+SINGLE_POINT = make_single_point(n_positions=10, n_poses=25, random_state=1)
+CENTRES = [
+    SINGLE_POINT.points[SINGLE_POINT.groups == label].mean(axis=0)
+    for label in np.unique(SINGLE_POINT.groups)
+]
+
+
+def known(first, second, factor=1.0):
+    """A length entry, mm."""
+    length = np.linalg.norm(CENTRES[first] - CENTRES[second])
+    labels = np.unique(SINGLE_POINT.groups)
+    return labels[first], labels[second], factor * length, 0.01
+
+
+@pytest.mark.parametrize(
+    ("lengths", "sentence"),
+    [
+        ([known(0, 1, 10)], "still scatter by"),
+        ([known(0, 1)[:2] + known(0, 9)[2:]], "still scatter by"),  # of another pair
+        ([known(0, 1, 1.1)], "d3 is 8.* mm, nominally 750"),
+        ([known(i, i + 1, 0.1) for i in range(3)], "d3 is 75.* mm, nominally 750"),  # in cm
+    ],
+)
+def test_a_fit_that_makes_no_sense_is_told(lengths, sentence):
+    nominal = NOMINAL["aacmm6"].replace(probe=(0, 0, 98))
+    with pytest.warns(UserWarning, match=sentence):
+        calibrate(nominal, SINGLE_POINT.data, SINGLE_POINT.groups, lengths=lengths)
+
+
+def test_an_arm_in_metres_is_told():
+    arm = NOMINAL["aacmm6"]
+    arm = arm.replace(a=arm.a / 1000, d=arm.d / 1000, probe=arm.probe / 1000)
+    with pytest.warns(UserWarning, match="in metres, not millimetres"):
+        calibrate(arm, SINGLE_POINT.data, SINGLE_POINT.groups)
+
+
+def test_joints_in_another_order_are_told():
+    angles = SINGLE_POINT.data[:, [1, 0, 2, 3, 4, 5]]
+    with pytest.warns(UserWarning, match="order and sense of the joints"):
+        calibrate(NOMINAL["aacmm6"], angles, SINGLE_POINT.groups)

@@ -1,0 +1,87 @@
+"""The choice of the next poses, against posteriors computed afresh."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.linear_model import LinearRegression
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, next_poses
+from sklearn_raacmm.error_model._columns import term_columns
+
+ARM = Arm.from_name("aacmm6")
+
+
+@pytest.fixture(scope="module", params=[False, True])
+def planned(request):
+    """Return a fitted model, candidates, and their positions."""
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-1, 1, (120, 6))
+    y = rng.normal(0, 0.01, (120, 3))
+    model = JointHarmonicRegressor(ARM, n_harmonics=2, gravity=False, offsets=request.param)
+    model.fit(theta, y, groups=np.arange(120) % 10)
+    candidates = rng.uniform(-2, 2, (40, 6))
+    return model, candidates, np.repeat(np.arange(8), 5) if request.param else None
+
+
+@pytest.mark.parametrize("criterion", ["I", "D"])
+def test_choice_is_that_of_the_posterior_computed_afresh(planned, criterion):
+    model, X, groups = planned
+    chosen, std = next_poses(model, X, 3, groups=groups, criterion=criterion)
+    codes = np.arange(len(X)) if groups is None else groups
+    columns = term_columns(ARM, X, model._terms())
+    aim = columns.reshape(-1, columns.shape[2])
+    covariance = model._half @ model._half.T
+    # With offsets the scale is held: no variance at all along it.
+    precision = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
+    taken = []
+    for step in range(3):
+        values, spreads = {}, {}
+        for label in sorted(set(codes.tolist()) - set(taken)):
+            rows = columns[codes == label]
+            if groups is not None:
+                rows = rows - rows.mean(axis=0)
+            rows = rows.reshape(-1, columns.shape[2]) / model.noise_sd_
+            covariance = np.linalg.inv(precision + rows.T @ rows)
+            spreads[label] = np.sqrt(np.trace(aim @ covariance @ aim.T) / len(X))
+            logdet = np.linalg.slogdet(covariance)[1]
+            values[label] = (spreads[label] if criterion == "I" else logdet, rows)
+        best = min(values, key=lambda label: values[label][0])
+        assert chosen[step] == best
+        assert_allclose(std[step + 1], spreads[best], rtol=1e-4)
+        rows = values[best][1]
+        precision = precision + rows.T @ rows
+        taken.append(best)
+    now = model.predict(X, return_std=True)[1]
+    assert_allclose(std[0], np.sqrt(np.square(now).sum(axis=1).mean()), rtol=1e-8)
+
+
+def test_poses_near_the_targets_are_chosen():
+    """Poses measured at random in a corner; the correction is for the other one."""
+    rng = np.random.default_rng(1)
+    theta = rng.uniform(-1.5, 0, (200, 6))
+    model = JointHarmonicRegressor(ARM, n_harmonics=2).fit(theta, rng.normal(0, 0.01, (200, 3)))
+    X = np.vstack([rng.uniform(-1.5, 0, (50, 6)), rng.uniform(0, 1.5, (50, 6))])
+    chosen, std = next_poses(model, X, 6, targets=rng.uniform(0, 1.5, (100, 6)))
+    assert np.mean(chosen >= 50) > 0.8
+    assert np.all(np.diff(std) < 0)
+    whole = ArmResidualRegressor(ARM, harmonics=model, use="harmonics").fit(
+        theta, rng.normal(0, 0.01, (200, 3))
+    )
+    assert len(next_poses(whole, X, 2)[0]) == 2
+
+
+def test_bad_input_is_refused(planned):
+    model, X, groups = planned
+    with pytest.raises(ValueError, match="n_poses must be 1 to"):
+        next_poses(model, X, 41, groups=groups)
+    with pytest.raises(ValueError, match='"I" or "D"'):
+        next_poses(model, X, 2, groups=groups, criterion="A")
+    with pytest.raises(TypeError, match="got LinearRegression"):
+        next_poses(LinearRegression().fit(X, X), X, 2)
+    if groups is not None:
+        with pytest.raises(ValueError, match="give groups"):
+            next_poses(model, X, 2)
+        with pytest.raises(ValueError, match="groups names 39 samples"):
+            next_poses(model, X, 2, groups=groups[1:])
+    else:
+        assert_array_equal(next_poses(model, X, 2)[0], next_poses(model, X.tolist(), 2)[0])

@@ -1,0 +1,437 @@
+"""The simulated arm against laws of physics and against independent models of the same thing."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sklearn_raacmm import cartesian_to_cylindrical, metrics
+from sklearn_raacmm.datasets import (
+    ArmErrors,
+    SimulatedArm,
+    _simulation,
+    make_gauge,
+    make_single_point,
+)
+
+ARCSEC = np.pi / 648000
+GRAVITY = {"sag_um": (128, 24), "joint_compliance_urad_per_nm": 33, "counterbalance": 0.85}
+STRAIGHT_OUT = [[0.3, -np.pi / 2, 0, 0, 0, 0]]  # both tubes horizontal
+
+
+@pytest.fixture
+def poses():
+    return np.random.default_rng(0).uniform(-3, 3, (50, 6))
+
+
+def _moved(machine, angles):
+    """Displacement of the probe by everything but the geometry, mm."""
+    return machine.forward(angles) - machine.true_arm.forward(angles)
+
+
+# -- the physics --------------------------------------------------------------------------------
+
+
+def test_with_every_source_off_the_arm_is_its_drawing(poses):
+    machine = SimulatedArm("none")
+    assert machine.true_arm.replace(name="aacmm6") == machine.nominal_arm
+    np.testing.assert_array_equal(machine.forward(poses), machine.nominal_arm.forward(poses))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "isotropic"),
+    [(GRAVITY, True), ({"warming_k": 3}, True), ({"eccentricity_arcsec": (4, 1)}, False)],
+)
+def test_gravity_looks_the_same_from_every_azimuth_and_eccentricity_does_not(
+    poses, sizes, isotropic
+):
+    machine = SimulatedArm(ArmErrors.only(**sizes))
+    turned = poses + np.random.default_rng(1).uniform(-3, 3, (50, 1)) * [1, 0, 0, 0, 0, 0]
+    here, there = (
+        cartesian_to_cylindrical(_moved(machine, q), machine.true_arm.azimuth(q))
+        for q in (poses, turned)
+    )
+    assert np.abs(here).max() > 0.01
+    assert (np.abs(here - there).max() < 1e-9) == isotropic
+
+
+def test_torques_are_the_slopes_of_the_potential_energy(poses):
+    machine = SimulatedArm("typical")
+    tube_n, elbow_n, wrist_n = (
+        _simulation._TUBE_WEIGHT_N_PER_M,
+        _simulation._ELBOW_WEIGHT_N,
+        _simulation._WRIST_WEIGHT_N,
+    )
+
+    def energy(q):  # N m
+        z = machine.true_arm.frames(q)[..., 2, 3] / 1e3
+        upper, forearm = tube_n * machine.nominal_arm.d[[2, 4]] / 1e3
+        return (
+            upper * (z[:, 2] + z[:, 3]) / 2
+            + elbow_n * z[:, 3]
+            + forearm * (z[:, 4] + z[:, 5]) / 2
+            + wrist_n * z[:, 5]
+        )
+
+    step = 1e-5
+    slopes = np.column_stack(
+        [(energy(poses + e) - energy(poses - e)) / (2 * step) for e in step * np.eye(6)]
+    )
+    torques = machine.gravity_torques(poses)
+    np.testing.assert_allclose(torques, -slopes, atol=1e-8)
+    assert np.abs(torques).max() > 20
+
+
+def test_shoulder_torque_of_the_straight_horizontal_arm_by_hand():
+    torque = SimulatedArm("none").gravity_torques(STRAIGHT_OUT)[0]
+    upper, forearm = 0.7507, 0.5006  # m
+    by_hand = (
+        15.6 * upper * upper / 2
+        + 9.8 * upper
+        + 15.6 * forearm * (upper + forearm / 2)
+        + 5.9 * (upper + forearm)
+    )
+    assert abs(torque[1]) == pytest.approx(by_hand, rel=1e-3)
+    assert abs(torque[3]) == pytest.approx(15.6 * forearm**2 / 2 + 5.9 * forearm, rel=1e-3)
+    np.testing.assert_allclose(torque[[0, 2, 4, 5]], 0, atol=0.01)
+
+
+def _cantilever(length, per_length, load, stiffness):
+    """Sag in m and slope in rad of a horizontal cantilever: the textbook's sum."""
+    sag = per_length * length**4 / 8 + load * length**3 / 3
+    slope = per_length * length**3 / 6 + load * length**2 / 2
+    return sag / stiffness, slope / stiffness
+
+
+def test_bending_of_the_straight_horizontal_arm_in_closed_form():
+    # Carbon tubes of 100 GPa, 75/71 and 60/56 mm: EI in N m2.
+    stiffness = [1e11 * np.pi / 64 * (o**4 - i**4) for o, i in ((0.075, 0.071), (0.06, 0.056))]
+    sag1, slope1 = _cantilever(0.750742, 15.6, 9.8 + 15.6 * 0.500557 + 5.9, stiffness[0])
+    sag2, slope2 = _cantilever(0.500557, 15.6, 5.9, stiffness[1])
+    defaults = ArmErrors().sag_um
+    assert defaults == pytest.approx((1e6 * sag1, 1e6 * sag2), rel=0.05)
+    machine = SimulatedArm(ArmErrors.only(sag_um=(1e6 * sag1, 1e6 * sag2)))
+    beyond_elbow, stylus = 500.557 + 97.811, 97.811  # mm
+    drop = 1e3 * (sag1 + sag2) + slope1 * beyond_elbow + slope2 * stylus
+    moved = _moved(machine, STRAIGHT_OUT)[0]
+    assert moved[2] == pytest.approx(-drop, rel=1e-3)
+    # Slopes turn what lies 62 mm above the upper tube's axis forward, and nothing sideways.
+    along = np.array([np.cos(0.3), np.sin(0.3), 0])
+    assert moved @ along == pytest.approx(slope1 * 62.1, rel=0.01)
+
+
+def test_torsion_of_the_straight_horizontal_arm_in_closed_form():
+    machine = SimulatedArm(ArmErrors.only(joint_compliance_urad_per_nm=20, counterbalance=0.9))
+    torque = np.abs(machine.gravity_torques(STRAIGHT_OUT)[0])
+    reach, beyond_elbow = 750.742 + 500.557 + 97.811, 500.557 + 97.811
+    drop = 20e-6 * (0.1 * torque[1] * reach + torque[3] * beyond_elbow)
+    assert _moved(machine, STRAIGHT_OUT)[0, 2] == pytest.approx(-drop, rel=1e-3)
+
+
+def test_a_vertical_arm_does_not_bend():
+    machine = SimulatedArm(ArmErrors.only(sag_um=(128, 24)))
+    hanging = [[1.0, 0, 0, 0, 0, 0]]
+    assert np.linalg.norm(_moved(machine, hanging)) < 1e-3 * np.linalg.norm(
+        _moved(machine, STRAIGHT_OUT)
+    )
+
+
+def test_bending_and_torsion_against_finite_rotations(poses):
+    """Exact rigid motions, part by part from wrist to base: the sum is their first order."""
+    machine = SimulatedArm(ArmErrors.only(**GRAVITY))
+    arm = machine.true_arm
+    frames = arm.frames(poses)
+    turns = 33e-6 * machine.gravity_torques(poses) * [1, 0.15, 1, 1, 1, 1]
+    np.testing.assert_allclose(  # a turned joint is a joint at another angle
+        machine.deviations(poses)["torsion"], arm.forward(poses + turns) - arm.forward(poses),
+        atol=1e-4,
+    )  # fmt: skip
+    down = np.array([0, 0, -1.0])
+    stiffness = 30580, 15340  # N m2, as published: what is compared are the directions and levers
+    exact = arm.forward(poses)
+    for k, (start, end, load) in reversed(list(enumerate([(2, 3, 23.5), (4, 5, 5.9)]))):
+        tube = (frames[:, end, :, 3] - frames[:, start, :, 3]) / 1e3
+        length = np.linalg.norm(tube, axis=1)[:, None]
+        sag, slope = _cantilever(length, 15.6, load, stiffness[k])
+        sag *= (128, 24)[k] / (1e6 * sag)
+        slope *= (128, 24)[k] / (1e6 * _cantilever(length, 15.6, load, stiffness[k])[0])
+        axis = np.cross(tube / length, down)  # as long as the cosine of the elevation
+        across = down + tube[:, 2:] / length**2 * tube
+        center = frames[:, end, :, 3]
+        exact = center + Rotation.from_rotvec(slope * axis).apply(exact - center)
+        exact += 1e3 * sag * across
+    np.testing.assert_allclose(
+        machine.deviations(poses)["sag"], exact - arm.forward(poses), atol=5e-4
+    )
+
+
+def test_eccentricity_of_the_base_has_two_harmonics_of_the_right_size():
+    machine = SimulatedArm(ArmErrors.only(eccentricity_arcsec=(4, 1.2)), random_state=3)
+    n = 64
+    angles = np.tile([0, -1.4, 0.3, 1.2, 0.4, -0.5], (n, 1))
+    angles[:, 0] = 2 * np.pi * np.arange(n) / n
+    points = machine.true_arm.forward(angles)
+    moved = cartesian_to_cylindrical(_moved(machine, angles), machine.true_arm.azimuth(angles))
+    spectrum = np.abs(np.fft.rfft(moved[:, 1])) / n * 2
+    amplitude = spectrum / np.hypot(points[0, 0], points[0, 1]) / ARCSEC
+    assert 0.5 * 4 <= amplitude[1] <= 1.5 * 4
+    assert 0.5 * 1.2 <= amplitude[2] <= 1.5 * 1.2
+    np.testing.assert_allclose(amplitude[3:], 0, atol=1e-6)
+    np.testing.assert_allclose(moved[:, [0, 2]], moved[[0]][:, [0, 2]].repeat(n, 0), atol=1e-9)
+
+
+def test_wobble_is_no_twist_error_in_disguise():
+    """Twists, zeros and offsets of either side of joint 3 explain all but two turns per turn."""
+    machine = SimulatedArm(ArmErrors.only(wobble_arcsec=3))
+    n = 64
+    angles = np.tile([0, -1.4, 0.3, 1.2, 0.4, -0.5], (n, 1))
+    angles[:, 2] = 2 * np.pi * np.arange(n) / n
+    frames, probe = machine.true_arm.frames(angles), machine.true_arm.forward(angles)
+    levers = probe - frames[:, 2, :, 3]
+    # Joints 1 and 2 move the housing, joints 4 to 6 the rest, by constant turns and shifts.
+    constant = []
+    for axis in np.moveaxis(frames[:, 2:4, :, :3], (1, 3), (0, 1)).reshape(6, n, 3):
+        constant += [np.cross(axis, levers).ravel(), axis.ravel()]
+    constant = np.stack(constant, axis=1)
+    moved = machine.deviations(angles)["wobble"].ravel()
+    left = moved - constant @ np.linalg.lstsq(constant, moved, rcond=None)[0]
+    along_axis = levers[0] @ frames[0, 2, :, 2]
+    assert along_axis > 500
+    assert np.sqrt((left**2).sum() / n) == pytest.approx(3 * ARCSEC * along_axis, rel=1e-3)
+
+
+def test_warming_of_a_stretched_arm_by_its_materials():
+    machine = SimulatedArm(ArmErrors.only(warming_k=2))
+    moved = _moved(machine, [[0, -np.pi / 2, 0, 0, 0, 0]])[0]
+    carbon, aluminium = 750.74 + 500.56, 97.81
+    assert moved[0] == pytest.approx(2 * (0.5e-6 * carbon + 23e-6 * aluminium), rel=0.01)
+    assert moved[2] == pytest.approx(2 * 23e-6 * (376.5 + 62.1 + 62.1), rel=0.01)
+    assert np.all(machine.forward(STRAIGHT_OUT, warming_k=0) ==
+                  machine.true_arm.forward(STRAIGHT_OUT))  # fmt: skip
+
+
+def test_small_errors_add_up_in_what_the_encoders_show():
+    """Solved poses of the whole against the sum over sources, each solved by itself."""
+    points = np.array([[500.0, 200, 150], [-300, 400, 300]])
+    start = np.vstack([SimulatedArm("none").find_poses(p, 20, 0) for p in points])
+    targets = np.repeat(points, 20, axis=0)
+
+    def shown(errors):
+        machine = SimulatedArm(errors, random_state=5)
+        angles = machine.solve(start, targets)
+        return machine.nominal_arm.forward(angles) - targets
+
+    sources = [
+        {"length_mm": 0.05},
+        {"angle_deg": 0.002},
+        {"eccentricity_arcsec": (4, 1.2)},
+        {"wobble_arcsec": 3},
+        {"runout_um": 2},
+        {"joint_compliance_urad_per_nm": 33, "counterbalance": 0.85},
+        {"sag_um": (128, 24)},
+        {"warming_k": 1},
+    ]
+    together = ArmErrors.only(**{k: v for source in sources for k, v in source.items()})
+    whole, parts = shown(together), sum(shown(ArmErrors.only(**source)) for source in sources)
+    assert np.abs(whole).max() > 0.1
+    np.testing.assert_allclose(parts, whole, atol=1e-3)
+
+
+def test_readings_are_noisy_and_quantised_as_told():
+    machine = SimulatedArm(ArmErrors.only(encoder_noise_arcsec=1.5, quantisation_arcsec=0.5))
+    angles = np.random.default_rng(0).uniform(-3, 3, (3000, 6))
+    readings = machine.read(angles, random_state=0)
+    counts = readings / (0.5 * ARCSEC)
+    np.testing.assert_allclose(counts, counts.round(), atol=1e-6)
+    # 18 000 draws: the standard deviation is known to half a percent; 0.5^2 / 12 is added.
+    expected = np.hypot(1.5, 0.5 / np.sqrt(12))
+    error = (readings - angles) / ARCSEC
+    assert error.std() == pytest.approx(expected, rel=0.03)
+    assert abs(error.mean()) < 4 * expected / np.sqrt(error.size)  # rounded, not cut off
+
+
+def test_individuals_are_built_as_inaccurately_as_told():
+    arms = [SimulatedArm(ArmErrors(), random_state=s) for s in range(100)]
+    for field, size in [
+        ("a", 0.2),
+        ("d", 0.2),
+        ("probe", 0.2),
+        ("alpha", np.deg2rad(0.02)),
+        ("theta_offset", np.deg2rad(0.02)),
+    ]:
+        errors = np.array([getattr(m.true_arm, field) - getattr(m.nominal_arm, field)
+                           for m in arms])  # fmt: skip
+        if field in ("d", "theta_offset"):
+            assert not errors[:, 0].any()  # they define the base frame
+            errors = errors[:, 1:]
+        assert errors.std() == pytest.approx(size, rel=0.2)
+        assert np.all(errors.std(axis=0) > 0.6 * size)
+
+
+# -- the poses ----------------------------------------------------------------------------------
+
+
+def test_a_person_could_take_the_poses():
+    machine = SimulatedArm("none")
+    point = np.array([500.0, -300.0, 200.0])
+    angles = machine.find_poses(point, 200, random_state=0)
+    frames = machine.nominal_arm.frames(angles)
+    probe = machine.nominal_arm.forward(angles)
+    assert np.abs(probe - point).max() < 1e-6
+    assert np.all(np.diff(angles[:, 2]) >= 0)
+    # The elbow goes from one side of the shoulder-probe plane to the other, above the cone.
+    side = np.cross([0, 0, 1], point - machine.shoulder)
+    elbow = (frames[:, 3, :, 3] - machine.shoulder) @ side / np.linalg.norm(side)
+    assert elbow.min() < -350
+    assert elbow.max() > 350
+    assert np.all(frames[:, 3:6, 2, 3] > point[2])
+    stylus = (probe - frames[:, 6, :, 3]) / 97.811
+    assert np.all(stylus[:, 2] < -np.cos(np.deg2rad(60.01)))
+
+
+@pytest.mark.parametrize("mix", ["typical", "gravity", "eccentricity"])
+def test_the_true_probe_sits_in_the_cone_within_the_seating_error(mix):
+    test = make_single_point(4, 30, machine=mix, random_state=1)
+    truth = test.simulation
+    seating = (truth.true_points - truth.positions[test.groups]) * 1e3
+    assert seating.std() == pytest.approx(3, rel=0.2)
+    # Readings differ from the solved angles by noise and half a step only.
+    reread = truth.machine.solve(test.data, truth.true_points)
+    assert np.abs(truth.machine.forward(reread) - truth.true_points).max() < 1e-6
+    reached = np.linalg.norm(truth.positions - truth.machine.shoulder, axis=1)
+    share = reached / truth.machine.reach
+    assert share.min() >= 0.2
+    assert share.max() <= 0.8
+
+
+# -- the data sets ------------------------------------------------------------------------------
+
+
+def test_a_perfect_arm_does_not_scatter_and_measures_lengths_exactly():
+    test = make_single_point(4, 20, machine="none")
+    assert metrics.single_point_repeatability(test.points, test.groups, aggregate="max") < 1e-6
+    gauge = make_gauge(n_placements=3, machine="none")
+    measured = metrics.gauge_lengths(gauge.points, gauge.groups, gauge.pairs)
+    assert metrics.length_error(measured, gauge.lengths, statistic="max") < 1e-6
+
+
+def test_calibration_and_a_perfect_model_each_leave_less():
+    test = make_single_point(6, 60)
+    truth = test.simulation
+
+    def scatter(points):
+        return metrics.single_point_repeatability(points, test.groups)
+
+    nominal = scatter(test.nominal_arm.forward(test.data))
+    before = scatter(test.points)
+    floor = scatter(test.points - truth.perfect_correction)
+    assert nominal > 10 * before > 20 * floor > 0
+    # Calibrated on other data, without the true table: it cannot be it.
+    assert test.arm != truth.machine.true_arm
+    np.testing.assert_allclose(
+        truth.perfect_correction + truth.machine.forward(test.data), test.points
+    )
+    np.testing.assert_allclose(test.arm.forward(test.data), test.points)
+
+
+def test_noise_alone_makes_the_floor():
+    noise = ArmErrors.only(encoder_noise_arcsec=1, seating_um=3)
+    test = make_single_point(3, 400, machine=noise)
+    perfect = test.points - test.simulation.perfect_correction
+    floor = metrics.single_point_repeatability(perfect, test.groups)
+    jacobian = test.simulation.machine.true_arm.jacobian(test.data)
+    variance = (jacobian**2).sum(axis=(1, 2)) * ARCSEC**2 + 3 * 0.003**2  # propagated
+    by_position = [2 * np.sqrt(variance[test.groups == g].mean()) for g in range(3)]
+    assert floor == pytest.approx(np.mean(by_position), rel=0.05)
+
+
+def test_gauges_have_their_lengths():
+    gauge = make_gauge((300, 500), n_placements=4, n_poses=5, random_state=2)
+    ends = gauge.simulation.positions
+    assert gauge.pairs.shape == (8, 2)
+    np.testing.assert_allclose(
+        np.linalg.norm(ends[gauge.pairs[:, 1]] - ends[gauge.pairs[:, 0]], axis=1), gauge.lengths
+    )
+    np.testing.assert_array_equal(gauge.lengths, [300] * 4 + [500] * 4)
+    assert np.all(np.bincount(gauge.groups) == 5)
+
+
+def test_same_seed_same_data_whatever_ran_before():
+    first = make_single_point(3, 10, random_state=7)
+    np.random.seed(0)  # noqa: NPY002
+    make_gauge(n_placements=2, random_state=8)
+    again = make_single_point(3, 10, random_state=7)
+    np.testing.assert_array_equal(first.data, again.data)
+    np.testing.assert_array_equal(first.target, again.target)
+    assert not np.array_equal(first.data, make_single_point(3, 10, random_state=8).data)
+    # A seed is one individual, which both tests measure with, at other places.
+    gauge = make_gauge(n_placements=2, random_state=7)
+    assert gauge.arm == first.arm
+    assert gauge.simulation.machine is first.simulation.machine
+
+
+def test_an_individual_keeps_its_draws_when_sources_are_switched_off(poses):
+    whole = SimulatedArm("typical", random_state=4).deviations(poses)
+    alone = SimulatedArm(ArmErrors.only(wobble_arcsec=3, length_mm=0.2, angle_deg=0.02),
+                         random_state=4).deviations(poses)  # fmt: skip
+    np.testing.assert_array_equal(whole["wobble"], alone["wobble"])
+    assert not alone["sag"].any()
+
+
+def test_one_machine_can_be_measured_again_and_again():
+    machine = SimulatedArm("gravity", random_state=0)
+    first, second = (make_single_point(2, 10, machine=machine, random_state=s) for s in (1, 2))
+    assert first.arm == second.arm
+    assert not np.array_equal(first.simulation.positions, second.simulation.positions)
+    drawn = make_single_point(2, 5, random_state=np.random.RandomState(0))
+    np.testing.assert_array_equal(
+        drawn.data, make_single_point(2, 5, random_state=np.random.RandomState(0)).data
+    )
+
+
+def test_forms_of_the_data():
+    pandas = pytest.importorskip("pandas")
+    plain = make_single_point(2, 5)
+    assert plain.data.shape == (10, 6)
+    np.testing.assert_allclose(
+        plain.target,
+        plain.points - np.repeat([plain.points[:5].mean(0), plain.points[5:].mean(0)], 5, axis=0),
+    )
+    X, y, groups = make_single_point(2, 5, return_X_y=True, as_frame=True)
+    assert list(X) == ["theta1", "theta2", "theta3", "theta4", "theta5", "theta6"]
+    assert list(y) == ["dx", "dy", "dz"]
+    assert isinstance(groups, pandas.Series)
+    np.testing.assert_array_equal(X, plain.data)
+    frame = make_single_point(2, 5, as_frame=True).frame
+    assert list(frame) == [*X, *y, "position"]
+
+
+@pytest.mark.parametrize("field", [f.name for f in fields(ArmErrors)])
+@pytest.mark.parametrize("value", ["1", np.nan, (1, 2, 3), None, -np.inf])
+def test_sizes_are_checked(field, value):
+    with pytest.raises(ValueError, match=field):
+        ArmErrors(**{field: value})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: make_single_point(0), "n_positions must be a whole number of at least 1, got 0"),
+        (lambda: make_single_point(2, 1), "n_poses .* at least 2, got 1"),
+        (lambda: make_gauge(300, 2.5), "n_placements .* got 2.5"),
+        (lambda: make_gauge(3000), "between 0 and 2159 mm"),
+        (lambda: make_gauge([]), "between 0 and"),
+        (lambda: make_single_point(machine="perfect"), "'eccentricity', 'gravity'.* got 'perfect'"),
+        (lambda: ArmErrors(counterbalance=1.2), r"\[0, 1\], got 1.2"),
+        (lambda: ArmErrors(seating_um=-1), "got -1"),
+        (lambda: SimulatedArm("none").find_poses([2000, 0, 0], 5), "0 poses reach .* 151%"),
+        (
+            lambda: SimulatedArm("none").solve(np.zeros((2, 6)), np.full((2, 3), 2000.0)),
+            "2 of 2 points are out of",
+        ),
+    ],
+)
+def test_bad_input_is_refused_with_the_numbers(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

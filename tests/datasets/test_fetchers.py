@@ -1,0 +1,237 @@
+"""Open data are fetched whole or not at all, and are what an independent reader makes of them."""
+
+import functools
+import hashlib
+import socket
+import threading
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import calibrate
+from sklearn_raacmm.datasets import _download, fetch_panda_ball_socket, fetch_ur10_tracker
+from sklearn_raacmm.datasets._download import cached_file
+
+CONTENT = b"0.1,0.2\n0.3,0.4\n" * 100
+SUM = hashlib.sha256(CONTENT).hexdigest()
+
+
+class Handler(SimpleHTTPRequestHandler):
+    """Serves a folder; `faults` of the server are what it does to the next requests."""
+
+    def do_GET(self):
+        fault = self.server.faults.pop(0) if self.server.faults else None
+        self.server.requests += 1
+        if fault is None:
+            return super().do_GET()
+        if fault == "busy":
+            return self.send_error(503)
+        content = CONTENT if fault == "cut in transfer" else CONTENT[:70]
+        content = CONTENT.replace(b"0.3", b"0.8", 1) if fault == "tampered" else content
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content[:70] if fault == "cut in transfer" else content)
+
+    def log_message(self, *args):
+        pass
+
+
+@pytest.fixture
+def serve(monkeypatch):
+    """Return ``serve(folder, *faults)``: a running server and its address."""
+    monkeypatch.setenv("no_proxy", "127.0.0.1")  # a proxy would ask its own machine
+    servers = []
+
+    def start(folder, *faults):
+        server = ThreadingHTTPServer(
+            ("127.0.0.1", 0), functools.partial(Handler, directory=str(folder))
+        )
+        server.faults, server.requests = list(faults), 0
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        servers.append(server)
+        return server, f"http://127.0.0.1:{server.server_port}"
+
+    yield start
+    for server in servers:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.fixture
+def published(tmp_path):
+    folder = tmp_path / "published"
+    folder.mkdir()
+    (folder / "table.csv").write_bytes(CONTENT)
+    return folder
+
+
+def files(folder):
+    return sorted(p.name for p in folder.rglob("*") if p.is_file())
+
+
+def test_a_file_is_downloaded_once(serve, published, tmp_path):
+    server, url = serve(published)
+    place = tmp_path / "home" / "deep" / "table.csv"
+    for _ in range(2):
+        assert cached_file(place, f"{url}/table.csv", SUM) == place
+        assert place.read_bytes() == CONTENT
+    assert server.requests == 1
+    assert files(tmp_path / "home") == ["table.csv"]
+
+
+@pytest.mark.parametrize(
+    ("faults", "message"),
+    [
+        (["cut short"], r"\(70 bytes\) has the SHA-256 .* cut short or changed"),
+        (["tampered"], r"\(1600 bytes\) has the SHA-256 .* cut short or changed"),
+        (["cut in transfer"] * 2, r"IncompleteRead\(70 bytes read, 1530 more expected\)"),
+        (["busy"] * 2, "cannot be downloaded: HTTP Error 503"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*trying again", "ignore:.*downloading it again")
+def test_a_bad_download_changes_nothing(serve, published, tmp_path, faults, message):
+    home = tmp_path / "home"
+    place = home / "table.csv"
+    for there in (None, b"an older version"):
+        server, url = serve(published, *faults)
+        if there is not None:
+            home.mkdir()
+            place.write_bytes(there)
+        with pytest.raises(OSError, match=message):
+            cached_file(place, f"{url}/table.csv", SUM, n_retries=len(faults) - 1, delay=0)
+        assert server.requests == len(faults)
+        assert files(home) == ([] if there is None else ["table.csv"])
+        assert there is None or place.read_bytes() == there
+
+
+def test_what_is_not_there_is_not_asked_for_again(serve, published, tmp_path):
+    server, url = serve(published)
+    with pytest.raises(OSError, match=r"nothing\.csv cannot be downloaded: HTTP Error 404"):
+        cached_file(tmp_path / "nothing.csv", f"{url}/nothing.csv", SUM)
+    assert server.requests == 1
+
+
+def test_a_passing_fault_is_survived(serve, published, tmp_path, monkeypatch):
+    server, url = serve(published, "busy", "cut in transfer")
+    place = tmp_path / "table.csv"
+    waited = []  # by when so many requests had come
+    clock = SimpleNamespace(sleep=lambda seconds: waited.append((server.requests, seconds)))
+    monkeypatch.setattr(_download, "time", clock)
+    with pytest.warns(UserWarning, match="trying again") as caught:
+        cached_file(place, f"{url}/table.csv", SUM, n_retries=2, delay=7.5)
+    assert waited == [(1, 7.5), (2, 7.5)]
+    assert (len(caught), server.requests) == (2, 3)
+    assert place.read_bytes() == CONTENT
+
+
+def test_no_server_at_all(tmp_path, monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    with socket.socket() as taken:  # by somebody who does not listen
+        taken.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{taken.getsockname()[1]}/table.csv"
+        with pytest.raises(OSError, match="cannot be downloaded"):
+            cached_file(tmp_path / "table.csv", url, SUM, n_retries=0)
+
+
+def test_a_damaged_file_is_replaced_by_a_whole_one(serve, published, tmp_path):
+    _, url = serve(published)
+    place = tmp_path / "table.csv"
+    place.write_bytes(CONTENT[:70])
+    with pytest.raises(OSError, match="cut short or changed, and download_if_missing=False"):
+        cached_file(place, f"{url}/table.csv", SUM, download_if_missing=False)
+    with pytest.warns(UserWarning, match="downloading it again"):
+        cached_file(place, f"{url}/table.csv", SUM)
+    assert place.read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize("fetch", [fetch_panda_ball_socket, fetch_ur10_tracker])
+def test_bad_arguments_are_named(fetch, tmp_path):
+    with pytest.raises(OSError, match="is not there, and download_if_missing=False"):
+        fetch(data_home=tmp_path, download_if_missing=False)
+    with pytest.raises(ValueError, match="base_url must be an address"):
+        fetch(data_home=tmp_path, base_url="/some/folder")
+    with pytest.raises(ValueError, match="'delay' parameter"):
+        fetch(delay=-1)
+
+
+def test_an_unknown_arm_is_named():
+    with pytest.raises(ValueError, match="panda_2"):
+        fetch_panda_ball_socket("panda_1")
+
+
+@pytest.mark.parametrize("arm", ["panda_2", "panda_3"])
+def test_panda(serve, tmp_path, data_folder, panda, arm):
+    server, url = serve(data_folder("panda_ball_socket"))
+    test = fetch_panda_ball_socket(arm, data_home=tmp_path, base_url=url + "/")
+    n_files = server.requests
+    expected = panda(arm)
+    order = np.lexsort(expected.angles.T), np.lexsort(test.data.T)
+    np.testing.assert_array_equal(test.data[order[1]], expected.angles[order[0]])
+    assert (test.groups[order[1]] == expected.groups[order[0]]).all()
+    assert (test.placements[order[1]] == expected.placements[order[0]]).all()
+    assert n_files == 2 * len(set(test.placements))
+    # Within a socket residuals have no mean, and calibration left little of them.
+    for group in np.unique(test.groups):
+        assert np.abs(test.target[test.groups == group].mean(axis=0)).max() < 1e-9
+    assert np.linalg.norm(test.target, axis=1).mean() < 0.4
+    result = calibrate(test.nominal_arm, test.data, test.groups, lengths=test.lengths)
+    np.testing.assert_allclose(result.arm.forward(test.data), test.points)
+    assert "MIT" in test.DESCR
+    assert "2503.12584" in test.DESCR
+
+    # From the folder alone the second time, as frames.
+    again = fetch_panda_ball_socket(
+        arm, data_home=tmp_path, download_if_missing=False, as_frame=True
+    )
+    assert server.requests == n_files
+    assert list(again.frame) == [*again.feature_names, "dx", "dy", "dz", "position", "placement"]
+    np.testing.assert_array_equal(again.frame["placement"], test.placements)
+    X, y, placements = fetch_panda_ball_socket(arm, data_home=tmp_path, return_X_y=True)
+    np.testing.assert_array_equal(X, test.data)
+    np.testing.assert_array_equal(y, test.target)
+    np.testing.assert_array_equal(placements, test.placements)
+
+
+def test_panda_one_tampered_file(serve, tmp_path, data_folder):
+    folder = data_folder("panda_ball_socket")
+    mirror = tmp_path / "mirror"
+    for path in (folder / "panda_3").rglob("hole_?.csv"):
+        copy = mirror / path.relative_to(folder)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(path.read_bytes())
+    bad = mirror / "panda_3" / "frontleft" / "hole_1.csv"
+    bad.write_bytes(bad.read_bytes().replace(b"1", b"2", 1))
+    home = tmp_path / "home"
+    with pytest.raises(OSError, match=r"frontleft/hole_1.csv .* cut short or changed"):
+        fetch_panda_ball_socket(data_home=home, base_url=mirror.as_uri())
+    assert not (home / "panda_ball_socket" / "panda_3" / "frontleft" / "hole_1.csv").exists()
+    # Given the true file, it goes on where it stopped.
+    _, url = serve(folder)
+    assert len(fetch_panda_ball_socket(data_home=home, base_url=url).data) == 387
+
+
+def test_ur10(serve, tmp_path, data_folder, ur10):
+    server, url = serve(data_folder("ur10_tracker"))
+    test = fetch_ur10_tracker(data_home=tmp_path, base_url=url)
+    assert server.requests == 1
+    np.testing.assert_array_equal(test.data, ur10.angles)
+    np.testing.assert_array_equal(test.tracker_points, ur10.points)
+    np.testing.assert_array_equal(test.groups, ur10.groups)
+    np.testing.assert_array_equal(test.temperature, ur10.temperature)
+    # The true points, points - target, are the tracker's moved as a rigid body.
+    some = np.arange(0, len(test.data), 500)
+    true = (test.points - test.target)[some]
+    seen = test.tracker_points[some]
+    np.testing.assert_allclose(
+        np.linalg.norm(true[:, None] - true, axis=2),
+        np.linalg.norm(seen[:, None] - seen, axis=2),
+        atol=1e-8,
+    )
+    assert np.linalg.norm(test.target, axis=1).mean() < 0.41
+    X, y, goals = fetch_ur10_tracker(
+        data_home=tmp_path, download_if_missing=False, return_X_y=True, as_frame=True
+    )
+    assert (X.shape, y.shape, goals.nunique()) == ((11911, 6), (11911, 3), 619)

@@ -1,0 +1,704 @@
+"""The linear error model: columns, evidence, offsets, and what it is worth on real arms."""
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    JointHarmonicRegressor,
+    calibrate,
+    position_residuals,
+)
+from sklearn_raacmm.arm._kinematics import reach_mm
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.error_model._block_selection import select_blocks
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns, term_names
+from sklearn_raacmm.error_model._normal_equations import (
+    Lengths,
+    Smooth,
+    length_equations,
+    normal_equations,
+)
+from sklearn_raacmm.metrics import gauge_lengths
+
+ARMS = {
+    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
+    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
+}
+ALONE = {"gravity": False, "kinematics": False, "wobble": False}
+
+
+def draw_angles(arm, n, seed=0, width=2.0):
+    return np.random.default_rng(seed).uniform(-width, width, (n, arm.n_joints))
+
+
+def displaced(arm, angles, errors_arcsec):
+    """What small angle errors do to the probe, by forward kinematics rather than the Jacobian."""
+    return arm.forward(angles + errors_arcsec * ARCSEC) - arm.forward(angles)
+
+
+@pytest.fixture(scope="module")
+def eccentric():
+    """Simulated: eccentric encoders and teeth, 400 poses, 3 micrometres of noise."""
+    arm = ARMS["standard"]
+    theta = draw_angles(arm, 400, seed=1)
+    error = np.zeros_like(theta)
+    error[:, 1] = 6 * np.cos(theta[:, 1] - np.deg2rad(40))
+    error[:, 3] = 4 * np.cos(17 * theta[:, 3] + np.deg2rad(100))
+    error[:, 5] = 9 * np.sin(2 * theta[:, 5])
+    y = displaced(arm, theta, error)
+    return arm, theta, y + np.random.default_rng(2).normal(0, 0.003, y.shape), y
+
+
+# -- columns --------------------------------------------------------------------------------------
+
+
+def turned(arm, angles, frame, axis, turn):
+    """Move the probe by turning frame `frame` about its axis by `turn` (n,) rad: by Rodrigues."""
+    frames = arm.frames(angles)
+    probe, origin = arm.forward(angles), frames[:, frame, :, 3]
+    rotation = Rotation.from_rotvec(turn[:, None] * frames[:, frame, :, axis])
+    return rotation.apply(probe - origin) + origin - probe
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_harmonic_columns_are_angle_errors(arm):
+    theta = draw_angles(arm, 20)
+    pairs = np.array([(j, k) for j in range(arm.n_joints) for k in (1, 2, 17)])
+    columns = term_columns(arm, theta, Terms(pairs, False, False, False))
+    for i, (joint, order) in enumerate(pairs):
+        for part, wave in enumerate((np.cos, np.sin)):
+            error = np.zeros_like(theta)
+            error[:, joint] = wave(order * theta[:, joint])
+            assert_allclose(columns[:, :, 2 * i + part], displaced(arm, theta, error), atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_kinematic_columns_are_changes_of_the_table(arm):
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), False, True, False)
+    names, _ = term_names(arm, terms)
+    columns = term_columns(arm, theta, terms)
+    for column, name in enumerate(names):
+        if name.startswith(("base", "beta")):
+            continue
+        if name.startswith("probe"):
+            field, index = "probe", "xyz".index(name[-1])
+        else:
+            field, index = name[:-1], int(name[-1]) - 1
+        step = ARCSEC * (1 if field in ("alpha", "theta_offset") else reach_mm(arm))
+        value = getattr(arm, field).copy()
+        value[index] += step
+        moved = arm.replace(**{field: value}).forward(theta) - arm.forward(theta)
+        assert_allclose(columns[:, :, column], moved, atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_kinematic_columns_place_the_base_and_turn_about_y(arm):
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), False, True, False)
+    names, _ = term_names(arm, terms)
+    columns = dict(zip(names, np.moveaxis(term_columns(arm, theta, terms), 2, 0), strict=True))
+    for axis, name in enumerate(("base_x", "base_y")):
+        assert_allclose(columns[name], np.tile(ARCSEC * reach_mm(arm) * np.eye(3)[axis], (20, 1)))
+    one = np.full(20, ARCSEC)
+    assert_allclose(columns["base_alpha"], turned(arm, theta, 0, 0, one), atol=1e-7)
+    assert_allclose(columns["base_beta"], turned(arm, theta, 0, 1, one), atol=1e-7)
+    for joint in range(arm.n_joints):
+        # about y of the frame whose x alpha turns about
+        frame = joint + (arm.convention == "standard")
+        assert_allclose(columns[f"alpha{joint + 1}"], turned(arm, theta, frame, 0, one), atol=1e-7)
+        assert_allclose(columns[f"beta{joint + 1}"], turned(arm, theta, frame, 1, one), atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_gravity_columns_follow_potential_energy(arm):
+    """The torque of a load about an axis is what lifting it by a turn about that axis costs."""
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), True, False, False)
+    names, _ = term_names(arm, terms)
+    columns = term_columns(arm, theta, terms)
+    frames = arm.frames(theta)
+    small = 1e-6
+    for column, name in enumerate(names):
+        words = name.split()
+        place = arm.forward(theta) if words[2] == "probe" else frames[:, int(words[3]), :, 3]
+        frame, axis = int(words[-3]), "xyz".index(words[-1])
+        origin = frames[:, frame, :, 3]
+        lifted = Rotation.from_rotvec(small * frames[:, frame, :, axis]).apply(place - origin)
+        torque = -(lifted + origin - place)[:, 2] / small / reach_mm(arm)
+        expected = turned(arm, theta, frame, axis, torque * ARCSEC)
+        assert_allclose(columns[:, :, column], expected, atol=2e-7, err_msg=name)
+    # every load beyond every frame, about three axes
+    n = arm.n_joints
+    assert len(names) == len(set(names)) == 3 * (n + 1) * (n + 2) // 2
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_wobble_columns_tilt_the_joint_axis(arm):
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), False, False, True)
+    names, _ = term_names(arm, terms)
+    columns = term_columns(arm, theta, terms)
+    for column, name in enumerate(names):
+        joint, axis = int(name.split()[1]) - 1, "xy".index(name.split(",")[0][-1])
+        wave = np.cos if "cos" in name else np.sin
+        order = int(name.split("(")[1][0])
+        frame = joint if arm.convention == "standard" else joint + 1
+        expected = turned(arm, theta, frame, axis, ARCSEC * wave(order * theta[:, joint]))
+        assert_allclose(columns[:, :, column], expected, atol=1e-7)
+
+
+# -- normal equations and evidence ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("with_groups", [False, True])
+@pytest.mark.parametrize("with_smooth", [False, True])
+def test_normal_equations_are_generalised_least_squares(with_groups, with_smooth):
+    """Against the explicit covariance, offsets as dummies of a huge variance, rows repeated."""
+    arm = ARMS["standard"]
+    rng = np.random.default_rng(0)
+    n, k = 60, 5
+    theta, y = draw_angles(arm, n), rng.normal(size=(n, 3))
+    # One azimuth a group: a position's points do not go round the arm.
+    codes = rng.integers(0, 6, n)
+    theta[:, 0] += np.linspace(0, 3, 6)[codes] - arm.azimuth(theta)
+    weights = rng.integers(1, 4, n).astype(float)
+    terms = Terms(np.array([(0, 1), (3, 2)]), False, False, True)
+    loading = rng.normal(size=(arm.n_joints, k))
+
+    def basis(angles):
+        return np.sin(angles @ loading)
+
+    alpha = np.array([0.5, 2.0, np.inf])
+    found = normal_equations(
+        arm,
+        theta,
+        y,
+        weights,
+        codes if with_groups else None,
+        terms,
+        Smooth(basis, alpha) if with_smooth else None,
+    )
+
+    repeat = np.repeat(np.arange(n), weights.astype(int))
+    azimuth = arm.azimuth(theta)[repeat]
+    to_cylinder = Rotation.from_rotvec(-azimuth[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    A = to_cylinder @ term_columns(arm, theta[repeat], terms)
+    Y = np.einsum("nij,nj->ni", to_cylinder, y[repeat])
+    gram, moment, square = 0.0, 0.0, 0.0
+    for component in range(3):
+        C = np.eye(len(repeat))
+        if with_smooth and np.isfinite(alpha[component]):
+            C += basis(theta[repeat]) @ basis(theta[repeat]).T / alpha[component]
+        if with_groups:
+            C += 1e7 * (codes[repeat][:, None] == codes[repeat])
+        weighted = np.linalg.solve(C, np.column_stack([A[:, component], Y[:, component]]))
+        gram = gram + A[:, component].T @ weighted[:, :-1]
+        moment = moment + A[:, component].T @ weighted[:, -1]
+        square += Y[:, component] @ weighted[:, -1]
+    size = np.abs(gram).max()
+    assert_allclose(found.gram, gram, atol=1e-5 * size)
+    assert_allclose(found.moment, moment, atol=1e-5 * np.abs(moment).max())
+    assert_allclose(found.square, square, rtol=1e-4)
+    assert found.n_observations == 3 * (weights.sum() - 6 * with_groups)
+
+
+def toy_problem(seed, n=80, n_pairs=12, signal=1.0):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, 2 * n_pairs + 4))
+    w = np.zeros(A.shape[1])
+    w[[4, 5, 10, 11]] = signal * np.array([1.0, -0.5, 0.3, 0.8])
+    w[-4:] = 0.3 * rng.normal(size=4)
+    y = A @ w + 0.5 * rng.normal(size=n)
+    blocks = [np.array([2 * i, 2 * i + 1]) for i in range(n_pairs)]
+    blocks.append(2 * n_pairs + np.arange(4))
+    always = np.arange(n_pairs + 1) == n_pairs
+    found = select_blocks(
+        A.T @ A, A.T @ y, y @ y, n, blocks, always.astype(int), always, np.full(2, np.nan)
+    )
+    return A, y, blocks, found
+
+
+def log_evidence(A, y, columns, prior, noise):
+    cov = noise * np.eye(len(y)) + A[:, columns] * prior @ A[:, columns].T
+    return multivariate_normal(np.zeros(len(y)), cov).logpdf(y)
+
+
+def test_selection_maximises_the_evidence():
+    A, y, blocks, found = toy_problem(0)
+    v, noise = found.prior_variance, found.noise_variance
+    assert found.blocks[0] == 12
+    assert set(found.blocks[1:3]) == {2, 5}
+    taken = blocks[12]
+    for block, gain in zip(found.blocks[1:], found.gains, strict=True):
+        evidences = {}
+        for other in set(range(12)) - set(found.blocks[: found.blocks.index(block)]):
+            columns = np.r_[taken, blocks[other]]
+            prior = np.where(columns >= 24, v[1], v[0])
+            evidences[other] = log_evidence(A, y, columns, prior, noise)
+        before = log_evidence(A, y, taken, np.where(taken >= 24, v[1], v[0]), noise)
+        assert max(evidences, key=evidences.get) == block
+        assert_allclose(evidences[block] - before, gain, rtol=1e-6)
+        assert gain > np.log(12)
+        taken = np.r_[taken, blocks[block]]
+    rest = set(range(12)) - set(found.blocks)
+    now = log_evidence(A, y, taken, np.where(taken >= 24, v[1], v[0]), noise)
+    for other in rest:
+        columns = np.r_[taken, blocks[other]]
+        prior = np.where(columns >= 24, v[1], v[0])
+        assert log_evidence(A, y, columns, prior, noise) - now < np.log(12)
+
+
+def test_variances_are_a_maximum_of_the_evidence():
+    A, y, _, found = toy_problem(1)
+    family = (found.columns >= 24).astype(int)
+    best = log_evidence(A, y, found.columns, found.prior_variance[family], found.noise_variance)
+    for which in range(3):
+        for factor in (0.6, 1.6):
+            v, noise = found.prior_variance.copy(), found.noise_variance
+            if which < 2:
+                v[which] *= factor
+            else:
+                noise *= factor
+            assert log_evidence(A, y, found.columns, v[family], noise) < best
+
+
+def test_posterior_is_ridge_in_closed_form():
+    A, y, _, found = toy_problem(2)
+    prior = found.prior_variance[(found.columns >= 24).astype(int)]
+    columns = A[:, found.columns]
+    precision = columns.T @ columns / found.noise_variance + np.diag(1 / prior)
+    coef = np.linalg.solve(precision, columns.T @ y / found.noise_variance)
+    assert_allclose(found.coef, coef, rtol=1e-8)
+    assert_allclose(found.root.T @ found.root, precision, rtol=1e-8)
+
+
+def test_known_lengths_are_rows_of_their_own_variance():
+    A, y, blocks, _ = toy_problem(2)
+    rng = np.random.default_rng(7)
+    rows, errors = rng.normal(size=(5, A.shape[1])), rng.normal(size=5)
+    lengths = Lengths(rows, errors, np.full(5, 0.3), np.linspace(0.1, 2.0, 5))
+    always = np.arange(13) == 12
+    found = select_blocks(
+        A.T @ A, A.T @ y, y @ y, len(y), blocks, always.astype(int), always, np.full(2, np.nan),
+        lengths,
+    )  # fmt: skip
+    scale = np.r_[
+        np.full(len(y), found.noise_variance),
+        lengths.variance + found.noise_variance * lengths.share,
+    ]
+    B = np.vstack([A, rows])[:, found.columns] / np.sqrt(scale)[:, None]
+    prior = found.prior_variance[(found.columns >= 24).astype(int)]
+    coef = np.linalg.solve(B.T @ B + np.diag(1 / prior), B.T @ (np.r_[y, errors] / np.sqrt(scale)))
+    # The variances still moved by up to 2 % in the last round.
+    assert_allclose(found.coef, coef, atol=0.02 * np.abs(coef).max())
+
+
+def test_length_rows_are_changes_of_the_distance():
+    """Against the distance of the corrected mean points."""
+    arm = ARMS["modified"]
+    rng = np.random.default_rng(0)
+    theta, weights = draw_angles(arm, 60), rng.uniform(0.5, 2, 60)
+    codes = np.repeat(np.arange(4), 15)
+    terms = Terms(np.array([(0, 1), (3, 2)]), True, True, True)
+    found = length_equations(arm, theta, weights, codes, terms, [(0, 2, 100.0, 1), (3, 1, 90.0, 2)])
+    w = rng.normal(size=found.rows.shape[1])
+
+    def distances(points):
+        mean = [np.average(points[codes == i], 0, weights[codes == i]) for i in range(4)]
+        return np.array([np.linalg.norm(mean[0] - mean[2]), np.linalg.norm(mean[3] - mean[1])])
+
+    points = arm.forward(theta)
+    assert_allclose(found.errors, distances(points) - [100, 90])
+    assert_array_equal(found.variance, [1, 4])
+    corrected = distances(points - term_columns(arm, theta, terms) @ (1e-3 * w))
+    assert_allclose(1e-3 * found.rows @ w, distances(points) - corrected, atol=1e-7)
+
+
+def test_chance_does_not_look_like_a_harmonic():
+    """Of 40 fits to noise, at most a few find anything: the threshold grows with the offer."""
+    arm = ARMS["standard"]
+    theta = draw_angles(arm, 100)
+    for n_harmonics in (5, 60):
+        counts = []
+        for seed in range(20):
+            y = np.random.default_rng(seed).normal(size=(100, 3))
+            model = JointHarmonicRegressor(arm, n_harmonics=n_harmonics, **ALONE).fit(theta, y)
+            counts.append(len(model.harmonics_))
+        assert np.count_nonzero(counts) <= 5
+
+
+# -- the regressor --------------------------------------------------------------------------------
+
+
+def test_finds_what_was_put_in(eccentric):
+    arm, theta, y, truth = eccentric
+    model = JointHarmonicRegressor(arm, **ALONE).fit(theta, y)
+    table = np.sort(model.harmonics_, order="joint")
+    assert table[["joint", "order"]].tolist() == [(2, 1), (4, 17), (6, 2)]
+    sd = table["cos_sd_arcsec"]
+    assert_allclose(table["amplitude_arcsec"], [6, 4, 9], atol=4 * sd.max())
+    off = (table["phase_deg"] - [40, -100, 90] + 180) % 360 - 180
+    assert np.all(np.abs(off) < 4 * np.rad2deg(sd / table["amplitude_arcsec"]))
+    assert 0.0027 < model.noise_sd_ < 0.0033
+    rms = np.sqrt(np.mean((model.predict(theta) - truth) ** 2))
+    assert rms < 2 * model.noise_sd_ * np.sqrt(6 / y.size)
+
+
+def test_largest_harmonic_first(eccentric):
+    arm, theta, y, _ = eccentric
+    amplitude = JointHarmonicRegressor(arm, **ALONE).fit(theta, y).harmonics_["amplitude_arcsec"]
+    assert np.all(np.diff(amplitude) <= 0)
+
+
+def test_the_number_offered_hardly_matters(eccentric):
+    arm, theta, y, _ = eccentric
+    few, many = (
+        JointHarmonicRegressor(arm, n_harmonics=k, **ALONE).fit(theta, y) for k in (20, 100)
+    )
+    assert_array_equal(few.column_harmonics_, many.column_harmonics_)
+    assert_allclose(few.coef_, many.coef_, rtol=1e-2)
+
+
+def test_standard_deviations_are_honest(eccentric):
+    """Over 40 draws of the noise, the error of the prediction is what is said of it."""
+    arm, theta, _, truth = eccentric
+    model = JointHarmonicRegressor(arm, n_harmonics=20)
+    new = draw_angles(arm, 30, seed=9)
+    error = np.zeros_like(new)
+    error[:, 1] = 6 * np.cos(new[:, 1] - np.deg2rad(40))
+    error[:, 3] = 4 * np.cos(17 * new[:, 3] + np.deg2rad(100))
+    error[:, 5] = 9 * np.sin(2 * new[:, 5])
+    expected = displaced(arm, new, error)
+    squares = []
+    for seed in range(40):
+        y = truth + np.random.default_rng(seed).normal(0, 0.003, truth.shape)
+        mean, std = model.fit(theta, y).predict(new, return_std=True)
+        squares.append(np.mean(((mean - expected) / std) ** 2))
+    assert 0.5 < np.mean(squares) < 2.0
+
+
+def test_uncertainty_grows_away_from_the_data(eccentric):
+    arm, theta, _, _ = eccentric
+    corner, error = 0.5 + 0.25 * theta, np.zeros_like(theta)
+    error[:, 1] = 6 * np.cos(corner[:, 1])
+    y = (
+        displaced(arm, corner, error)
+        + np.random.default_rng(0).normal(0, 0.003, theta.shape)[:, :3]
+    )
+    model = JointHarmonicRegressor(arm).fit(corner, y)
+    inside = model.predict(corner, return_std=True)[1].mean()
+    outside = model.predict(-corner, return_std=True)[1].mean()
+    assert outside > 1.5 * inside
+
+
+def gauge_errors(gauge, correction, length):
+    errors = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs) - gauge.lengths
+    return errors[gauge.lengths == length]
+
+
+@pytest.fixture(scope="module", params=["gravity", "typical", "eccentricity"])
+def gauges(request):
+    """Simulated: cones, and gauges of 300 and 500 mm in other places."""
+    options = {"machine": request.param, "random_state": 4}
+    return make_single_point(10, 30, **options), make_gauge(n_poses=6, **options)
+
+
+def test_scale_stays_that_of_the_calibration(gauges):
+    cone, gauge = gauges
+    model = JointHarmonicRegressor(cone.arm, n_harmonics=4)
+    model.fit(cone.data, cone.target, groups=cone.groups)
+    before, after = (
+        np.stack([points[cone.groups == i].mean(axis=0) for i in range(10)])
+        for points in (cone.points, cone.points - model.predict(cone.data))
+    )
+    # The best similarity from one to the other, by Umeyama's formula: its scale is 1.
+    a, b = before - before.mean(axis=0), after - after.mean(axis=0)
+    scale = np.linalg.svd(a.T @ b, compute_uv=False).sum() / np.square(a).sum()
+    assert scale == pytest.approx(1, abs=1e-7)
+    assert np.abs(after - before).max() > 1e-2
+    errors = [
+        np.abs(gauge_errors(gauge, correction, 500)).mean()
+        for correction in (0.0, model.predict(gauge.data))
+    ]
+    assert errors[1] < 0.8 * errors[0]
+    # What is said of the coefficients is said after this.
+    assert_allclose(model.terms_["value"], model.coef_[-len(model.terms_) :])
+    _, std = model.predict(cone.data[:5], return_std=True)
+    assert np.all(std > 0)
+
+
+def test_without_kinematics_lengths_are_not_promised(gauges):
+    cone, _ = gauges
+    options = {"n_harmonics": 1, "gravity": False, "wobble": False, "kinematics": False}
+    model = JointHarmonicRegressor(cone.arm, **options)
+    with pytest.warns(UserWarning, match="nothing holds the distances between positions") as seen:
+        model.fit(cone.data, cone.target, groups=cone.groups)
+    assert seen[0].filename == __file__
+    guarded = ArmResidualRegressor(cone.arm, harmonics=clone(model), use="harmonics", n_folds=2)
+    with pytest.warns(UserWarning, match="nothing holds the distances") as seen:
+        guarded.fit(cone.data, cone.target, groups=cone.groups)
+    assert len(seen) == 1
+    # No offsets, or known lengths: no warning.
+    model.fit(cone.data, cone.points - cone.simulation.true_points, groups=cone.groups)
+    means = cone.simulation.positions
+    known = [(0, 1, float(np.linalg.norm(means[0] - means[1])), 0.01)]
+    model.fit(cone.data, cone.target, groups=cone.groups, lengths=known)
+
+
+def test_known_lengths_join_the_fit(gauges):
+    """Trained with the gauges of 300 mm, judged by those of 500 mm."""
+    cone, gauge = gauges
+    short = np.isin(gauge.groups, gauge.pairs[gauge.lengths == 300])
+    theta = np.vstack([cone.data, gauge.data[short]])
+    y = np.vstack([cone.target, gauge.target[short]])
+    groups = np.r_[cone.groups, 100 + gauge.groups[short]]
+    known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[gauge.lengths == 300]]
+    model = JointHarmonicRegressor(cone.arm, n_harmonics=4)
+    errors = [
+        np.abs(gauge_errors(gauge, correction, 500)).mean()
+        for correction in (
+            0.0,
+            clone(model).fit(theta, y, groups=groups, lengths=known).predict(gauge.data),
+        )
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_lengths_are_checked(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 20
+    model = JointHarmonicRegressor(arm, n_harmonics=2, offsets=True)
+    with pytest.raises(ValueError, match="group 77, which has no samples"):
+        model.fit(theta, y, groups=groups, lengths=[(0, 77, 100, 0.1)])
+    with pytest.raises(ValueError, match=r"\(label, label, length, standard deviation\)"):
+        model.fit(theta, y, groups=groups, lengths=[(0, 1, 100)])
+    with pytest.raises(ValueError, match="lengths are for positions with offsets"):
+        model.set_params(offsets=False).fit(theta, y, groups=groups, lengths=[(0, 1, 100, 1)])
+
+
+def test_slipped_poses_are_left_out(eccentric):
+    """As good as without them, and equal to least squares where there are none."""
+    arm, theta, y, truth = eccentric
+    groups = np.arange(len(y)) % 20
+    rng = np.random.default_rng(4)
+    bad = rng.random(len(y)) < 0.05
+    slipped = y + np.where(bad[:, None], rng.normal(0, 0.5, y.shape), 0.0)
+    model = JointHarmonicRegressor(arm, n_harmonics=20)
+    new = draw_angles(arm, 200, seed=8)
+    for offsets in (False, True):
+        model.set_params(offsets=offsets)
+        clean = clone(model).fit(theta[~bad], y[~bad], groups=groups[~bad])
+        robust = clone(model).fit(theta, slipped, groups=groups)
+        plain = clone(model).set_params(loss="squared").fit(theta, slipped, groups=groups)
+        assert np.all(robust.pose_weight_[bad & (np.abs(slipped - y).max(axis=1) > 0.1)] == 0)
+        assert np.mean(robust.pose_weight_[~bad]) > 0.8
+        expected = clean.predict(new)
+        errors = [np.abs(m.predict(new) - expected).mean() for m in (robust, plain)]
+        assert errors[0] < 0.2 * errors[1]
+    same = model.set_params(offsets=False).fit(
+        theta, truth + np.random.default_rng(5).normal(0, 0.003, y.shape)
+    )
+    assert_array_equal(same.pose_weight_, 1)
+
+
+def test_few_poses_without_noise_are_no_reason_to_fail():
+    """Fifteen poses, hundreds of columns, a residual that they explain entirely."""
+    arm = ARMS["standard"]
+    for seed in range(5):
+        theta = draw_angles(arm, 15, seed=seed)
+        y = displaced(arm, theta, np.tile([0, 5.0, -3.0, 0, 0, 0], (15, 1)))
+        model = JointHarmonicRegressor(arm).fit(theta, y)
+        assert np.linalg.norm(model.predict(theta) - y) < 0.05 * np.linalg.norm(y)
+
+
+def test_offsets_are_free(eccentric):
+    """A constant in every position, however large, changes nothing; without offsets it would."""
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 20
+    rng = np.random.default_rng(3)
+    moved = y + rng.normal(0, 1.0, (20, 3))[groups]
+    model = JointHarmonicRegressor(arm, offsets=True, n_harmonics=20)
+    expected = clone(model).fit(theta, y, groups=groups)
+    found = clone(model).fit(theta, moved, groups=groups)
+    assert found.offsets_
+    assert_allclose(found.predict(theta), expected.predict(theta), atol=1e-6)
+    free = clone(model).set_params(offsets=False).fit(theta, moved, groups=groups)
+    assert np.abs(free.predict(theta) - expected.predict(theta)).max() > 0.01
+
+
+def test_offsets_auto(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.array(list("abcde"))[np.arange(len(y)) % 5]
+    model = JointHarmonicRegressor(arm, n_harmonics=3)
+    assert not model.fit(theta, y).offsets_
+    assert not model.fit(theta, y, groups=groups).offsets_
+    centred = position_residuals(y, groups)
+    assert model.fit(theta, centred, groups=groups).offsets_
+    assert model.fit(theta, centred.round(6), groups=groups).offsets_
+    centred[groups == "a"] += 0.1
+    with pytest.warns(UserWarning, match="but not all"):
+        assert not model.fit(theta, centred, groups=groups).offsets_
+
+
+def test_weights_are_repeats(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 12
+    weights = np.random.default_rng(4).integers(0, 4, len(y))
+    model = JointHarmonicRegressor(arm, n_harmonics=20, offsets=True)
+    weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
+    rows = np.random.default_rng(5).permutation(np.repeat(np.arange(len(y)), weights))
+    repeated = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
+    assert_array_equal(weighted.column_harmonics_, repeated.column_harmonics_)
+    assert_allclose(weighted.predict(theta), repeated.predict(theta), atol=1e-7)
+    assert_allclose(weighted.noise_sd_, repeated.noise_sd_, rtol=1e-6)
+
+
+def test_prior_in_arc_seconds(eccentric):
+    """A tight prior shrinks the harmonics to zero; a wide one leaves least squares."""
+    arm, theta, y, _ = eccentric
+    tight, wide = (
+        JointHarmonicRegressor(arm, n_harmonics=20, prior_sd=sd, **ALONE).fit(theta, y)
+        for sd in (0.1, 1000.0)
+    )
+    assert tight.prior_sd_ == {"harmonics": pytest.approx(0.1)}
+    assert tight.harmonics_["amplitude_arcsec"].max() < 3
+    columns = term_columns(arm, theta, wide._terms()).reshape(-1, len(wide.coef_))
+    assert_allclose(wide.coef_, np.linalg.lstsq(columns, y.ravel(), rcond=None)[0], rtol=1e-3)
+
+
+def test_kinematic_errors_come_back_in_their_units():
+    arm = ARMS["standard"]
+    theta = draw_angles(arm, 300)
+    d, alpha = arm.d.copy(), arm.alpha.copy()
+    d[2] += 0.05
+    alpha[3] += 12 * ARCSEC
+    true = arm.replace(d=d, alpha=alpha)
+    y = arm.forward(theta) - true.forward(theta)
+    y += np.random.default_rng(0).normal(0, 0.002, y.shape)
+    model = JointHarmonicRegressor(arm, gravity=False, wobble=False).fit(theta, y)
+    value = dict(zip(model.terms_["name"], model.terms_["value"], strict=True))
+    sd = dict(zip(model.terms_["name"], model.terms_["sd"], strict=True))
+    length = ARCSEC * reach_mm(arm)
+    assert abs(value["d3"] * length + 0.05) < 4 * sd["d3"] * length < 0.02
+    assert abs(value["alpha4"] + 12) < 4 * sd["alpha4"] < 4
+    assert len(model.harmonics_) <= 1
+
+
+def test_no_error_no_correction():
+    arm = ARMS["modified"]
+    theta = draw_angles(arm, 40)
+    model = JointHarmonicRegressor(arm, n_harmonics=5).fit(theta, np.zeros((40, 3)))
+    assert_array_equal(model.predict(theta), 0)
+    assert len(model.harmonics_) == 0
+
+
+def test_is_a_scikit_learn_estimator(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 8
+    search = GridSearchCV(
+        JointHarmonicRegressor(arm, **ALONE), {"n_harmonics": [1, 20]}, cv=GroupKFold(4)
+    ).fit(theta, y, groups=groups)
+    assert search.best_params_ == {"n_harmonics": 20}
+    model = search.best_estimator_
+    assert_array_equal(pickle.loads(pickle.dumps(model)).predict(theta), model.predict(theta))
+    with config_context(enable_metadata_routing=True):
+        routed = JointHarmonicRegressor(arm, n_harmonics=3, offsets=True)
+        with pytest.raises(ValueError, match="offsets=True needs groups"):
+            routed.fit(theta, y)
+        routed.set_fit_request(groups=True, sample_weight=True)
+        routed.set_score_request(sample_weight=True)
+        scores = cross_validate(
+            routed,
+            theta,
+            y,
+            cv=GroupKFold(4),
+            params={"groups": groups, "sample_weight": np.ones(len(y))},
+            error_score="raise",
+        )
+    assert np.all(np.isfinite(scores["test_score"]))
+
+
+def test_errors(eccentric):
+    arm, theta, y, _ = eccentric
+    model = JointHarmonicRegressor(arm)
+    for X, target, message in [
+        (theta[:, :5], y, "X has 5 columns, but the arm .* has 6 joints"),
+        (theta, y[:, :2], r"y has shape \(400, 2\); Cartesian residuals \(n_samples, 3\)"),
+        (theta, y[:, 0], r"y has shape \(400,\)"),
+        (theta[:10], y, "inconsistent numbers of samples"),
+        (np.full_like(theta, np.nan), y, "NaN"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            model.fit(X, target)
+    with pytest.raises(ValueError, match="at least one non-zero"):
+        model.fit(theta, y, sample_weight=np.zeros(400))
+    with pytest.raises(ValueError, match="groups names 3 samples, but there are 400"):
+        model.fit(theta, y, groups=[1, 2, 3])
+    with pytest.raises(ValueError, match="no columns"):
+        JointHarmonicRegressor(arm, n_harmonics=0, **ALONE).fit(theta, y)
+    with pytest.warns(UserWarning, match="degrees"):
+        JointHarmonicRegressor(arm, n_harmonics=1, **ALONE).fit(np.rad2deg(theta), y)
+
+
+# -- real arms ------------------------------------------------------------------------------------
+
+
+def leave_placements_out(data):
+    """Mean deviation of every socket, uncorrected and corrected, by models that never saw it."""
+    before, after = [], []
+    for placement in np.unique(data.placements):
+        train = data.placements != placement
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(data.placements[train])]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=lengths).arm
+        y = position_residuals(arm.forward(data.angles), data.groups)
+        model = JointHarmonicRegressor(arm)
+        model.fit(data.angles[train], y[train], groups=data.groups[train])
+        assert model.offsets_
+        left = y[~train] - model.predict(data.angles[~train])
+        left = position_residuals(left, data.groups[~train])
+        before.append(np.linalg.norm(y[~train], axis=1))
+        after.append(np.linalg.norm(left, axis=1))
+    return np.concatenate(before).mean(), np.concatenate(after).mean()
+
+
+def test_a_real_arm_at_unseen_placements(panda):
+    before, after = leave_placements_out(panda("panda_3"))
+    assert after < 0.85 * before
+
+
+def test_a_real_arm_with_outliers_is_not_made_worse(panda):
+    before, after = leave_placements_out(panda("panda_2"))
+    assert after < before
+
+
+def test_a_real_robot_at_unseen_goals(ur10):
+    """Every sixth pose; goal positions are either for training or for testing."""
+    rows = slice(None, None, 6)
+    theta, points, goals = ur10.angles[rows], ur10.points[rows], ur10.groups[rows]
+    train = np.random.default_rng(0).permutation(goals.max() + 1)[goals] % 4 > 0
+    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
+    result = calibrate(nominal, theta[train], points=points[train])
+    arm = result.arm
+    y = arm.forward(theta) - (points - result.base_translation) @ result.base_rotation
+    model = JointHarmonicRegressor(arm).fit(theta[train], y[train], groups=goals[train])
+    assert not model.offsets_
+    before, after = (
+        np.linalg.norm(e, axis=1).mean()
+        for e in (y[~train], y[~train] - model.predict(theta[~train]))
+    )
+    assert after < 0.3 * before
+    # The teeth of the gears: 17 to the turn in shoulder and elbow.
+    found = set(model.harmonics_[["joint", "order"]].tolist())
+    assert {(1, 17), (2, 17), (3, 17)} <= found

@@ -1,0 +1,587 @@
+"""C99: the compiled model is the model, and the text cannot be anything but that."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+from functools import partial
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import (
+    MaxAbsScaler,
+    MinMaxScaler,
+    PolynomialFeatures,
+    RobustScaler,
+    StandardScaler,
+)
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.error_model import _columns as _arm_terms
+from sklearn_raacmm.error_model._columns import term_columns
+from sklearn_raacmm.export import export_c, fingerprint
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
+
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
+STRICT += ["-Wdouble-promotion", "-Wstrict-overflow=1", "-Wfloat-conversion"]
+C99 = ["-std=c99", "-O1", *STRICT]
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+AACMM = Arm.from_name("aacmm6")
+
+
+@pytest.fixture
+def build(tmp_path):
+    """Return ``build(model, ...)``: a function per exported function, on arrays of rows."""
+    if not COMPILERS:
+        pytest.skip("no C compiler found: neither gcc nor clang is on PATH")
+
+    def compiled(model, compiler=COMPILERS[0], flags=C99, dtype="double", **params):
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        source, _ = export_c(model, folder / "arm.c", name="arm", dtype=dtype, **params)
+        library = folder / "arm.so"
+        subprocess.run(
+            [compiler, *flags, "-shared", "-fPIC", "-o", library, source, "-lm"],
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        loaded = ctypes.CDLL(library)
+        real = {"double": np.float64, "float": np.float32}[dtype]
+        array = np.ctypeslib.ndpointer(dtype=real, flags="C")
+        loaded.arm_fingerprint.restype = ctypes.c_char_p
+
+        def call(name, rows, n_outputs, n_results=1):
+            function = getattr(loaded, f"arm_{name}")
+            function.argtypes, function.restype = [array] * (1 + n_results), None
+            rows = np.ascontiguousarray(rows, dtype=real)
+            out = np.full((n_results, len(rows), n_outputs), 7, dtype=real)
+            for i, row in enumerate(rows):
+                function(row, *out[:, i])
+            return out[0] if n_results == 1 else tuple(out)
+
+        call.fingerprint = loaded.arm_fingerprint().decode()
+        return call
+
+    return compiled
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_single_point(n_positions=8, n_poses=15, random_state=0)
+
+
+@pytest.fixture(scope="module")
+def small(data):
+    return network(n_centers=3).fit(data.data, data.target)
+
+
+def angles_everywhere(n_joints, n=300):
+    """Training-like, wrapped and far angles."""
+    rng = np.random.default_rng(0)
+    turns = 2 * np.pi * rng.integers(-1, 2, (n, n_joints))
+    near = rng.uniform(-np.pi, np.pi, (n, n_joints))
+    edges = np.array([0.0, -np.pi, np.pi, np.pi / 2, 1e-9, -1e-300])
+    corners = rng.choice(edges, (n, n_joints))
+    return np.concatenate([near, near + turns, rng.uniform(-12, 12, (n, n_joints)), corners])
+
+
+def network(**params):
+    # Given widths: what is searched for in a fit is not the question here.
+    given = {"n_centers": 20, "length_scale": 1.5, "alpha": 0.03}
+    return RBFNetRegressor(**{**given, **params})
+
+
+def form_a(arm, scaler=None, net=None, **pose):
+    steps = [PoseFeatures(arm, **pose), scaler or StandardScaler(), net or network()]
+    return CylindricalResidualTarget(make_pipeline(*steps), azimuth=arm.azimuth)
+
+
+def form_b(arm, scaler=None, net=None, **pose):
+    inner = make_pipeline(scaler or StandardScaler(), net or network())
+    pose = PoseFeatures(arm, append_azimuth=True, **pose)
+    return make_pipeline(pose, CylindricalResidualTarget(inner))
+
+
+def rounding(net, features):
+    """What 64-bit arithmetic can promise: a share of the largest sum of terms without signs."""
+    if not hasattr(net, "kernel"):
+        return 1e-12
+    Z, centers = (x / net.length_scale_ for x in (features, net.centers_))
+    terms = np.abs(kernel_matrix(Z, centers, net.kernel)) @ np.abs(np.atleast_2d(net.coef_).T)
+    return 1e-12 + 1e-13 * terms.max()
+
+
+@pytest.mark.parametrize("compiler", COMPILERS or ["none"])
+@pytest.mark.parametrize("form", [form_a, form_b])
+@pytest.mark.parametrize("joints", ["pose", "all"])
+@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+def test_agrees_with_predict(build, data, compiler, form, joints, encoding):
+    net = RBFNetRegressor(random_state=0)
+    model = form(data.arm, net=net, joints=joints, encoding=encoding).fit(data.data, data.target)
+    call = build(model, compiler)
+    X = np.concatenate([data.data, angles_everywhere(6)])
+    expected = model.predict(X)
+    assert np.ptp(expected, axis=0).min() > 0.01
+    np.testing.assert_allclose(call("correct", X, 3), expected, rtol=0, atol=1e-12)
+    # A coordinate of a metre is rounded to 1e-13 at every joint.
+    corrected = data.arm.forward(X) - expected
+    np.testing.assert_allclose(call("point", X, 3), corrected, rtol=0, atol=5e-12)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "degree"),
+    [*((kernel, 0) for kernel in KERNELS), ("gaussian", -1), ("matern32", 1), ("thin_plate", 1)],
+)
+def test_every_kernel_and_tail(build, data, kernel, degree):
+    net = network(kernel=kernel, degree=degree)
+    model = form_b(data.arm, net=net, encoding="periodic").fit(data.data, data.target)
+    call = build(model, std=True)
+    X = np.concatenate([data.data, angles_everywhere(6)])
+    mean, std = model.predict(X, return_std=True)
+    inner = model[-1].regressor_
+    atol = rounding(inner[-1], inner[0].transform(model[0].transform(X)[:, :-2]))
+    got_mean, got_std = call("correct_std", X, 3, n_results=2)
+    np.testing.assert_allclose(got_mean, mean, rtol=0, atol=atol)
+    np.testing.assert_array_equal(got_mean, call("correct", X, 3))
+    np.testing.assert_allclose(got_std, std, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "scaler",
+    [
+        StandardScaler(with_mean=False),
+        StandardScaler(with_std=False),
+        StandardScaler(with_mean=False, with_std=False),
+        MinMaxScaler((-1, 2)),
+        MinMaxScaler(clip=True),
+        MaxAbsScaler(),
+        RobustScaler(),
+        RobustScaler(with_centering=False, with_scaling=False),
+        make_pipeline(StandardScaler(), "passthrough", MinMaxScaler()),
+    ],
+    ids=str,
+)
+def test_scalers(build, data, scaler):
+    model = form_a(data.arm, scaler=scaler).fit(data.data, data.target)
+    X = angles_everywhere(6)
+    np.testing.assert_allclose(build(model)("correct", X, 3), model.predict(X), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", [form_a, form_b])
+@pytest.mark.parametrize("name", ["panda", "ur10"])
+def test_other_arms(build, form, name):
+    arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3, probe=(3, -8, 120))
+    rng = np.random.default_rng(1)
+    X = rng.uniform(-2, 2, (80, arm.n_joints))
+    model = form(arm).fit(X, rng.normal(size=(80, 3)))
+    X = angles_everywhere(arm.n_joints)
+    call = build(model)
+    np.testing.assert_allclose(call("correct", X, 3), model.predict(X), rtol=0, atol=1e-12)
+    points = arm.forward(X) - model.predict(X)
+    np.testing.assert_allclose(call("point", X, 3), points, rtol=0, atol=5e-12)
+
+
+def test_degrees(build, data):
+    rad = form_b(data.arm).fit(data.data, data.target)
+    X = angles_everywhere(6)
+    expected = rad.predict(X)
+    in_degrees = np.rad2deg(data.data)
+    form_b_deg = form_b(data.arm, angle_unit="deg").fit(in_degrees, data.target)
+    form_a_deg = form_a(data.arm, angle_unit="deg")
+    form_a_deg.set_params(azimuth=partial(data.arm.azimuth, angle_unit="deg"))
+    for model in (form_b_deg, form_a_deg.fit(in_degrees, data.target)):
+        got = build(model)("correct", np.rad2deg(X), 3)
+        np.testing.assert_allclose(got, model.predict(np.rad2deg(X)), rtol=0, atol=1e-12)
+        # Rounding of the features on the way to degrees and back reaches the fit.
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
+
+
+def test_network_and_linear_models_by_themselves(build):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (60, 4))
+    X[:, 2] = 5.0  # does not vary: its width is infinite
+    Y = np.stack([np.sin(X[:, 0]), X[:, 1] * X[:, 3]], axis=1)
+    new = rng.uniform(-4, 4, (200, 4))
+    models = [RBFNetRegressor(), RBFNetRegressor(degree=1), LinearRegression(), Ridge()]
+    models += [make_pipeline(StandardScaler(), Ridge()), RBFNetRegressor(kernel="thin_plate")]
+    for model in models:
+        for y in (Y, Y[:, 0]):
+            expected = model.fit(X, y).predict(new).reshape(len(new), -1)
+            got = build(model)("predict", new, expected.shape[1])
+            # Without noise the weights are huge: a kernel's rounding is multiplied by them.
+            last = model[-1] if hasattr(model, "steps") else model
+            np.testing.assert_allclose(got, expected, rtol=0, atol=rounding(last, new))
+
+
+def test_a_network_without_centres_is_its_constant(build, data):
+    flat = np.tile([0.1, -0.2, 0.05], (len(data.data), 1))
+    inner = make_pipeline(PoseFeatures(data.arm), RBFNetRegressor())
+    model = CylindricalResidualTarget(inner, azimuth=None).fit(data.data, flat)
+    assert len(model.regressor_[-1].centers_) == 0
+    call = build(model, std=True)
+    mean, std = call("correct_std", data.data, 3, n_results=2)
+    np.testing.assert_allclose(mean, flat, atol=1e-15)
+    np.testing.assert_allclose(std, model.predict(data.data, return_std=True)[1], atol=1e-12)
+    assert np.isnan(call("correct", np.full((1, 6), np.nan), 3)).all()
+
+
+def test_single_precision_is_good_to_its_digits(build, data):
+    model = form_b(data.arm).fit(data.data, data.target)
+    call = build(model, dtype="float", std=True)
+    X = np.concatenate([data.data, angles_everywhere(6)[:300]]).astype(np.float32)
+    exact = X.astype(float)
+    np.testing.assert_allclose(call("correct", X, 3), model.predict(exact), rtol=0, atol=2e-5)
+    points = data.arm.forward(exact) - model.predict(exact)
+    np.testing.assert_allclose(call("point", X, 3), points, rtol=0, atol=3e-3)
+
+
+@pytest.mark.parametrize("form", [form_a, form_b])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("kernel", ["gaussian", "thin_plate"])
+def test_refuses_with_nan_what_predict_refuses(build, data, form, bad, kernel):
+    model = form(data.arm, net=network(kernel=kernel)).fit(data.data, data.target)
+    call = build(model, std=True)
+    X = np.tile(data.data[:1], (6, 1))
+    X[np.arange(6), np.arange(6)] = bad  # joint 1, 5 and 6 are no part of the pose
+    with pytest.raises(ValueError, match=r"NaN|infinity"):
+        model.predict(X)
+    for name in ("correct", "point"):
+        assert np.isnan(call(name, X, 3)).all()
+    assert np.isnan(call("correct_std", X, 3, n_results=2)).all()
+
+
+def test_on_the_axis_the_forms_differ_as_in_python(build):
+    # A two-joint arm that can reach its own base axis exactly.
+    arm = Arm(a=[300, 300], alpha=[0, 0], d=[100, 0], pose_joints=(1, 2), pose_frames=(0, 1))
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (40, 2)), rng.normal(size=(40, 3))
+    on_axis = np.array([[0.0, np.pi]])
+    assert np.abs(arm.forward(on_axis)[0, :2]).max() < 1e-6
+    b = form_b(arm).fit(X, y)
+    with pytest.raises(ValueError, match="base axis"):
+        b.predict(on_axis)
+    assert np.isnan(build(b)("correct", on_axis, 3)).all()
+
+
+def test_wrist_on_shoulder_is_refused(build):
+    arm = Arm(
+        a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[100, 0, 0],
+        pose_joints=(2, 3), pose_frames=(1, 3), probe=(0, 50, 0),
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (40, 3)), rng.normal(size=(40, 3))
+    model = form_a(arm).fit(X, y)
+    folded = np.array([[0.3, 0.2, np.pi]])
+    with pytest.raises(ValueError, match="theta_dis is undefined"):
+        model.predict(folded)
+    assert np.isnan(build(model)("correct", folded, 3)).all()
+
+
+def test_a_direction_that_is_given_is_checked(build):
+    rng = np.random.default_rng(0)
+    phi = rng.uniform(-3, 3, 50)
+    X = np.column_stack([rng.normal(size=(50, 2)), np.cos(phi), np.sin(phi)])
+    model = CylindricalResidualTarget(network()).fit(X, rng.normal(size=(50, 3)))
+    call = build(model)
+    np.testing.assert_allclose(call("predict", X, 3), model.predict(X), rtol=0, atol=1e-12)
+    X[0, 2:] *= 1.001
+    with pytest.raises(ValueError, match="norm"):
+        model.predict(X)
+    got = call("predict", X, 3)
+    assert np.isnan(got[0]).all()
+    assert np.isfinite(got[1:]).all()
+
+
+@pytest.mark.parametrize("compiler", COMPILERS or ["none"])
+def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
+    first = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False)
+    both = ArmResidualRegressor(data.arm, harmonics=first, network=network(degree=-1))
+    X = angles_everywhere(6, 100)
+    # C++ has its own rules on constants and names; the functions keep their C names.
+    strict = ["-x", "c++", *STRICT]
+    trapping = ["-std=c99", *STRICT, "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
+    for model in (form_b(data.arm), both):
+        model.fit(data.data, data.target)
+        for flags in (strict, trapping):
+            call = build(model, compiler, flags, std=True)
+            np.testing.assert_allclose(call("correct", X, 3), model.predict(X), rtol=0, atol=1e-11)
+            call("correct_std", np.concatenate([X, [[np.nan] * 6]]), 3, n_results=2)
+            call("point", X, 3)
+
+
+def test_what_a_search_has_found(build, data):
+    search = GridSearchCV(
+        form_b(data.arm),
+        {"cylindricalresidualtarget__regressor__rbfnetregressor__n_centers": [5, 20]},
+        cv=GroupKFold(2),
+    ).fit(data.data, data.target, groups=data.groups)
+    got = build(search)("correct", data.data, 3)
+    np.testing.assert_allclose(got, search.predict(data.data), rtol=0, atol=1e-12)
+
+
+def test_two_models_in_one_program(build, data, tmp_path):
+    first = form_a(data.arm).fit(data.data, data.target)
+    second = form_b(data.arm, joints="all").fit(data.data, data.target)
+    sources = [export_c(m, tmp_path / f"{n}.c")[0] for m, n in ((first, "left"), (second, "right"))]
+    main = tmp_path / "main.c"
+    main.write_text(
+        '#include "left.h"\n#include "right.h"\n#include <stdio.h>\n'
+        "int main(void)\n{\n    double q[6] = {0.1, 1, 0.3, 1.2, 0.5, 0.6}, a[3], b[3];\n"
+        "    left_correct(q, a);\n    right_correct(q, b);\n"
+        '    printf("%.17g %.17g\\n", a[0], b[0]);\n    return 0;\n}\n'
+    )
+    program = tmp_path / "both"
+    subprocess.run([COMPILERS[0], *C99, "-o", program, main, *sources, "-lm"], check=True)
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    q = [[0.1, 1, 0.3, 1.2, 0.5, 0.6]]
+    expected = [first.predict(q)[0, 0], second.predict(q)[0, 0]]
+    np.testing.assert_allclose(np.array(printed.split(), dtype=float), expected, atol=1e-12)
+
+
+# -- the text ------------------------------------------------------------------------------------
+
+
+def test_same_model_same_bytes(data, tmp_path):
+    texts = []
+    for i in range(2):
+        model = form_b(data.arm).fit(data.data, data.target)
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        texts.append([path.read_bytes() for path in export_c(model, folder / "arm.c", std=True)])
+    assert texts[0] == texts[1]
+    assert b"\r" not in texts[0][0]
+
+
+def test_fingerprint_follows_what_is_computed(build, data, tmp_path):
+    model = form_b(data.arm).fit(data.data, data.target)
+    digest = fingerprint(model)
+    assert re.fullmatch("[0-9a-f]{64}", digest)
+    assert build(model, std=True, dtype="float", card="note").fingerprint == digest
+    renamed = clone(model).set_params(posefeatures__arm=data.arm.replace(name="other"))
+    assert fingerprint(renamed.fit(data.data, data.target)) == digest
+    arm = data.arm.replace(d=data.arm.d + np.eye(6)[5] * 1e-9)
+    moved = clone(model).set_params(posefeatures__arm=arm).fit(data.data, data.target)
+    assert fingerprint(moved) != digest
+    model[-1].regressor_[-1].coef_[0, 0] = np.nextafter(model[-1].regressor_[-1].coef_[0, 0], 1)
+    assert fingerprint(model) != digest
+
+
+NASTY = '*/ int x; /* ??/ \\ \n#error é ü\r\0\u2028 "q" */'
+
+
+def test_comments_hold_no_code(build, data, tmp_path):
+    arm = data.arm.replace(name=NASTY)
+    model = form_b(arm).fit(data.data, data.target)
+    for compiler in COMPILERS:
+        build(model, compiler, card=f"{NASTY}\n{'long ' * 100}\n{NASTY}")
+    source, header = export_c(model, tmp_path / "a.c", card=NASTY)
+    for path in (source, header):
+        text = path.read_text(encoding="ascii")  # nothing else is in it
+        assert "??" not in text.replace("? ?", "")
+        assert "\\" not in text
+        # Without comments, nothing of the name is left.
+        code = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+        assert "int x" not in code
+        assert "#error" not in code
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "2d", "a b", "a;b", "a-b", "_a", "a__b", "é", "a\n", "x" * 41, "int", "class", "main", 3,
+     "a(void){}", 'a"', "a/*"],
+)  # fmt: skip
+def test_names_are_c_identifiers(small, tmp_path, name):
+    with pytest.raises(ValueError, match="name must"):
+        export_c(small, tmp_path / "arm.c", name=name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("path", ["arm", "arm.cpp", "arm.h", 'a".c', "a\n.c", "a b.c", "é.c"])
+def test_paths_name_a_c_file(small, tmp_path, path):
+    with pytest.raises(ValueError, match=r"path must name a file .* ends in \.c"):
+        export_c(small, tmp_path / path, name="arm")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_stem_that_is_no_name_asks_for_one(small, tmp_path):
+    with pytest.raises(ValueError, match=r"name must be a C identifier.*arm-7"):
+        export_c(small, tmp_path / "arm-7.c")
+    source, _ = export_c(small, tmp_path / "arm-7.c", name="arm_7")
+    assert '#include "arm-7.h"' in source.read_text()
+
+
+def test_a_missing_folder_is_named(small, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"No such folder: .*nowhere\.$"):
+        export_c(small, tmp_path / "nowhere" / "arm.c")
+
+
+def test_a_failed_write_leaves_the_old_files(data, small, tmp_path, monkeypatch):
+    paths = export_c(small, tmp_path / "arm.c")
+    before = [path.read_bytes() for path in paths]
+    other = network().fit(data.data, data.target)
+    write = type(tmp_path).write_bytes
+
+    def full(path, content):
+        if ".h" in path.name:
+            write(path, content[:10])
+            raise OSError(28, "No space left on device")
+        return write(path, content)
+
+    monkeypatch.setattr(type(tmp_path), "write_bytes", full)
+    with pytest.raises(OSError, match="No space"):
+        export_c(other, tmp_path / "arm.c")
+    assert [path.read_bytes() for path in paths] == before
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+# -- what cannot be exported ---------------------------------------------------------------------
+
+
+def test_names_the_step_that_cannot_be_exported(data, tmp_path):
+    X, y = data.data, data.target
+    arm = data.arm
+
+    def refused(model):
+        with pytest.raises(ValueError) as error:  # the message is what is tested
+            export_c(model.fit(X, y), tmp_path / "arm.c")
+        assert not list(tmp_path.iterdir())
+        return str(error.value)
+
+    message = refused(form_b(arm, net=KernelRidge()))
+    assert "kernelridge is a KernelRidge" in message
+    assert "RBFNetRegressor" in message
+    assert "polynomialfeatures" in refused(form_a(arm, scaler=PolynomialFeatures()))
+    scaled = make_pipeline(StandardScaler(), PoseFeatures(arm), network())
+    assert "posefeatures comes after another transformer" in refused(scaled)
+    behind = CylindricalResidualTarget(network(), azimuth=arm.azimuth)
+    assert "comes after a transformer" in refused(make_pipeline(StandardScaler(), behind))
+    free = form_a(arm).set_params(azimuth=_azimuth)
+    assert "only the method of an Arm" in refused(free)
+    mixed = form_a(arm).set_params(azimuth=AACMM.azimuth)
+    assert "different arms" in refused(mixed)
+    mixed = form_a(arm, angle_unit="deg")
+    assert "different angle units" in refused(mixed)
+    ridge = form_b(arm, net=Ridge()).fit(X, y)
+    with pytest.raises(ValueError, match="ridge is a Ridge, which has no standard deviation"):
+        export_c(ridge, tmp_path / "arm.c", std=True)
+
+
+def _azimuth(X):
+    return np.zeros(len(X))
+
+
+def test_bad_calls_are_refused(data, tmp_path):
+    path = tmp_path / "arm.c"
+    for model in (form_a(data.arm), form_b(data.arm), RBFNetRegressor()):
+        with pytest.raises(NotFittedError, match="not fitted"):
+            export_c(model, path)
+    with pytest.raises(TypeError, match="model must be a fitted estimator"):
+        export_c(RBFNetRegressor, path)
+    fitted = network().fit(data.data, data.target)
+    with pytest.raises(ValueError, match="dtype must be"):
+        export_c(fitted, path, dtype="float64")
+    with pytest.raises(ValueError, match="std must be"):
+        export_c(fitted, path, std="yes")
+    with pytest.raises(TypeError, match="names"):
+        export_c(fitted, path, names="arm")
+    with pytest.raises(ValueError, match="regressor at its end"):
+        export_c(PoseFeatures(data.arm).fit(data.data), path)
+    fitted.coef_[0, 0] = 1e300
+    with pytest.raises(ValueError, match=r"1e\+300.*not a finite float"):
+        export_c(fitted, path, dtype="float")
+    assert not path.exists()
+
+
+# -- the arm's own error model --------------------------------------------------------------------
+
+
+def harmonics(arm, **params):
+    return JointHarmonicRegressor(arm, **{"n_harmonics": 5, **params})
+
+
+def agree(call, model, X, with_std=True):
+    """Compare with predict to a share of the terms' size: coefficients may nearly cancel."""
+    mean, std = model.predict(X, return_std=True)
+    first = getattr(model, "harmonics_", model)
+    first = first if hasattr(first, "coef_") else model
+    terms = np.abs(term_columns(first.arm_, X, first._terms())) @ np.abs(first.coef_)
+    atol = 1e-12 + 1e-13 * terms.max()
+    np.testing.assert_allclose(call("correct", X, 3), mean, rtol=0, atol=atol)
+    points = first.arm_.forward(X) - mean
+    np.testing.assert_allclose(call("point", X, 3), points, rtol=0, atol=5e-12 + atol)
+    if with_std:
+        got_mean, got_std = call("correct_std", X, 3, n_results=2)
+        np.testing.assert_allclose(got_mean, mean, rtol=0, atol=atol)
+        np.testing.assert_allclose(got_std, std, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "panda"])
+@pytest.mark.parametrize("families", ["gravity", "kinematics", "wobble", ""])
+def test_joint_harmonics(build, name, families):
+    arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3)
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (150, arm.n_joints))
+    # Of which a model of each family makes something.
+    y = np.stack([np.sin(X[:, 1]), np.cos(2 * X[:, 2]), np.sin(X[:, 3])], axis=1) * 0.05
+    of = {family: family in families for family in ("gravity", "kinematics", "wobble")}
+    model = harmonics(arm, **of).fit(X, y)
+    assert np.ptp(model.predict(X), axis=0).min() > 1e-3
+    agree(build(model, std=True), model, np.concatenate([X[:20], angles_everywhere(len(X[0]), 50)]))
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"features": "pose", "use": "harmonics+network", "fade": 1.0},
+        {"features": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
+        {"features": "all", "use": "harmonics+network", "fade": 0.0, "cap": None},
+        {"use": "harmonics", "fade": 2.0},
+        {"use": "none"},
+    ],
+    ids=str,
+)
+def test_arm_residuals(build, data, params):
+    arm = data.arm
+    first = harmonics(arm, gravity=False, n_harmonics=2)
+    model = ArmResidualRegressor(arm, harmonics=first, network=network(degree=-1), **params)
+    model.fit(data.data, data.target)
+    X = np.concatenate([data.data, angles_everywhere(6, 100)])
+    agree(build(model, std=True), model, X)
+    agree(build(model), model, X, with_std=False)
+    bad = np.tile(data.data[:1], (6, 1))
+    bad[np.arange(6), np.arange(6)] = np.nan
+    assert np.isnan(build(model)("correct", bad, 3)).all()
+
+
+def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):
+    model = CylindricalResidualTarget(
+        harmonics(data.arm, gravity=False, wobble=False), azimuth=data.arm.azimuth
+    ).fit(data.data, data.target)
+    got = build(model)("correct", data.data, 3)
+    np.testing.assert_allclose(got, model.predict(data.data), rtol=0, atol=1e-12)
+    behind = make_pipeline(StandardScaler(), harmonics(data.arm, gravity=False))
+    with pytest.raises(ValueError, match=r"jointharmonicregressor comes after another transformer"):
+        build(behind.fit(data.data, data.target))
+
+
+def test_columns_that_are_not_known_are_refused(data, tmp_path, monkeypatch):
+    model = harmonics(data.arm, gravity=False, wobble=False).fit(data.data, data.target)
+    known = _arm_terms._kinematics
+    monkeypatch.setattr(_arm_terms, "_kinematics", lambda *a: 1.001 * known(*a))
+    with pytest.raises(RuntimeError, match="does not know all columns"):
+        export_c(model, tmp_path / "arm.c")

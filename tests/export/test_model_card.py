@@ -1,0 +1,158 @@
+"""The card says what is so, and its numbers are those of independent computations."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from sklearn.model_selection import GroupKFold, cross_val_predict
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import LinearSVR
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import ModelCard, describe, export_c, fingerprint
+from sklearn_raacmm.metrics import single_point_repeatability
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_single_point(n_positions=8, n_poses=15, random_state=0)
+
+
+@pytest.fixture(scope="module")
+def model(data):
+    network = RBFNetRegressor(12, length_scale=1.5, alpha=0.01)
+    return make_pipeline(
+        PoseFeatures(data.arm, append_azimuth=True),
+        CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
+    ).fit(data.data, data.target)
+
+
+def test_facts(model, data):
+    card = describe(model, data.data, data.target, data.groups)
+    assert card["fingerprint"] == fingerprint(model)
+    assert (
+        Arm.from_json(
+            json.dumps({"format": "sklearn_raacmm.Arm", "format_version": 1, **card["arm"]})
+        )
+        == data.arm
+    )
+    training = card["training"]
+    assert (training["rows"], training["positions"]) == (120, 8)
+    points = data.arm.forward(data.data)
+    assert training["height_mm"] == [points[:, 2].min(), points[:, 2].max()]
+    # All poses lie in the hull of its corners, which are rounded to 0.01 mm.
+    corners = np.array(training["hull_corners_mm"])
+    middle = corners.mean(axis=0)
+    outward, inward = (Delaunay(middle + f * (corners - middle)) for f in (1.001, 0.999))
+    assert (outward.find_simplex(points) >= 0).all()
+    assert (inward.find_simplex(points) < 0).any()
+    assert 0 < training["hull_volume_litre"] * 1e6 < np.prod(np.ptp(points, axis=0))
+
+    error = card["error"]
+    left = data.target - cross_val_predict(
+        clone(model), data.data, data.target, groups=data.groups, cv=GroupKFold(5)
+    )
+    assert error["mean_after_mm"] == pytest.approx(np.linalg.norm(left, axis=1).mean(), rel=1e-9)
+    expected = single_point_repeatability(left, data.groups)
+    assert error["mean_2S_after_mm"] == pytest.approx(expected, rel=1e-9)
+    assert error["largest_before_mm"] == np.linalg.norm(data.target, axis=1).max()
+    assert "not seen" in error["after_is_measured_at"]
+
+
+def test_an_error_at_the_training_rows_is_called_that(model, data):
+    for params in ({}, {"groups": data.groups, "n_folds": 0}):
+        error = describe(model, data.data, data.target, **params)["error"]
+        left = data.target - model.predict(data.data)
+        assert error["largest_after_mm"] == np.linalg.norm(left, axis=1).max()
+        assert "these rows" in error["after_is_measured_at"]
+
+
+def test_as_json_and_markdown(model, data, tmp_path):
+    card = describe(model, data.data, data.target, data.groups, n_folds=2)
+    again = ModelCard(json.loads(json.dumps(card)))
+    assert again == card
+    text = str(again)
+    assert text == str(card)
+    assert "positions: 8" in text
+    assert f"{card['error']['mean_2S_before_mm']:.4g}" in text
+    assert "hull corners" not in text
+    source, header = export_c(model, tmp_path / "arm.c", card=card)
+    assert "positions: 8" in source.read_text()
+    assert "positions: 8" in header.read_text()
+
+
+def test_in_degrees(data):
+    arm, X = data.arm, np.rad2deg(data.data)
+    model = make_pipeline(
+        PoseFeatures(arm, angle_unit="deg", append_azimuth=True),
+        CylindricalResidualTarget(RBFNetRegressor(5, length_scale=1.5, alpha=0.01)),
+    ).fit(X, data.target)
+    card = describe(model, X)
+    assert card["input"] == "6 joint angles in deg"
+    points = arm.forward(data.data)
+    assert card["training"]["height_mm"] == pytest.approx([points[:, 2].min(), points[:, 2].max()])
+    assert card["training"]["largest_joint_angles_deg"] == X.max(axis=0).round(4).tolist()
+    assert "error" not in card
+
+
+def test_models_that_are_fitted_with_groups(data):
+    harmonics = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False, wobble=False)
+    network = RBFNetRegressor(5, length_scale=1.5, alpha=0.01, degree=-1)
+    both = ArmResidualRegressor(data.arm, harmonics=harmonics, network=network, use="harmonics")
+    for model in (harmonics, both):
+        model.fit(data.data, data.target, groups=data.groups)
+        card = describe(model, data.data, data.target, data.groups, n_folds=2)
+        left = np.empty_like(data.target)
+        for train, test in GroupKFold(2).split(data.data, groups=data.groups):
+            copy = clone(model)
+            copy.fit(data.data[train], data.target[train], groups=data.groups[train])
+            left[test] = data.target[test] - copy.predict(data.data[test])
+        expected = single_point_repeatability(left, data.groups)
+        assert card["error"]["mean_2S_after_mm"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_without_an_arm_and_without_volume():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(40, 3)), rng.normal(size=40)
+    card = describe(LinearSVR(random_state=0).fit(X, y), X, y)
+    assert card["fingerprint"] is None
+    assert "arm" not in card
+    assert card["training"] == {"rows": 40, "positions": None}
+    assert card["error"]["mean_before_mm"] == np.abs(y).mean()
+    assert "unknown" in str(card)
+    arm = Arm(a=[300, 200], alpha=[0, 0], d=[100, 0], pose_joints=(1, 2), pose_frames=(0, 2))
+    X = rng.uniform(0.1, 1, (30, 2))  # a plane
+    pose = make_pipeline(PoseFeatures(arm), LinearSVR(random_state=0)).fit(X, X[:, 0])
+    assert describe(pose, X)["training"]["hull_volume_litre"] == 0
+
+
+def test_bad_calls_are_refused(model, data):
+    with pytest.raises(NotFittedError):
+        describe(clone(model), data.data)
+    with pytest.raises(ValueError, match="X, which is None"):
+        describe(model, y=data.target)
+    with pytest.raises(ValueError, match="X has 5 columns, but the model was fitted on 6"):
+        describe(model, data.data[:, :5])
+    with pytest.raises(ValueError, match="NaN"):
+        describe(model, np.full((3, 6), np.nan))
+    with pytest.raises(ValueError, match="inconsistent numbers"):
+        describe(model, data.data, data.target[:-1])
+    with pytest.raises(ValueError, match="groups names 119 samples"):
+        describe(model, data.data, data.target, data.groups[:-1])
+    for n_folds in (1, -1, 2.5, True, "5"):
+        with pytest.raises(ValueError, match="n_folds must be 0 or a whole number"):
+            describe(model, data.data, n_folds=n_folds)
+    with pytest.raises(TypeError, match="group"):
+        describe(model, data.data, group=data.groups)

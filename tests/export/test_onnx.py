@@ -1,0 +1,251 @@
+"""ONNX: what the runtime computes is what predict computes."""
+
+import builtins
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+from sklearn.compose import TransformedTargetRegressor
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline, make_union
+from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import register_onnx, to_onnx
+from sklearn_raacmm.network._kernels import KERNELS
+
+onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
+onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_single_point(n_positions=8, n_poses=15, random_state=0)
+
+
+def run(converted, X):
+    session = onnxruntime.InferenceSession(
+        converted.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
+    return session.run(None, {session.get_inputs()[0].name: X})[0]
+
+
+def network(**params):
+    return RBFNetRegressor(**{"n_centers": 20, "length_scale": 1.5, "alpha": 0.03, **params})
+
+
+def form_a(arm, scaler=None, net=None, **pose):
+    steps = [PoseFeatures(arm, **pose), scaler or StandardScaler(), net or network()]
+    return CylindricalResidualTarget(make_pipeline(*steps), azimuth=arm.azimuth)
+
+
+def form_b(arm, scaler=None, net=None, **pose):
+    inner = make_pipeline(scaler or StandardScaler(), net or network())
+    pose = PoseFeatures(arm, append_azimuth=True, **pose)
+    return make_pipeline(pose, CylindricalResidualTarget(inner))
+
+
+def angles_everywhere(n_joints, n=300):
+    rng = np.random.default_rng(0)
+    near = rng.uniform(-np.pi, np.pi, (n, n_joints))
+    turns = 2 * np.pi * rng.integers(-1, 2, (n, n_joints))
+    return np.concatenate([near, near + turns, rng.uniform(-12, 12, (n, n_joints))])
+
+
+@pytest.mark.parametrize("form", [form_a, form_b])
+@pytest.mark.parametrize("joints", ["pose", "all"])
+@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+def test_agrees_with_predict(data, form, joints, encoding):
+    model = form(data.arm, joints=joints, encoding=encoding).fit(data.data, data.target)
+    X = np.concatenate([data.data, angles_everywhere(6)])
+    got = run(to_onnx(model), X)
+    assert got.dtype == np.float64
+    np.testing.assert_allclose(got, model.predict(X), rtol=0, atol=1e-12)
+    X = X.astype(np.float32)
+    got = run(to_onnx(model, dtype="float"), X)
+    assert got.dtype == np.float32
+    # A nanometre of the model itself, which is what float32 angles leave of it at best.
+    np.testing.assert_allclose(got, model.predict(X.astype(float)), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "degree"),
+    [*((kernel, 0) for kernel in KERNELS), ("gaussian", -1), ("matern32", 1)],
+)
+def test_every_kernel_and_tail_alone(kernel, degree):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (60, 4))
+    X[:, 2] = 5.0  # does not vary
+    Y = np.stack([np.sin(X[:, 0]), X[:, 1] * X[:, 3]], axis=1)
+    new = np.concatenate([X[:5], rng.uniform(-4, 4, (100, 4))])
+    for y in (Y, Y[:, 0]):
+        model = network(kernel=kernel, degree=degree).fit(X, y)
+        expected = model.predict(new).reshape(len(new), -1)
+        np.testing.assert_allclose(run(to_onnx(model), new), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", [form_a, form_b])
+@pytest.mark.parametrize("name", ["panda", "ur10"])
+def test_other_arms(form, name):
+    arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3, probe=(3, -8, 120))
+    X = np.random.default_rng(1).uniform(-2, 2, (80, arm.n_joints))
+    y = np.random.default_rng(2).normal(size=(80, 3))
+    model = form(arm, scaler=RobustScaler()).fit(X, y)
+    X = angles_everywhere(arm.n_joints)
+    np.testing.assert_allclose(run(to_onnx(model), X), model.predict(X), rtol=0, atol=1e-12)
+
+
+def test_the_base_may_be_the_shoulder():
+    arm = Arm.from_name("panda", pose_frames=(0, 5))
+    X = angles_everywhere(7)
+    pose = PoseFeatures(arm).fit(X)
+    np.testing.assert_allclose(run(to_onnx(pose), X), pose.transform(X), rtol=0, atol=1e-12)
+
+
+def test_degrees(data):
+    X = np.rad2deg(data.data)
+    in_b = form_b(data.arm, angle_unit="deg")
+    in_a = form_a(data.arm, angle_unit="deg")
+    in_a.set_params(azimuth=partial(data.arm.azimuth, angle_unit="deg"))
+    for model in (in_a, in_b):
+        model.fit(X, data.target)
+        np.testing.assert_allclose(run(to_onnx(model), X), model.predict(X), rtol=0, atol=1e-12)
+
+
+def test_elevation_to_the_last_digits():
+    # The runtime has no arc tangent in float64: straight up, straight down and level, too.
+    arm = Arm(
+        a=[0, 300, 200], alpha=[np.pi / 2, 0, 0], d=[100, 0, 0],
+        pose_joints=(2, 3), pose_frames=(1, 3),
+    )  # fmt: skip
+    elbow = np.r_[np.linspace(-np.pi, np.pi, 401), np.pi / 2 + np.array([-1e-8, 0, 1e-8])]
+    X = np.column_stack([np.zeros_like(elbow), elbow, np.zeros_like(elbow)])
+    pose = PoseFeatures(arm).fit(X)
+    expected = np.where(np.abs(elbow) > np.pi / 2, np.sign(elbow) * np.pi - elbow, elbow)
+    np.testing.assert_allclose(run(to_onnx(pose), X)[:, 2], expected, rtol=0, atol=1e-14)
+
+
+def test_inside_other_estimators(data):
+    X, y = data.data, data.target
+    arm = data.arm
+    models = [
+        make_pipeline(make_union(PoseFeatures(arm), StandardScaler()), Ridge()),
+        make_pipeline(PoseFeatures(arm, encoding="periodic"), MinMaxScaler(), LinearRegression()),
+        form_b(arm, net=Ridge()),
+        CylindricalResidualTarget(network(), azimuth=None),
+        form_a(arm, net=Ridge()),
+        make_pipeline(form_a(arm)),
+        GridSearchCV(form_b(arm), {"posefeatures__joints": ["pose", "all"]}, cv=3),
+        make_pipeline(PoseFeatures(arm), CylindricalResidualTarget(network(), azimuth=None)),
+    ]
+    for model in models:
+        model.fit(X, y)
+        np.testing.assert_allclose(run(to_onnx(model), X), model.predict(X), rtol=0, atol=1e-11)
+
+
+def test_skl2onnx_itself_knows_the_converters_once_registered(data):
+    import skl2onnx
+
+    register_onnx()
+    register_onnx()
+    model = form_b(data.arm).fit(data.data, data.target)
+    converted = skl2onnx.to_onnx(model, data.data[:1])
+    np.testing.assert_allclose(run(converted, data.data), model.predict(data.data), atol=1e-12)
+
+
+@pytest.mark.parametrize("form", [form_a, form_b])
+@pytest.mark.parametrize("kernel", ["gaussian", "thin_plate"])
+def test_refuses_with_nan_what_predict_refuses(data, form, kernel):
+    model = form(data.arm, net=network(kernel=kernel)).fit(data.data, data.target)
+    X = np.tile(data.data[:1], (18, 1))
+    for i, bad in enumerate([np.nan, np.inf, -np.inf]):
+        X[np.arange(6) + 6 * i, np.arange(6)] = bad
+    X = np.concatenate([data.data[:1], X])
+    got = run(to_onnx(model), X)
+    assert np.isfinite(got[0]).all()
+    assert np.isnan(got[1:]).all()
+
+
+def test_a_direction_that_is_given_is_checked():
+    rng = np.random.default_rng(0)
+    phi = rng.uniform(-3, 3, 50)
+    X = np.column_stack([rng.normal(size=(50, 2)), np.cos(phi), np.sin(phi)])
+    model = CylindricalResidualTarget(network()).fit(X, rng.normal(size=(50, 3)))
+    converted = to_onnx(model)
+    np.testing.assert_allclose(run(converted, X), model.predict(X), rtol=0, atol=1e-12)
+    X[0, 2:] *= 1.001
+    got = run(converted, X)
+    assert np.isnan(got[0]).all()
+    assert np.isfinite(got[1:]).all()
+
+
+@pytest.mark.parametrize("target_opset", [13, 15, 18, 21])
+def test_opsets(data, target_opset):
+    model = form_a(data.arm).fit(data.data, data.target)
+    converted = to_onnx(model, target_opset=target_opset)
+    assert converted.opset_import[0].version <= target_opset
+    np.testing.assert_allclose(run(converted, data.data), model.predict(data.data), atol=1e-12)
+
+
+def test_the_file(data, tmp_path):
+    model = form_b(data.arm).fit(data.data, data.target)
+    for name in ("first.onnx", "second.onnx"):
+        to_onnx(model, tmp_path / name, card="what it is: ü")
+    onnx.checker.check_model(tmp_path / "first.onnx", full_check=True)
+    text = (tmp_path / "first.onnx").read_bytes()
+    assert text == (tmp_path / "second.onnx").read_bytes()
+    session = onnxruntime.InferenceSession(text, providers=["CPUExecutionProvider"])
+    facts = session.get_modelmeta().custom_metadata_map
+    assert facts["model_card"] == "what it is: ü"
+    assert session.get_inputs()[0].shape[1] == 6
+
+
+def test_says_what_cannot_be_converted(data):
+    X, y = data.data, data.target
+    harmonics = JointHarmonicRegressor(data.arm, n_harmonics=1, gravity=False, wobble=False)
+    with pytest.raises(ValueError, match="JointHarmonicRegressor cannot be converted to ONNX"):
+        to_onnx(harmonics.fit(X, y))
+    both = ArmResidualRegressor(data.arm, harmonics=harmonics)
+    with pytest.raises(ValueError, match="ArmResidualRegressor cannot be converted to ONNX"):
+        to_onnx(both.fit(X, y))
+    other = form_a(data.arm).set_params(azimuth=_azimuth).fit(X, y)
+    with pytest.raises(ValueError, match="only the method of an Arm can"):
+        to_onnx(other)
+    with pytest.raises(RuntimeError, match="target_opset 13 or newer, got 12"):
+        to_onnx(form_a(data.arm).fit(X, y), target_opset=12)
+    with pytest.raises(ValueError, match="dtype must be 'double' or 'float', got 'float64'"):
+        to_onnx(form_a(data.arm).fit(X, y), dtype="float64")
+    target = TransformedTargetRegressor(network()).fit(X, y)
+    with pytest.raises(ValueError, match="TransformedTargetRegressor cannot be converted"):
+        to_onnx(target)
+
+
+def _azimuth(X):
+    return np.zeros(len(X))
+
+
+def test_without_skl2onnx_the_error_says_what_to_install(monkeypatch, data):
+    model = network().fit(data.data, data.target)
+    importing = builtins.__import__
+
+    def no_skl2onnx(name, *args, **kwargs):
+        if name.partition(".")[0] == "skl2onnx":
+            raise ImportError(name)
+        return importing(name, *args, **kwargs)
+
+    monkeypatch.delitem(sys.modules, "sklearn_raacmm.export._onnx", raising=False)
+    monkeypatch.delattr("sklearn_raacmm.export._onnx", raising=False)
+    monkeypatch.setattr(builtins, "__import__", no_skl2onnx)
+    with pytest.raises(ImportError, match=r"pip install -e \"\.\[onnx\]\""):
+        to_onnx(model)

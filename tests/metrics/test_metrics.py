@@ -1,0 +1,398 @@
+import pickle
+
+import numpy as np
+import pytest
+import sklearn
+from scipy.optimize import minimize
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
+
+from sklearn_raacmm import metrics
+from sklearn_raacmm.metrics import _spheres
+
+
+@pytest.fixture
+def scattered():
+    """Points at four places of unequal size, far from the origin, rows shuffled."""
+    rng = np.random.default_rng(3)
+    groups = rng.permutation(np.repeat(["a", "b", "c", "d"], [5, 9, 30, 2]))
+    centers = {label: rng.uniform(-1000, 1000, 3) for label in "abcd"}
+    points = np.array([centers[g] for g in groups]) + rng.normal(scale=0.03, size=(46, 3))
+    return points, groups
+
+
+@pytest.mark.parametrize("statistic", ["2s", "max", "mean"])
+def test_repeatability_is_its_textbook_formula_position_by_position(scattered, statistic):
+    points, groups = scattered
+    expected = []
+    for label in "abcd":
+        own = points[groups == label]
+        if statistic == "2s":
+            # sum of the variances of the coordinates = variance of the distance from the mean
+            expected.append(2 * np.sqrt(np.trace(np.cov(own.T))))
+        else:
+            delta = np.linalg.norm(own - own.mean(axis=0), axis=1)
+            expected.append(getattr(np, statistic)(delta))
+    values = metrics.single_point_repeatability(points, groups, statistic=statistic, aggregate=None)
+    np.testing.assert_allclose(values, expected, rtol=1e-9)
+    for aggregate in ("mean", "max"):
+        assert metrics.single_point_repeatability(
+            points, groups, statistic=statistic, aggregate=aggregate
+        ) == pytest.approx(getattr(np, aggregate)(expected), rel=1e-9)
+
+
+def test_repeatability_of_an_equilateral_triangle():
+    # side s: every corner is s / sqrt(3) from the centre, so 2S = 2 sqrt(3 s^2 / 3 / 2)
+    triangle = 0.06 * np.array([[0, 0, 0], [1, 0, 0], [0.5, np.sqrt(0.75), 0]])
+    assert metrics.single_point_repeatability(triangle) == pytest.approx(0.06 * np.sqrt(2))
+    assert metrics.single_point_repeatability(triangle, statistic="max") == pytest.approx(
+        0.06 / np.sqrt(3)
+    )
+
+
+def test_repeatability_does_not_depend_on_the_frame(scattered):
+    points, groups = scattered
+    rotation = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    for statistic in ("2s", "max", "mean"):
+        assert metrics.single_point_repeatability(
+            points @ rotation + 500, groups, statistic=statistic
+        ) == pytest.approx(
+            metrics.single_point_repeatability(points, groups, statistic=statistic), rel=1e-9
+        )
+
+
+def test_axis_repeatability_against_numpy(scattered):
+    points, groups = scattered
+    own = [points[groups == label] for label in "abcd"]
+    np.testing.assert_allclose(
+        metrics.axis_repeatability(points, groups, aggregate=None),
+        [np.ptp(p, axis=0) / 2 for p in own],
+        rtol=1e-9,
+    )
+    np.testing.assert_allclose(
+        metrics.axis_repeatability(points, groups, statistic="2s", aggregate="max"),
+        np.max([2 * p.std(axis=0, ddof=1) for p in own], axis=0),
+        rtol=1e-9,
+    )
+    mean = np.mean([np.ptp(p, axis=0) / 2 for p in own], axis=0)
+    for options in ({}, {"aggregate": "mean"}, {"statistic": "half_range"}):
+        np.testing.assert_allclose(metrics.axis_repeatability(points, groups, **options), mean)
+
+
+def test_report_is_a_table_with_the_same_numbers(scattered):
+    pandas = pytest.importorskip("pandas")
+    points, groups = scattered
+    table = pandas.DataFrame(metrics.repeatability_report(points, groups)).set_index("position")
+    assert table["n_points"].to_dict() == {"a": 5, "b": 9, "c": 30, "d": 2}
+    frame = pandas.DataFrame(points, columns=list("xyz")).groupby(groups)
+    for axis in "xyz":
+        np.testing.assert_allclose(table[f"axis_2s_{axis}"], 2 * frame[axis].std(), rtol=1e-9)
+        np.testing.assert_allclose(
+            table[f"half_range_{axis}"], (frame[axis].max() - frame[axis].min()) / 2, rtol=1e-9
+        )
+    np.testing.assert_allclose(
+        table["repeatability_2s"] ** 2, sum(table[f"axis_2s_{axis}"] ** 2 for axis in "xyz")
+    )
+    distance = np.sqrt(np.square(frame.transform(lambda x: x - x.mean())).sum(axis=1))
+    for statistic in ("max", "mean"):
+        np.testing.assert_allclose(
+            table[f"deviation_{statistic}"], distance.groupby(groups).agg(statistic), rtol=1e-9
+        )
+
+
+def test_a_constant_per_position_is_free_for_a_model_but_costs_plain_r2(scattered):
+    points, groups = scattered
+    truth = points - np.array([points[groups == g].mean(axis=0) for g in groups])
+    offset = np.array([{"a": 0.1, "b": -0.2, "c": 0.05, "d": 0.0}[g] for g in groups])
+    prediction = truth + offset[:, None]
+    assert metrics.within_position_scatter(truth, prediction, groups=groups) < 1e-12
+    assert metrics.within_position_r2_score(truth, prediction, groups=groups) == pytest.approx(1)
+    assert sklearn.metrics.r2_score(truth, prediction) < 0
+    assert metrics.within_position_r2_score(truth, 0 * truth, groups=groups) == pytest.approx(0)
+    assert metrics.within_position_r2_score(truth, -truth, groups=groups) == pytest.approx(-3)
+
+
+@pytest.mark.parametrize("statistic", ["2s", "max", "mean"])
+@pytest.mark.parametrize("aggregate", ["mean", "max", None])
+def test_scatter_of_a_correction_is_the_repeatability_of_what_is_left(
+    scattered, statistic, aggregate
+):
+    points, groups = scattered
+    options = {"statistic": statistic, "aggregate": aggregate}
+    left = points * [1, 0.5, 0]
+    expected = metrics.single_point_repeatability(left, groups, **options)
+    found = metrics.within_position_scatter(
+        points.tolist(), (points * [0, 0.5, 1]).tolist(), groups=groups, **options
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert type(found) is (np.ndarray if aggregate is None else float)
+
+
+def test_r2_is_that_of_a_regression_with_a_dummy_variable_per_position(scattered):
+    points, groups = scattered
+    x = np.random.default_rng(1).normal(size=(len(points), 2))
+    dummies = (groups[:, None] == np.unique(groups)).astype(float)
+    y = points[:, 0]
+    full = LinearRegression(fit_intercept=False).fit(np.hstack([x, dummies]), y)
+    only = LinearRegression(fit_intercept=False).fit(dummies, y)
+    partial_r2 = (
+        1
+        - ((y - full.predict(np.hstack([x, dummies]))) ** 2).sum()
+        / ((y - only.predict(dummies)) ** 2).sum()
+    )
+    score = metrics.within_position_r2_score(y, x @ full.coef_[:2], groups=groups)
+    assert score == pytest.approx(partial_r2, rel=1e-6)
+
+
+def _regression_problem():
+    rng = np.random.default_rng(5)
+    X, groups = rng.uniform(-1, 1, (80, 3)), np.repeat(np.arange(8), 10)
+    offset = rng.normal(size=8)[groups]
+    y = X @ rng.normal(size=(3, 3)) + offset[:, None] + 0.01 * rng.normal(size=(80, 3))
+    return X, y, groups
+
+
+def _scores_by_hand(estimator, X, y, groups, **options):
+    return [
+        -metrics.within_position_scatter(
+            y[test],
+            sklearn.clone(estimator).fit(X[train], y[train]).predict(X[test]),
+            groups=groups[test],
+            **options,
+        )
+        for train, test in GroupKFold(4).split(X, y, groups)
+    ]
+
+
+@pytest.mark.parametrize("routing", [True, False])
+@pytest.mark.parametrize("container", ["numpy", "pandas"])
+def test_scorer_in_cross_validation_and_search(routing, container):
+    X, y, groups = _regression_problem()
+    by_hand = {a: _scores_by_hand(Ridge(a), X, y, groups) for a in (0.01, 100.0)}
+    if container == "pandas":
+        X = pytest.importorskip("pandas").DataFrame(X, columns=list("abc"))
+    scoring = metrics.repeatability_scorer() if routing else metrics.repeatability_scorer(X, groups)
+    with sklearn.config_context(enable_metadata_routing=routing):
+        passed = {"params": {"groups": groups}} if routing else {"groups": groups}
+        scores = cross_val_score(Ridge(0.01), X, y, cv=GroupKFold(4), scoring=scoring, **passed)
+        search = GridSearchCV(
+            Ridge(), {"alpha": list(by_hand)}, cv=GroupKFold(4), scoring=scoring, n_jobs=1
+        ).fit(X, y, groups=groups)
+    np.testing.assert_allclose(scores, by_hand[0.01])
+    np.testing.assert_allclose(
+        search.cv_results_["mean_test_score"], [np.mean(s) for s in by_hand.values()]
+    )
+
+
+@pytest.mark.parametrize("routing", [True, False])
+def test_scorer_travels_to_other_processes_and_keeps_its_options(routing):
+    X, y, groups = _regression_problem()
+    expected = -metrics.within_position_scatter(
+        y, 0 * y, groups=groups, statistic="max", aggregate="max"
+    )
+    known = () if routing else (X, groups)
+    scorer = metrics.repeatability_scorer(*known, statistic="max", aggregate="max")
+    scorer = pickle.loads(pickle.dumps(scorer))
+    zero = Ridge(1e30, fit_intercept=False).fit(X, y)
+    with sklearn.config_context(enable_metadata_routing=routing):
+        score = scorer(zero, X, y, groups=groups) if routing else scorer(zero, X, y)
+    assert score == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("first", "then"), [(int, float), (float, int), (float, np.float32)])
+def test_scorer_knows_a_row_in_another_number_type(first, then):
+    X, y, groups = np.arange(24).reshape(12, 2), np.ones((12, 3)), np.repeat([0, 1, 2], 4)
+    scorer = metrics.repeatability_scorer(X.astype(first), groups, statistic="mean")
+    model = Ridge(1e-9).fit(X, y)
+    assert scorer(model, X.astype(then), y) == pytest.approx(0, abs=1e-6)
+    assert "X of shape (12, 2), groups of 3 positions, statistic='mean'" in repr(scorer)
+
+
+def test_scorer_refuses_to_guess_the_groups():
+    X, y, groups = _regression_problem()
+    model = Ridge().fit(X, y)
+    with pytest.raises(ValueError, match="got no groups"):
+        metrics.repeatability_scorer()(model, X, y)
+    with pytest.raises(ValueError, match="2 of 80 rows were not in the X"):
+        metrics.repeatability_scorer(X[2:], groups[2:])(model, X, y)
+    with pytest.raises(ValueError, match="belongs to the groups 0 and 1"):
+        metrics.repeatability_scorer(X[[0, 1, 0]], [0, 0, 1])
+    with pytest.raises(ValueError, match="together"):
+        metrics.repeatability_scorer(X)
+
+
+def test_gauge_lengths_and_errors_by_hand():
+    points = np.array([[0.0, 0, 0.1], [0, 0, -0.1], [0, 300.03, 0], [400, 300, 0], [400, 0, 0]])
+    groups = ["origin", "origin", "y", "xy", "x"]
+    pairs = [("origin", "y"), ("origin", "xy"), ("xy", "x")]
+    lengths = metrics.gauge_lengths(points, groups, pairs)
+    np.testing.assert_allclose(lengths, [300.03, 500, 300])
+    calibrated = [300, 500.04, 300.01]
+    np.testing.assert_allclose(metrics.length_error(lengths, calibrated), [0.03, -0.04, -0.01])
+    by_hand = {"max": 0.04, "range": 0.07, "2rms": 2 * np.sqrt(26e-4 / 3), "mean": 0.08 / 3}
+    for statistic, value in by_hand.items():
+        assert metrics.length_error(lengths, calibrated, statistic=statistic) == pytest.approx(
+            value
+        )
+    np.testing.assert_allclose(metrics.length_error([300.1, 299.9], 300), [0.1, -0.1])
+
+
+def test_sphere_fit_is_the_optimum_that_a_general_optimizer_finds():
+    rng = np.random.default_rng(8)
+    directions = rng.normal(size=(25, 3)) * [1, 1, 0.6]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = [700, -300, 150] + (12.7 + 0.02 * rng.normal(size=(25, 1))) * directions
+
+    def cost(x):
+        return ((np.linalg.norm(points - x[:3], axis=1) - x[3]) ** 2).sum()
+
+    best = minimize(
+        cost,
+        [700, -300, 150, 12.7],
+        method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-15, "maxiter": 5000, "maxfev": 5000},
+    )
+    center, radius, distances = _spheres.fit_sphere(points)
+    assert cost([*center, radius]) <= best.fun + 1e-12
+    np.testing.assert_allclose([*center, radius], best.x, atol=2e-6)
+    assert metrics.probing_size_error(points, 25.4) == pytest.approx(2 * best.x[3] - 25.4, abs=5e-6)
+    assert metrics.probing_form_error(points) == pytest.approx(np.ptp(distances))
+
+
+def test_sphere_fit_is_exact_on_a_small_cap():
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    rim = np.column_stack([np.sin(0.2) * np.cos(angle), np.sin(0.2) * np.sin(angle)])
+    cap = np.column_stack([rim, np.full(12, np.cos(0.2))])
+    points = 10 * np.vstack([cap, [0, 0, 1]]) + [100, 200, 300]
+    center, radius, _ = _spheres.fit_sphere(points)
+    np.testing.assert_allclose([*center, radius], [100, 200, 300, 10], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("points", "radius"),
+    [
+        ([[0, 0, 0], [2, 0, 0]], 1),
+        ([[0, 0, 0], [2, 0, 0], [1, 0.5, 0]], 1),  # obtuse: the long side decides
+        ([[0, 0, 0], [1, 0, 0], [0.5, np.sqrt(0.75), 0]], 1 / np.sqrt(3)),
+        ([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.sqrt(3)),
+        ([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.sqrt(3) / 2),
+        ([[3, 3, 3]] * 4, 0),
+        ([[0, 0, 0], [1, 0, 0], [2, 0, 0], [5, 0, 0]], 2.5),
+    ],
+)
+def test_minimum_enclosing_sphere_in_closed_form(points, radius):
+    center, found = _spheres.minimum_enclosing_sphere(np.asarray(points, dtype=float))
+    assert found == pytest.approx(radius, abs=1e-12)
+    assert np.linalg.norm(points - center, axis=1).max() == pytest.approx(radius, abs=1e-9)
+
+
+@pytest.mark.parametrize("n", [5, 8, 200])
+def test_minimum_enclosing_sphere_against_a_constrained_optimizer(n):
+    rng = np.random.default_rng(n)
+    for _ in range(5):
+        points = rng.normal(size=(n, 3)) * [1, 0.4, 0.1]
+        start = np.append(points.mean(axis=0), 9.0)
+        best = minimize(
+            lambda x: x[3],
+            start,
+            jac=lambda x: np.array([0.0, 0, 0, 1]),
+            constraints={
+                "type": "ineq",
+                "fun": lambda x, p=points: x[3] - ((p - x[:3]) ** 2).sum(axis=1),
+                "jac": lambda x, p=points: np.column_stack([2 * (p - x[:3]), np.ones(len(p))]),
+            },
+            method="SLSQP",
+            options={"ftol": 1e-14, "maxiter": 500},
+        )
+        center, radius = _spheres.minimum_enclosing_sphere(points)
+        assert radius == pytest.approx(np.sqrt(best.fun), rel=1e-7)
+        assert (np.linalg.norm(points - center, axis=1) <= radius * (1 + 1e-9)).all()
+
+
+def test_articulated_location_from_probed_points_is_that_of_the_centres():
+    rng = np.random.default_rng(2)
+    centers = rng.normal([800, 100, 50], 0.02, size=(5, 3))
+    five = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+    points = (centers[:, None] + 12.5 * five).reshape(-1, 3)
+    groups = np.repeat(list("vwxyz"), 5)
+    from_centers = metrics.articulated_location_error(centers)
+    assert metrics.articulated_location_error(points, groups) == pytest.approx(from_centers)
+    farthest = max(np.linalg.norm(a - b) for a in centers for b in centers)
+    # Jung's theorem: the diameter lies between the largest distance and sqrt(3/2) of it.
+    assert farthest * (1 - 1e-9) <= from_centers <= farthest * np.sqrt(1.5)
+
+
+NAN_POINTS = np.array([[0.0, 0, 0], [np.nan, 0, 0]])
+OK_POINTS = np.zeros((4, 3))
+OK_GROUPS = [1, 1, 2, 2]
+OK_ROWS = np.arange(12.0).reshape(4, 3)
+MASKED = np.ma.masked_equal(OK_ROWS, 5)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: metrics.single_point_repeatability(NAN_POINTS), "NaN"),
+        (
+            lambda: metrics.single_point_repeatability(OK_POINTS, [1, 2]),
+            "groups names 2 samples, but there are 4",
+        ),
+        (
+            lambda: metrics.single_point_repeatability(OK_POINTS, ["p", "q", "q", "r"]),
+            r"2 of 3 positions hold a single point \(the first: p\)",
+        ),
+        (
+            lambda: metrics.single_point_repeatability(OK_POINTS, [1, 1, np.nan, 2]),
+            "1 missing labels among 4",
+        ),
+        (
+            lambda: metrics.single_point_repeatability(OK_POINTS, statistic="3s"),
+            "^statistic='3s' i",
+        ),
+        (
+            lambda: metrics.single_point_repeatability(OK_POINTS, aggregate="sum"),
+            "^aggregate='sum'",
+        ),
+        (lambda: metrics.single_point_repeatability(np.zeros((2, 2, 2))), "dim 3"),
+        (lambda: metrics.axis_repeatability(OK_POINTS, statistic="max"), "^statistic='max' is not"),
+        (lambda: metrics.axis_repeatability(OK_POINTS, aggregate="min"), "^aggregate='min' is not"),
+        (lambda: metrics.repeatability_scorer(statistic="3s"), "^statistic='3s' is not one"),
+        (lambda: metrics.repeatability_scorer(aggregate=None), "^aggregate=None is not one"),
+        (
+            lambda: metrics.repeatability_scorer(MASKED, OK_GROUPS),
+            "^X has 1 of 12 values masked",
+        ),
+        (
+            lambda: metrics.repeatability_scorer(OK_ROWS, OK_GROUPS)(Ridge(), MASKED, OK_POINTS),
+            "^X has 1 of 12 values masked",
+        ),
+        (lambda: metrics.repeatability_report(OK_POINTS[:, :2]), "2 coordinates"),
+        (
+            lambda: metrics.within_position_scatter(OK_POINTS, OK_POINTS[:, :1]),
+            r"shape \(4, 3\), but y_pred \(4, 1\)",
+        ),
+        (
+            lambda: metrics.within_position_r2_score(OK_POINTS, OK_POINTS, groups=OK_GROUPS),
+            "does not vary",
+        ),
+        (
+            lambda: metrics.gauge_lengths(OK_POINTS, OK_GROUPS, [[1, 3]]),
+            "group 3, which has no points",
+        ),
+        (lambda: metrics.gauge_lengths(OK_POINTS, OK_GROUPS, [1, 2]), r"shape \(2,\)"),
+        (lambda: metrics.length_error([300, 300], [300, 300, 300]), "2 measured .* 3 calibrated"),
+        (lambda: metrics.length_error([300, -300], 300), "1 of 2 values"),
+        (lambda: metrics.length_error([300, np.inf], 300), "1 of 2 values"),
+        (lambda: metrics.probing_size_error(np.eye(3), 1), "at least 4 points, got 3"),
+        (lambda: metrics.probing_form_error(np.eye(4)[:, :3] * [1, 1, 0]), "one plane"),
+        (lambda: metrics.probing_size_error(np.eye(4)[:, :3], 0), "positive"),
+        (lambda: metrics.articulated_location_error([[0, 0, 0]]), "2 centres are compared, got 1"),
+        (
+            lambda: metrics.articulated_location_error(np.zeros((8, 3)), np.repeat([1, 2], 4)),
+            "Articulation 1: .* one plane",
+        ),
+    ],
+)
+def test_bad_input_is_refused_with_the_numbers(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

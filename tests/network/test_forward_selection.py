@@ -1,0 +1,584 @@
+"""The forward selection against fits of every candidate, fastcan, and extended precision."""
+
+from functools import reduce
+
+import mpmath
+import numpy as np
+import pytest
+from fastcan import FastCan
+from scipy.spatial.distance import cdist
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network._candidates import (
+    SymmetricCandidates,
+    WhitenedCandidates,
+    candidate_groups,
+)
+from sklearn_raacmm.network._forward_selection import (
+    _Subset,
+    exchange,
+    forward_selection,
+    squared_ratio_score,
+)
+from sklearn_raacmm.network._kernels import (
+    KERNELS,
+    kernel_matrix,
+    pivoted_cholesky,
+    squared_distances,
+)
+from sklearn_raacmm.network._nested_fits import (
+    leave_one_out,
+    nested_least_squares,
+    stack_triangles,
+    triangular_factor,
+)
+from sklearn_raacmm.network._training_data import merge, prepare
+
+
+def brute_force(K, Y, weights, tail, alpha, n_select):
+    """Refit with every candidate in turn; the one with the least penalised objective wins."""
+    root = np.sqrt(weights)[:, None]
+    chosen = []
+    for _ in range(n_select):
+        best, best_value = None, np.inf
+        for j in range(K.shape[1]):
+            if j in chosen:
+                continue
+            S = [*chosen, j]
+            A = root * np.hstack([tail, K[:, S]])
+            R = np.zeros((A.shape[1], A.shape[1]))
+            R[tail.shape[1] :, tail.shape[1] :] = alpha * K[np.ix_(S, S)]
+            B = root * Y
+            w = np.linalg.lstsq(A.T @ A + R, A.T @ B, rcond=None)[0] if alpha else None
+            if w is None:
+                w = np.linalg.lstsq(A, B, rcond=None)[0]
+            value = np.sum((B - A @ w) ** 2) + np.sum(w * (R @ w))
+            if value < best_value:
+                best, best_value = j, value
+        chosen.append(best)
+    return chosen
+
+
+def problem(n_outputs=1, n=70, seed=0, scale=None):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, 2))
+    Y = np.column_stack([np.sin((2 + i) * X[:, 0]) + X[:, 1] ** (i + 1) for i in range(n_outputs)])
+    Y += 0.1 * rng.standard_normal(Y.shape)
+    return X, Y * (1.0 if scale is None else scale), rng.uniform(0.2, 3, n)
+
+
+@pytest.mark.parametrize("length_scale", [0.15, 0.6])  # a full-rank kernel, and a smooth one
+@pytest.mark.parametrize("alpha", [0.0, 0.05])
+@pytest.mark.parametrize("degree", [-1, 0, 1])
+@pytest.mark.parametrize("n_outputs", [1, 3])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_same_centres_as_refitting_every_candidate(
+    length_scale, alpha, degree, n_outputs, weighted
+):
+    X, Y, weights = problem(n_outputs)
+    weights = weights if weighted else np.ones(len(X))
+    tail = np.hstack([np.ones((len(X), 1)), X])[:, : {-1: 0, 0: 1, 1: 3}[degree]]
+    root = np.sqrt(weights)[:, None]
+    about = root * Y
+    if degree >= 0:
+        about = about - root * tail @ np.linalg.lstsq(root * tail, root * Y, rcond=None)[0]
+    spread = np.sqrt(np.sum(about**2, axis=0))
+    K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / length_scale**2)
+    expected = brute_force(K, Y / spread, weights, tail, alpha, 8)
+    model = RBFNetRegressor(8, length_scale=length_scale, alpha=alpha, degree=degree)
+    model.fit(X, Y, sample_weight=weights)
+    np.testing.assert_array_equal(model.center_indices_, expected)
+
+
+@pytest.mark.parametrize("length_scale", [0.1, 0.7])
+def test_same_centres_as_fastcan(length_scale):
+    X, Y, _ = problem(n=300, seed=3)
+    K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / length_scale**2)
+    expected = FastCan(25, verbose=0).fit(K, Y).indices_
+    model = RBFNetRegressor(25, length_scale=length_scale, alpha=0).fit(X, Y[:, 0])
+    np.testing.assert_array_equal(model.center_indices_, expected)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1e-3])
+def test_both_representations_choose_alike(alpha):
+    X, Y, weights = problem(2, n=200)
+    problem_ = prepare(merge(X, Y, weights), 0)
+    view = problem_.view()
+    members = [np.arange(2)]
+    args = (problem_, view, np.arange(200), 0.0, 0.5, members, "gaussian", [alpha])
+    # One step is cheapest on the matrix itself; many steps on the factor.
+    symmetric, _ = candidate_groups(*args, 1)
+    whitened, _ = candidate_groups(*args, None)
+    assert type(symmetric[0]) is not type(whitened[0])
+    a, b = forward_selection(symmetric, 20), forward_selection(whitened, 20)
+    np.testing.assert_array_equal(a.indices, b.indices)
+    # The factor leaves 1e-6 of the kernel matrix out.
+    np.testing.assert_allclose(a.reduction, b.reduction, atol=1e-6 * np.sum(view.total))
+
+
+@pytest.mark.parametrize("n_select", [1, None])  # on the matrix itself, and on the factor
+def test_a_candidate_whose_running_figures_are_wrong_is_looked_at_again(n_select):
+    X, Y, weights = problem(2, n=80)
+    problem_ = prepare(merge(X, Y, weights), 0)
+    view = problem_.view()
+    args = (problem_, view, np.arange(80), 0.0, 0.5, [np.arange(2)], "gaussian", [1e-3])
+
+    def select(misjudged):
+        (candidates,), _ = candidate_groups(*args, n_select)
+        norms, correlations = candidates.squared_norms(), candidates.correlations()
+        norms[misjudged] *= 2.0
+        correlations[misjudged] *= 3.0  # 4.5 times its gain: it is tried long before its turn
+        candidates.squared_norms = lambda: norms
+        candidates.correlations = lambda: correlations
+        return forward_selection([candidates], 8)
+
+    honest = select([])
+    wrong = select(np.delete(np.arange(80), honest.indices[0]))
+    assert wrong.indices[0] == honest.indices[0]
+    np.testing.assert_allclose(wrong.reduction[0], honest.reduction[0], rtol=1e-9)
+
+
+def left_over(coordinates, target, chosen):
+    """What least squares on the chosen candidates leave of every output, squared."""
+    A = coordinates[chosen].T
+    return np.square(target - A @ np.linalg.lstsq(A, target, rcond=None)[0]).sum(axis=0)
+
+
+def two_views(scale=1.0):
+    """Coordinates of ten candidates, four independent ones in one view and six in the other.
+
+    Candidate 7 is nothing in the first view, candidate 3 nothing in both.
+    """
+    rng = np.random.default_rng(3)
+    parts = []
+    for rank, n_outputs in ((4, 1), (6, 2)):
+        coordinates, target = rng.normal(size=(10, rank)), rng.normal(size=(rank, n_outputs))
+        coordinates[3] = 0.0
+        parts.append([coordinates * scale, target])
+    parts[0][0][7] = 0.0
+    parts[1][1][:, 1] += 3.0 * parts[1][0][7] / scale
+    return parts
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
+def test_two_views_of_the_candidates_until_all_that_is_left_depends_on_the_chosen(scale):
+    views = two_views(scale)
+    found = forward_selection([WhitenedCandidates(*view) for view in views], 10)
+    assert found.stop == "dependent"
+    assert len(found.indices) == 6
+
+    def left(chosen):
+        return np.concatenate([left_over(*view, chosen) for view in views])
+
+    for k, j in enumerate(found.indices):
+        chosen = list(found.indices[:k])
+        falls = {i: left(chosen) - left([*chosen, i]) for i in range(10) if i not in chosen}
+        # Where one dimension is left, all candidates are worth the same.
+        assert falls[j].sum() >= max(fall.sum() for fall in falls.values()) - 1e-12
+        np.testing.assert_allclose(found.reduction[k], falls[j], atol=1e-12)
+    assert found.indices[0] == 7  # nothing to the first output, and all the same worth it
+    np.testing.assert_allclose(left(found.indices), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_one_view_that_misjudges_a_candidate_is_enough_to_look_again(scale):
+    honest = [WhitenedCandidates(*view) for view in two_views(scale)]
+    expected = forward_selection(honest, 1)
+    for wrong in range(2):
+        views = [WhitenedCandidates(*view) for view in two_views(scale)]
+        norms, correlations = views[wrong].squared_norms(), views[wrong].correlations()
+        others = np.delete(np.arange(10), expected.indices[0])
+        norms[others] *= 2.0
+        correlations[others] *= 30.0
+        views[wrong].squared_norms = lambda norms=norms: norms
+        views[wrong].correlations = lambda correlations=correlations: correlations
+        found = forward_selection(views, 1)
+        np.testing.assert_array_equal(found.indices, expected.indices)
+        np.testing.assert_allclose(found.reduction, expected.reduction, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("apart", [1e-7, 1e-8])
+def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(apart, scale):
+    # All are one direction but for so little, in which they are orthogonal: once the first has been
+    # chosen, as a second view demands, each explains its own coordinate of the target.
+    n = 30
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0]
+    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), apart * np.eye(n)])
+    coordinates[0, 1] = 0.0
+    own = rng.permutation(100 + 0.1 * np.arange(n))
+    target = np.concatenate([[1e10], own])[:, None]
+    view = WhitenedCandidates(coordinates @ turn * scale, turn.T @ target)
+    demand = WhitenedCandidates(np.eye(n)[:, :1], np.array([[1e11]]))
+    found = forward_selection([view, demand], n)
+    order = [j for j in np.argsort(-own) if j != 0]
+    np.testing.assert_array_equal(found.indices, [0, *order])
+    np.testing.assert_allclose(found.reduction[1:, 0], own[order] ** 2, rtol=1e-13 / apart)
+
+
+def test_twins_on_the_matrix_itself():
+    X, Y, _ = problem(n=10)
+    X, Y = np.vstack([X, X + 2e-5]), np.vstack([Y, Y + 0.01 * np.arange(10)[:, None]])
+    K = kernel_matrix(X / 0.5, X / 0.5, "gaussian")
+    candidates = SymmetricCandidates(np.asfortranarray(K), np.ones(20), np.zeros((20, 0)), Y, 0.0)
+    found = forward_selection([candidates], 14)
+    n_steps = len(found.indices)
+    assert n_steps > 10  # of some both
+    left = [left_over(K, Y, list(found.indices[:k])) for k in range(n_steps + 1)]
+    np.testing.assert_allclose(found.reduction, -np.diff(left, axis=0), rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("enough", "n_select", "n_steps", "stop"),
+    [
+        (None, 2, 2, "n_select"),
+        (None, 9, 4, "dependent"),
+        ([29.0, 13.0], 9, 2, "enough"),  # reached to the digit
+        ([29.5, 13.0], 9, 3, "enough"),
+        ([25.0, 17.5], 9, 4, "enough"),  # every output has to reach its own
+        ([30.5, 0.0], 3, 3, "n_select"),
+    ],
+)
+def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
+    # Orthogonal candidates: each lowers the objectives by squares of the targets' coordinates.
+    target = np.array([[1.0, 2.0], [2.0, 3.0], [5.0, 2.0], [1.0, 1.0]])
+    enough = None if enough is None else np.array(enough)
+    found = forward_selection([WhitenedCandidates(np.eye(4), target)], n_select, enough=enough)
+    assert found.stop == stop
+    assert list(found.indices) == [2, 1, 0, 3][:n_steps]
+    np.testing.assert_allclose(found.reduction, np.square(target)[found.indices])
+
+
+def test_candidates_that_explain_nothing_are_chosen_once_each():
+    target = np.array([[0.0], [5.0], [0.0], [0.0]])
+    candidates = np.eye(4)
+    candidates[2] = 0.0
+    found = forward_selection([WhitenedCandidates(candidates, target)], 9)
+    np.testing.assert_array_equal(found.indices, [1, 0, 3])
+    assert found.stop == "dependent"
+    none = forward_selection([WhitenedCandidates(0 * candidates, target)], 9)
+    assert none.reduction.shape == (0, 1)
+    np.testing.assert_array_equal(candidates[none.indices], np.empty((0, 4)))
+
+
+def test_newrb_prefers_what_explains_most_of_one_output():
+    # Shares of the outputs: 0.6 and 0.5 each, 0.9 and 0, 0.1 and 0.2; sums 1.1, 0.9, 0.3; sums of
+    # squares 0.61, 0.81, 0.05. In millimetres and in metres.
+    gains = np.array([[0.6, 0.5], [0.9, 0.0], [0.1, 0.2]]) * [1.0, 1e-6]
+    for unit in (1.0, 1e-6):
+        score = squared_ratio_score(unit * np.array([1.0, 1e-6]))
+        np.testing.assert_allclose(score(unit * gains), [0.61, 0.81, 0.05], rtol=1e-12)
+
+
+@pytest.mark.parametrize("n_select", [1, None])
+def test_reductions_are_by_how_much_the_objective_falls(n_select):
+    X, Y, weights = problem(2, n=80)
+    problem_ = prepare(merge(X, Y, weights), 0)
+    view = problem_.view()
+    args = (problem_, view, np.arange(80), 0.0, 0.5, [np.arange(2)], "gaussian", [0.0])
+    (candidates,), _ = candidate_groups(*args, n_select)
+    chosen = forward_selection([candidates], 6)
+    root = np.sqrt(weights)[:, None]
+    order = problem_.first[chosen.indices]  # rows are sorted there
+    K = kernel_matrix(X / 0.5, X[order] / 0.5, "gaussian")
+    left = []
+    for k in range(7):
+        A = root * np.hstack([np.ones((80, 1)), K[:, :k]])
+        left.append(np.square(root * Y - A @ np.linalg.lstsq(A, root * Y, rcond=None)[0]).sum(0))
+    falls = -np.diff(left, axis=0)
+    shares = chosen.reduction / chosen.reduction[0]
+    np.testing.assert_allclose(shares, falls / falls[0], rtol=1e-4)
+
+
+def test_residual_is_that_of_extended_precision_on_wide_widths():
+    # 40 rows, widths so wide that the kernel matrix has condition far beyond 1e16.
+    rng = np.random.default_rng(1)
+    x = np.sort(rng.uniform(-1, 1, 40))
+    y = np.cos(3 * x) + 0.01 * rng.standard_normal(40)
+    K = np.exp(-0.5 * (x[:, None] - x) ** 2 / 2.0**2)
+    assert np.linalg.cond(K) > 1e16
+    model = RBFNetRegressor("auto", length_scale=2.0, alpha=0, criterion="mse", tol=0, degree=-1)
+    model.fit(x[:, None], y)
+    k = len(model.centers_)
+    assert model.stop_reason_ == "dependent"
+    assert 5 <= k <= 15
+    with mpmath.workdps(60):
+        A = mpmath.matrix(40, k)
+        for i in range(40):
+            for j in range(k):
+                gap = mpmath.mpf(x[i]) - mpmath.mpf(model.centers_[j, 0])
+                A[i, j] = mpmath.exp(-gap * gap / 8)
+        b = mpmath.matrix([mpmath.mpf(v) for v in y])
+        w = mpmath.lu_solve(A.T * A, A.T * b)
+        exact = float(mpmath.norm(b - A * w) ** 2)
+    claimed = model.criterion_path_[k - 1] * 40
+    assert claimed == pytest.approx(exact, rel=1e-6)
+    reached = float(np.sum((y - model.predict(x[:, None])) ** 2))
+    assert reached == pytest.approx(exact, rel=1e-4)
+
+
+def test_order_is_that_of_extended_precision_where_columns_are_nearly_dependent():
+    X, Y, _ = problem(n=300, seed=8)
+    model = RBFNetRegressor(45, length_scale=1.2, alpha=0).fit(X, Y[:, 0])
+    # Explicit Gram-Schmidt on all columns, with three more digits.
+    P = X.astype(np.longdouble)
+    W = np.exp(-np.sum((P[:, None] - P) ** 2, axis=2) / (2 * np.longdouble(1.2) ** 2))
+    W -= W.mean(axis=0)
+    t = Y[:, 0].astype(np.longdouble)
+    t -= t.mean()
+    chosen, lengths = [], []
+    first = np.sum(W * W, axis=0)
+    for _ in range(45):
+        norms = np.sum(W * W, axis=0)
+        norms[chosen] = np.inf
+        j = int(np.argmax((t @ W) ** 2 / norms))
+        chosen.append(j)
+        lengths.append(float(np.sqrt(norms[j] / first[j])))
+        q = W[:, j] / np.sqrt(norms[j])
+        W -= np.outer(q, q @ W)
+        t -= q * (q @ t)
+    # So little is left of the last columns that their squares are below machine epsilon.
+    assert min(lengths) < 1e-8
+    np.testing.assert_array_equal(model.center_indices_, chosen)
+
+
+def test_stops_at_dependent_candidates_where_fastcan_goes_on():
+    rng = np.random.default_rng(2)
+    x = rng.uniform(-1, 1, 50)
+    y = np.sin(5 * x) + 0.05 * rng.standard_normal(50)
+    K = np.exp(-0.5 * (x[:, None] - x) ** 2 / 3.0**2)
+    chosen = FastCan(30, verbose=0).fit(K, y[:, None]).indices_
+    model = RBFNetRegressor(30, length_scale=3.0, alpha=0).fit(x[:, None], y)
+    assert model.stop_reason_ == "dependent"
+
+    def condition(S):
+        columns = K[:, S] - K[:, S].mean(axis=0)
+        return np.linalg.cond(columns / np.linalg.norm(columns, axis=0))
+
+    assert condition(model.center_indices_) < 1e13 < 1e15 < condition(chosen)
+
+
+@pytest.mark.parametrize("name", [k for k, v in KERNELS.items() if v.positive_definite])
+def test_pivoted_cholesky_reaches_its_tolerance(name):
+    Z = np.random.default_rng(0).uniform(-2, 2, (300, 2))
+    K = kernel_matrix(Z, Z, name)
+    for tol in (1e-2, 1e-5):
+        factor = pivoted_cholesky(Z, name, tol=tol)
+        assert factor.complete
+        assert np.abs(K - factor.rows @ factor.rows.T).max() <= tol * (1 + 1e-9)
+        assert len(np.unique(factor.pivots)) == len(factor.pivots)
+    cut = pivoted_cholesky(Z, name, tol=1e-9, max_rank=10)
+    assert cut.rows.shape == (300, 10)
+    assert not cut.complete
+    assert cut.residual == pytest.approx(np.max(1 - np.sum(cut.rows**2, axis=1)))
+
+
+def test_pivoted_cholesky_where_distances_lose_digits():
+    # Six places, thousands of widths apart; rows at one place differ by less than distances err.
+    rng = np.random.default_rng(0)
+    Z = np.column_stack([1e3 * rng.integers(0, 6, 300), 1e-5 * rng.standard_normal((300, 2))])
+    Z -= Z.mean(axis=0)
+    factor = pivoted_cholesky(Z, "gaussian", tol=1e-13)
+    exact = np.exp(-0.5 * cdist(Z, Z, "sqeuclidean"))
+    assert factor.complete
+    assert len(factor.pivots) == 6
+    assert np.abs(exact - factor.rows @ factor.rows.T).max() < 1e-8
+
+
+@pytest.mark.parametrize("name", list(KERNELS))
+def test_kernel_slope_is_the_derivative(name):
+    s = np.linspace(0.05, 9, 40)
+    h = 1e-6
+    function, slope = KERNELS[name].function, KERNELS[name].slope
+    numeric = (function(s + h) - function(s - h)) / (2 * h)
+    np.testing.assert_allclose(slope(s.copy()), numeric, rtol=1e-6, atol=1e-9)
+
+
+def test_squared_distances():
+    rng = np.random.default_rng(0)
+    A, B = rng.standard_normal((30, 4)), rng.standard_normal((20, 4))
+    np.testing.assert_allclose(
+        squared_distances(A, B), cdist(A, B, "sqeuclidean"), rtol=1e-12, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("alphas", [[0.0, 0.0], [0.3, 0.3], [0.02, 0.7]])
+def test_path_is_that_of_separate_fits(alphas):
+    X, Y, weights = problem(2, n=60)
+    root = np.sqrt(weights)[:, None]
+    tail = root * np.ones((60, 1))
+    K = np.exp(-0.5 * cdist(X, X[:9], "sqeuclidean") / 0.4**2)
+    U = np.linalg.cholesky(K[:9]).T
+    within = np.array([0.5, 0.25])
+    rows = np.hstack([tail, root * K, root * Y])
+    # In blocks, some shorter than wide.
+    R = reduce(stack_triangles, map(triangular_factor, (rows[:5], rows[5:40], rows[40:])))
+    path = nested_least_squares(R, 1, U, np.array(alphas), within)
+    parts = (slice(0, 25), slice(25, 60))
+    press = sum(leave_one_out(tail[p], root[p] * K[p], root[p] * Y[p], path) for p in parts)
+    for m in (0, 1, 4, 9):
+        A = np.hstack([tail, root * K[:, :m]])
+        for i in range(2):
+            R = np.zeros((m + 1, m + 1))
+            R[1:, 1:] = alphas[i] * K[:m, :m]
+            b = root[:, 0] * Y[:, i]
+            inverse = np.linalg.inv(A.T @ A + R)
+            w = inverse @ A.T @ b
+            rss = np.sum((b - A @ w) ** 2)
+            np.testing.assert_allclose(path.coefficients(m)[:, i], w, rtol=1e-8, atol=1e-8)
+            assert path.rss[m, i] == pytest.approx(rss + within[i])
+            assert path.objective[m, i] == pytest.approx(rss + w @ R @ w + within[i])
+            assert path.dof[m, i] == pytest.approx(np.trace(A @ inverse @ A.T))
+            # Leave-one-out by its definition: with the ridge fixed, drop a row and predict it.
+            loo = 0.0
+            for row in range(60):
+                keep = np.arange(60) != row
+                part = A[keep]
+                loo += (b[row] - A[row] @ np.linalg.solve(part.T @ part + R, part.T @ b[keep])) ** 2
+            assert press[m, i] == pytest.approx(loo, rel=1e-7)
+
+
+def test_exchange_reaches_a_local_optimum_never_worse_than_the_forward_pass():
+    X, Y, _ = problem(1, n=120, seed=5)
+    problem_ = prepare(merge(X, Y, np.ones(120)), 0)
+    X, targets = problem_.X, problem_.targets - problem_.targets.mean(axis=0)
+    members = [np.arange(1)]
+    args = (problem_.view(), np.arange(120), 0.0, 0.4, members, "gaussian", [0.0], None)
+    candidates, _ = candidate_groups(problem_, *args)
+    forward = forward_selection(candidates, 6).indices
+    better, n_swaps = exchange(candidates, forward, tol=0)
+    K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / 0.4**2)
+    K -= K.mean(axis=0)
+
+    def rss(S):
+        return float(
+            np.sum((targets - K[:, S] @ np.linalg.lstsq(K[:, S], targets, rcond=None)[0]) ** 2)
+        )
+
+    assert n_swaps > 0
+    assert rss(better) < rss(forward)
+    for position in range(6):
+        rest = np.delete(better, position)
+        trials = [rss([*rest, j]) for j in range(120) if j not in rest]
+        assert min(trials) >= rss(better) * (1 - 1e-9)
+
+
+def test_gains_of_a_subset_that_trades_members_are_those_of_least_squares():
+    rng = np.random.default_rng(0)
+    D, t = 1e3 * rng.normal(size=(20, 6)), rng.normal(size=(6, 2))
+    D[3] = 0.0
+    members = [1, 14, 8, 5]
+    subset = _Subset(WhitenedCandidates(D, t), members)
+    for _ in range(6):
+        position = int(rng.integers(4))
+        rest = [m for i, m in enumerate(members) if i != position]
+        gains, own, removal = subset.without(position)
+        before = left_over(D, t, rest).sum()
+        expected = [before - left_over(D, t, [*rest, j]).sum() for j in range(len(D))]
+        np.testing.assert_allclose(gains, expected, atol=1e-9 * before)
+        assert own == pytest.approx(before - left_over(D, t, members).sum())
+        # Into its place comes whatever is not a member, and not nothing.
+        j = int(rng.choice(np.setdiff1d(np.flatnonzero(gains > 1e-6), members)))
+        subset.swap(position, j, removal, subset.direction(j, removal))
+        members = [*rest, j]
+        fresh = _Subset(WhitenedCandidates(D, t), members)
+        np.testing.assert_allclose(subset.Q @ subset.R, D[members].T, atol=1e-9)
+        np.testing.assert_allclose(subset.Q.T @ subset.Q, np.eye(4), atol=1e-12)
+        np.testing.assert_allclose(subset.remainder, fresh.remainder, atol=1e-12)
+        np.testing.assert_allclose(subset.correlations, fresh.correlations, atol=1e-8)
+        np.testing.assert_allclose(subset.norms, fresh.norms, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_what_is_swapped_in_is_new_to_working_precision_or_refused(scale):
+    rng = np.random.default_rng(0)
+    D, t = rng.normal(size=(9, 6)), rng.normal(size=(6, 1))
+    D[5] = D[0] + 1e-5 * rng.normal(size=6)  # hardly new beside the first
+    D[6], D[7] = 0.0, D[1] - 2.0 * D[2]  # nothing new
+    members = [0, 1, 2, 3]
+    subset = _Subset(WhitenedCandidates(D * scale, t), members)
+    _, _, removal = subset.without(3)
+    others = np.linalg.qr(D[:3].T)[0]
+    for j in (3, 4, 5, 8):
+        w = subset.direction(j, removal)
+        assert np.linalg.norm(w) == pytest.approx(1, rel=1e-12)
+        assert np.abs(others.T @ w).max() < 1e-14
+        # Together with the others it spans what the candidate and the others do.
+        new = D[j] / np.linalg.norm(D[j])
+        assert np.abs(new - others @ (others.T @ new) - w * (w @ new)).max() < 1e-14
+    assert subset.direction(6, removal) is None
+    assert subset.direction(7, removal) is None
+    # Where its running length is far from the true one, too.
+    for error, trusted in ((0.5, False), (0.97, True), (1.03, True), (1.5, False)):
+        misjudged = (*removal[:3], error * removal[3])
+        assert (subset.direction(4, misjudged) is not None) == trusted
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_exchange_of_two_views_from_any_start_ends_where_no_swap_helps(seed, scale):
+    rng = np.random.default_rng(seed)
+    views = []
+    for rank, n_outputs in ((7, 2), (5, 1)):
+        coordinates = rng.normal(size=(20, rank))
+        coordinates[:10] = coordinates[0] + 1e-4 * rng.normal(size=(10, rank))  # nearly parallel
+        coordinates[12] = coordinates[11]
+        views.append((coordinates * scale, rng.normal(size=(rank, n_outputs))))
+    groups = [WhitenedCandidates(*view) for view in views]
+
+    def left(chosen):
+        return sum(left_over(*view, list(chosen)).sum() for view in views)
+
+    start = rng.choice(20, 4, replace=False)
+    better, n_swaps = exchange(groups, start, tol=1e-9)
+    assert len(set(better)) == 4
+    assert n_swaps > 0
+    assert left(better) < left(start)
+    for position in range(4):
+        rest = np.delete(better, position)
+        trials = [left([*rest, j]) for j in range(20) if j not in rest]
+        assert min(trials) >= left(better) * (1 - 1e-6)
+    # In the order of the forward pass.
+    for k in range(4):
+        trials = [left([*better[:k], j]) for j in better[k:]]
+        assert trials[0] <= min(trials) * (1 + 1e-6)
+    again, n_swaps = exchange(groups, better, tol=1e-9)
+    np.testing.assert_array_equal(again, better)
+    assert n_swaps == 0
+
+
+@pytest.mark.parametrize(
+    ("members", "limit"),
+    [
+        ([0], 0.6),  # of 10 to reduce, 7 instead of 1
+        ([0, 1], 1.5),  # of 1 + 7 to reduce, 7 instead of 1, over two members
+    ],
+)
+def test_exchange_does_not_swap_for_less_than_its_tolerance(members, limit):
+    groups = [WhitenedCandidates(np.eye(3), np.sqrt([[1.0], [2.0], [7.0]]))]
+    assert exchange(groups, members, tol=limit * 1.01)[1] == 0
+    indices, n_swaps = exchange(groups, members, tol=limit * 0.99)
+    assert n_swaps == 1
+    np.testing.assert_array_equal(indices, [2, *members[1:]])
+
+
+@pytest.mark.parametrize("misjudged", [0, 1])
+def test_exchange_passes_over_a_candidate_whose_running_length_is_wrong(misjudged):
+    # Candidate 3 is member 0 again. Where its length is taken for a tenth, it seems to be worth a
+    # hundred times as much; the swap of member 1 for candidate 2 is sound.
+    coordinates = np.eye(3)[[0, 1, 2, 0]]
+    target = np.array([[2.0], [1.0], [3.0]])
+    views = [WhitenedCandidates(coordinates, target) for _ in range(2)]
+    views[misjudged].squared_norms = lambda: np.array([1, 1, 1, 0.01])
+    indices, n_swaps = exchange(views, [0, 1])
+    np.testing.assert_array_equal(indices, [2, 0])
+    assert n_swaps == 1
+
+
+def test_exchange_stops_after_so_many_sweeps():
+    rng = np.random.default_rng(34)  # a problem that takes three
+    groups = [WhitenedCandidates(rng.normal(size=(60, 12)), rng.normal(size=(12, 1)))]
+    start = rng.choice(60, 5, replace=False)
+    swaps = [exchange(groups, start, tol=0, max_sweeps=n)[1] for n in range(5)]
+    assert 0 == swaps[0] < swaps[1] < swaps[2] < swaps[3] == swaps[4]

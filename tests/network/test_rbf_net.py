@@ -1,0 +1,545 @@
+"""RBFNetRegressor against Gaussian processes, closed forms and its own promises."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+from scipy.optimize import approx_fprime
+from scipy.stats import norm
+from sklearn.base import clone
+from sklearn.datasets import make_friedman1
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import (
+    RBF,
+    ConstantKernel,
+    Matern,
+    RationalQuadratic,
+    WhiteKernel,
+)
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
+from sklearn_raacmm.network._width_search import leave_one_out_error, negative_log_likelihood, tune
+
+AUTO_KERNELS = sorted(KERNELS)
+
+
+def smooth(n, seed=0, noise=0.1, d=2):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-2, 2, (n, d))
+    f = np.sin(2 * X[:, 0]) + np.cos(X[:, -1])
+    return X, f + noise * rng.standard_normal(n), f
+
+
+@pytest.mark.parametrize("name", AUTO_KERNELS)
+def test_likelihood_gradient_against_finite_differences(name):
+    rng = np.random.default_rng(0)
+    X, Z = rng.standard_normal((40, 3)), rng.standard_normal((12, 3))
+    Y, weights = rng.standard_normal((40, 2)).cumsum(axis=0), rng.uniform(0.5, 2, 40)
+    args = (Z, X, Y, weights, weights.sum(), np.array([0.1, 0.2]), name)
+    theta = np.array([0.1, 0.4, -0.2, -1.0, -3.0])
+    _, gradient = negative_log_likelihood(*args, theta[:3], theta[3:])
+    numeric = approx_fprime(theta, lambda t: negative_log_likelihood(*args, t[:3], t[3:])[0], 1e-7)
+    np.testing.assert_allclose(gradient, numeric, rtol=1e-4, atol=1e-4)
+
+
+def test_likelihood_is_that_of_the_gaussian_process_when_all_rows_induce():
+    X, y, _ = smooth(50)
+    y -= y.mean()
+    values = []
+    for alpha in (0.01, 0.1):
+        value, _ = negative_log_likelihood(
+            X,
+            X,
+            y[:, None],
+            np.ones(50),
+            50.0,
+            np.zeros(1),
+            "gaussian",
+            np.log([0.7, 1.3]),
+            np.log([alpha]),
+        )
+        # The same with the signal variance at its optimum, which the process has to be told.
+        K = RBF([0.7, 1.3])(X) + alpha * np.eye(50)
+        signal = y @ np.linalg.solve(K, y) / 50
+        kernel = ConstantKernel(signal) * RBF([0.7, 1.3]) + WhiteKernel(signal * alpha)
+        process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, y)
+        values.append((value, -process.log_marginal_likelihood_value_))
+    (a, a_ref), (b, b_ref) = values
+    # Up to a constant.
+    assert a - b == pytest.approx(a_ref - b_ref, abs=1e-5)
+
+
+def test_weights_and_repeats_have_one_likelihood():
+    rng = np.random.default_rng(1)
+    X, Y = rng.standard_normal((20, 2)), rng.standard_normal((20, 1))
+    counts = rng.integers(1, 4, 20)
+    Z = X[:8]
+    width = np.zeros(2)
+    one = negative_log_likelihood(
+        Z, X, Y, counts, counts.sum(), np.zeros(1), "matern52", width, np.array([-2.0])
+    )
+    R = np.repeat(np.arange(20), counts)
+    two = negative_log_likelihood(
+        Z, X[R], Y[R], np.ones(len(R)), len(R), np.zeros(1), "matern52", width, np.array([-2.0])
+    )
+    assert one[0] == pytest.approx(two[0], rel=1e-10)
+    np.testing.assert_allclose(one[1], two[1], rtol=1e-7)
+
+
+def test_full_network_is_the_posterior_of_the_gaussian_process():
+    X, y, _ = smooth(60)
+    alpha, width = 0.03, np.array([0.3, 0.4])
+    model = RBFNetRegressor(60, length_scale=width, alpha=alpha, degree=-1).fit(X, y)
+    K = RBF(width)(X) + alpha * np.eye(60)
+    signal = y @ np.linalg.solve(K, y) / 60
+    assert model.signal_variance_ == pytest.approx(signal, rel=1e-5)
+    kernel = ConstantKernel(signal) * RBF(width) + WhiteKernel(signal * alpha)
+    process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, y)
+    T = np.random.default_rng(2).uniform(-6, 6, (50, 2))
+    mean, std = model.predict(T, return_std=True)
+    mean_ref, std_ref = process.predict(T, return_std=True)
+    np.testing.assert_allclose(mean, mean_ref, atol=1e-6)
+    np.testing.assert_allclose(std, std_ref, rtol=1e-5)
+    _, of_mean = model.predict(T, return_std=True, with_noise=False)
+    np.testing.assert_allclose(of_mean**2, std_ref**2 - signal * alpha, atol=1e-6 * signal)
+
+
+@pytest.mark.parametrize(
+    ("name", "reference"),
+    [
+        ("gaussian", RBF(0.9)),
+        ("matern32", Matern(0.9, nu=1.5)),
+        ("matern52", Matern(0.9, nu=2.5)),
+        ("rational_quadratic", RationalQuadratic(0.9, alpha=1.0)),
+    ],
+)
+def test_kernels_are_those_of_scikit_learn(name, reference):
+    X, y, _ = smooth(40)
+    model = RBFNetRegressor(40, kernel=name, length_scale=0.9, alpha=0.2, degree=-1).fit(X, y)
+    ridge = KernelRidge(alpha=0.2, kernel=reference).fit(X, y)
+    np.testing.assert_allclose(model.predict(X), ridge.predict(X), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "scipy_name", "degree"),
+    [("multiquadric", "multiquadric", 0), ("thin_plate", "thin_plate_spline", 1)],
+)
+def test_conditionally_definite_kernels_span_what_scipy_interpolates_with(name, scipy_name, degree):
+    # With centres everywhere and no ridge both interpolate; the spans agree but for the side
+    # condition on the weights, so that on a function of the span the two are the same.
+    X, _, _ = smooth(25)
+    T = np.random.default_rng(3).uniform(-2, 2, (30, 2))
+    y = RBFInterpolator(X, X[:, 0] * X[:, 1], kernel=scipy_name, epsilon=1.0, degree=degree)
+    model = RBFNetRegressor(25, kernel=name, length_scale=1.0, alpha=0, degree=degree)
+    model.fit(np.vstack([X, T]), y(np.vstack([X, T])))
+    few = RBFNetRegressor(
+        "auto", kernel=name, length_scale=1.0, alpha=0, degree=degree, criterion="mse", tol=1e-12
+    ).fit(np.vstack([X, T]), y(np.vstack([X, T])))
+    np.testing.assert_allclose(few.predict(T), y(T), atol=1e-5)
+    assert few.linear_coef_.shape == (2,)
+
+
+@pytest.mark.filterwarnings("ignore:The optimal value found:sklearn.exceptions.ConvergenceWarning")
+def test_defaults_are_as_accurate_as_a_gaussian_process():
+    X, f = make_friedman1(700, random_state=0)
+    rng = np.random.default_rng(0)
+    y = f[:300] + rng.standard_normal(300)
+    scale = X.std(axis=0)
+    kernel = ConstantKernel() * RBF(np.ones(10), (1e-2, 1e3)) + WhiteKernel(0.1)
+    process = GaussianProcessRegressor(kernel, normalize_y=True).fit(X[:300] / scale, y)
+    model = RBFNetRegressor(random_state=0).fit(X[:300], y)
+    error = np.sqrt(np.mean((model.predict(X[300:]) - f[300:]) ** 2))
+    error_ref = np.sqrt(np.mean((process.predict(X[300:] / scale) - f[300:]) ** 2))
+    assert error < 1.05 * error_ref
+    assert len(model.centers_) < 100
+    # Five of the ten features have no effect: their widths say so.
+    assert model.length_scale_[5:].min() > 5 * model.length_scale_[:3].max()
+
+
+def test_intervals_cover_what_they_claim():
+    X, y, _ = smooth(400, noise=0.2)
+    T, t, _ = smooth(2000, seed=1, noise=0.2)
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    mean, std = model.predict(T, return_std=True)
+    for level in (0.5, 0.9, 0.99):
+        covered = np.mean(np.abs(t - mean) < norm.ppf(0.5 + level / 2) * std)
+        # Five standard errors of a share of 2000, and the noise variance known to 7 %.
+        assert covered == pytest.approx(level, abs=0.05 * (1 - level) + 0.055 * level)
+    # Far away nothing is known but the signal's own variance; an unknown constant adds to it.
+    far = np.array([[400.0, 400.0]])
+    prior = np.sqrt(model.signal_variance_ + model.noise_variance_)
+    assert model.predict(far, return_std=True)[1][0] > prior
+    plain = RBFNetRegressor(degree=-1, random_state=0).fit(X, y)
+    prior = np.sqrt(plain.signal_variance_ + plain.noise_variance_)
+    assert plain.predict(far, return_std=True)[1][0] == pytest.approx(prior)
+
+
+@pytest.mark.parametrize("length_scale", ["auto", "isotropic"])
+@pytest.mark.parametrize("name", AUTO_KERNELS)
+def test_tuning_never_ends_worse_than_it_started(name, length_scale):
+    X, y, f = smooth(400)
+    tuned = tune(
+        X,
+        (y - y.mean())[:, None],
+        np.ones(400),
+        np.zeros(1),
+        name,
+        isotropic=length_scale == "isotropic",
+        random_state=np.random.RandomState(0),
+    )
+    assert tuned.objective <= tuned.start
+    model = RBFNetRegressor(kernel=name, length_scale=length_scale, random_state=0).fit(X, y)
+    if length_scale == "isotropic":
+        ratio = model.length_scale_ / X.std(axis=0)
+        assert ratio[0] == pytest.approx(ratio[1])
+    # Noise 0.1, and a few dozen parameters from 400 rows.
+    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < 0.05
+
+
+def test_given_widths_and_ridge_are_respected():
+    X, y, _ = smooth(80)
+    model = RBFNetRegressor(length_scale=[0.5, 0.9], alpha=0.01).fit(X, y)
+    np.testing.assert_array_equal(model.length_scale_, [0.5, 0.9])
+    assert model.alpha_ == 0.01
+    model = RBFNetRegressor(length_scale=[0.5, 0.9]).fit(X, y)
+    np.testing.assert_array_equal(model.length_scale_, [0.5, 0.9])
+    assert RBFNetRegressor(alpha=0.02).fit(X, y).alpha_ == 0.02
+
+
+@pytest.mark.parametrize("criterion", ["posterior", "gcv", "loo", "bic", "error_reduction", "mse"])
+def test_every_criterion_finds_a_size_between_under_and_overfit(criterion):
+    X, y, f = smooth(300)
+    model = RBFNetRegressor(criterion=criterion, random_state=0).fit(X, y)
+    assert 5 < len(model.centers_) < 100
+    assert len(model.criterion_path_) == model.n_iter_ >= len(model.centers_)
+    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < 0.1
+
+
+def test_smaller_tolerance_comes_closer_to_the_process():
+    X, y, _ = smooth(300)
+    T = np.random.default_rng(5).uniform(-2, 2, (200, 2))
+    models = [
+        RBFNetRegressor(length_scale=0.8, alpha=0.01, tol=tol).fit(X, y)
+        for tol in (0.3, 0.02, 1e-3)
+    ]
+    full = RBFNetRegressor(300, length_scale=0.8, alpha=0.01).fit(X, y).predict(T)
+    gaps = [np.mean((m.predict(T) - full) ** 2) for m in models]
+    assert gaps[0] > gaps[1] > gaps[2]
+    # What the criterion promises, on the training rows themselves.
+    for model in models[:2]:
+        everywhere = RBFNetRegressor(300, length_scale=0.8, alpha=0.01).fit(X, y)
+        lost = np.sum((model.predict(X) - everywhere.predict(X)) ** 2)
+        K = RBF(0.8)(X)
+        dof = np.trace(np.linalg.solve(K + 0.01 * np.eye(300), K))
+        assert lost <= model.tol * everywhere.noise_variance_ * dof * 1.02
+
+
+def test_error_reductions_sum_to_the_explained_variance():
+    X, y, _ = smooth(100)
+    Y = np.column_stack([y, 1e-6 * y**2 + 5])
+    model = RBFNetRegressor(12, length_scale=0.7, alpha=0).fit(X, Y)
+    residual = Y - model.predict(X)
+    explained = 1 - np.mean(residual**2, axis=0) / np.var(Y, axis=0)
+    assert model.error_reduction_.sum() == pytest.approx(explained.mean(), rel=1e-8)
+    assert np.all(model.error_reduction_ >= 0)
+
+
+def test_units_of_the_outputs_do_not_matter():
+    X, y, _ = smooth(150)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(150)
+    Y = np.column_stack([y, np.cos(3 * X[:, 0]) + noise])
+    units = np.array([2.0**-20, 2.0**10])  # powers of two: not even rounding differs
+    one = RBFNetRegressor(random_state=0).fit(X, Y)
+    two = RBFNetRegressor(random_state=0).fit(X, Y * units)
+    np.testing.assert_array_equal(one.center_indices_, two.center_indices_)
+    np.testing.assert_allclose(two.predict(X), one.predict(X) * units, rtol=1e-12)
+    # Each output has its own noise: 0.1 of a spread of 1, and 0.01.
+    np.testing.assert_allclose(np.sqrt(one.noise_variance_), [0.1, 0.01], rtol=0.2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_ridge_bounds_predictions_everywhere(seed):
+    # The objective is no larger than with all weights 0, so that c'Kc <= |y|^2 / alpha, and by
+    # Cauchy and Schwarz |f(x)|^2 <= c'Kc. The second output, without noise, wants widths and
+    # centres that the first one's weights must not follow into directions the kernel cannot tell.
+    rng = np.random.default_rng(seed)
+    X = rng.standard_normal((150, 2)) * [1, 10]
+    Y = np.column_stack([rng.standard_normal(150), X[:, 0]])
+    model = RBFNetRegressor(random_state=0).fit(X, Y)
+    bound = np.sqrt(np.square(Y - Y.mean(axis=0)).sum(axis=0) / model.alpha_)
+    away = np.abs(model.predict(X * 1.5 + 3 * X.std(axis=0)) - model.intercept_)
+    assert np.all(away < bound)
+
+
+def test_linear_tail_recovers_a_plane():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(100, 101, (50, 3))
+    X[:, 2] = 7.0  # a constant feature has no slope of its own
+    y = 3 * X[:, 0] - 2 * X[:, 1] + 0.5
+    model = RBFNetRegressor(1, length_scale=1.0, alpha=1e-3, degree=1).fit(X, y)
+    far = np.array([[0.0, 0.0, 7.0], [500.0, -20.0, 7.0]])
+    np.testing.assert_allclose(
+        model.predict(far), LinearRegression().fit(X, y).predict(far), rtol=1e-7
+    )
+
+
+def newrb(P, T, goal, spread, most):
+    """A re-statement of the published algorithm: OLS on uncentred targets, bias in the last fit.
+
+    Independent of the package: explicit Gram-Schmidt on the whole matrix of radial functions.
+    """
+
+    def radial(Q, C):
+        return np.exp(-np.log(2) * ((Q[:, None] - C) ** 2).sum(axis=2) / spread**2)
+
+    W = radial(P, P)
+    chosen = []
+    while len(chosen) < most:
+        lengths = np.sum(W**2, axis=0)
+        lengths[chosen] = np.inf
+        ratios = (W.T @ T) ** 2 / lengths[:, None] / np.sum(T**2, axis=0)
+        j = int(np.argmax(np.sum(ratios**2, axis=1)))
+        chosen.append(j)
+        w = W[:, j].copy()
+        W -= np.outer(w, (w @ W) / (w @ w))
+        A = np.hstack([radial(P, P[chosen]), np.ones((len(P), 1))])
+        solution = np.linalg.lstsq(A, T, rcond=None)[0]
+        if np.mean((T - A @ solution) ** 2) <= goal:
+            break
+    return chosen, lambda Q: radial(Q, P[chosen]) @ solution[:-1] + solution[-1]
+
+
+@pytest.mark.parametrize("n_outputs", [1, 2])
+@pytest.mark.parametrize("spread", [0.3, 1.0])
+def test_repeats_matlabs_newrb(spread, n_outputs):
+    X, y, _ = smooth(80)
+    Y = np.column_stack([y + 2, np.cos(2 * X[:, 0] * X[:, 1])])[:, :n_outputs]
+    for goal in (0.05, 0.02):
+        chosen, predict = newrb(X, Y, goal, spread, 40)
+        model = RBFNetRegressor(
+            "auto",
+            length_scale=spread / np.sqrt(2 * np.log(2)),
+            alpha=0,
+            selection="newrb",
+            criterion="mse",
+            tol=goal,
+            max_centers=40,
+        ).fit(X, Y)
+        np.testing.assert_array_equal(model.center_indices_, chosen)
+        T = np.random.default_rng(1).uniform(-2, 2, (20, 2))
+        np.testing.assert_allclose(
+            model.predict(T).reshape(20, -1), predict(T), rtol=1e-5, atol=1e-6
+        )
+
+
+def test_row_order_and_repeats_do_not_matter():
+    X, y, _ = smooth(120)
+    rng = np.random.default_rng(4)
+    order = rng.permutation(120)
+    counts = rng.integers(0, 3, 120)
+    one = RBFNetRegressor(random_state=0).fit(X, y, sample_weight=counts)
+    R = np.repeat(order, counts[order])
+    two = RBFNetRegressor(random_state=0).fit(X[R], y[R])
+    np.testing.assert_allclose(one.centers_, two.centers_)
+    np.testing.assert_allclose(one.predict(X), two.predict(X), rtol=1e-7)
+    np.testing.assert_array_equal(X[one.center_indices_], one.centers_)
+    assert np.all(counts[one.center_indices_] > 0)
+
+
+def test_refined_small_network_is_better():
+    X, y, f = smooth(600, noise=0.01)
+    args = {"n_centers": 8, "length_scale": 1.0, "alpha": 1e-4}
+    plain = RBFNetRegressor(**args).fit(X, y)
+    refined = RBFNetRegressor(**args, refine=True).fit(X, y)
+    assert len(refined.centers_) == 8
+    rms = [np.sqrt(np.mean((m.predict(X) - f) ** 2)) for m in (plain, refined)]
+    assert rms[1] < 0.95 * rms[0]
+
+
+def test_candidates_limit_the_centres_not_the_rows():
+    X, y, f = smooth(500)
+    model = RBFNetRegressor(candidates=40, random_state=0).fit(X, y)
+    assert len(model.centers_) <= 40
+    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < 0.05
+
+
+def test_constant_target_needs_no_centre():
+    X, _, _ = smooth(30)
+    model = RBFNetRegressor().fit(X, np.full(30, 7.25))
+    assert len(model.centers_) == 0
+    np.testing.assert_allclose(model.predict(X), 7.25)
+    mixed = RBFNetRegressor(length_scale=1.0, alpha=0.1).fit(
+        X, np.column_stack([X[:, 0], 0 * X[:, 0] + 2])
+    )
+    np.testing.assert_allclose(mixed.predict(X)[:, 1], 2.0)
+
+
+def test_grid_search_and_pickle():
+    X, y, _ = smooth(90)
+    grid = {
+        "n_centers": [5, "auto"],
+        "kernel": ["gaussian", "matern52"],
+        "length_scale": [1.0, "isotropic"],
+        "alpha": [0.0, "auto"],
+        "degree": [0, 1],
+        "criterion": ["auto", "gcv"],
+    }
+    search = GridSearchCV(RBFNetRegressor(random_state=0), grid, cv=2).fit(X, y)
+    assert np.all(np.isfinite(search.cv_results_["mean_test_score"]))
+    assert search.best_score_ > 0.9
+    again = pickle.loads(pickle.dumps(search.best_estimator_))
+    np.testing.assert_array_equal(again.predict(X), search.predict(X))
+    assert clone(again).get_params() == again.get_params()
+
+
+@pytest.mark.parametrize(
+    ("params", "match"),
+    [
+        ({"n_centers": 31}, "n_centers=31, but there are only 30 distinct candidate rows"),
+        ({"length_scale": [1.0, 2.0, 3.0]}, r"shape \(3,\).*2 features"),
+        ({"length_scale": [1.0, -2.0]}, "must be positive"),
+        ({"length_scale": [1.0, np.nan]}, "must be positive"),
+        ({"criterion": "posterior", "alpha": 0.0}, "needs a positive definite kernel"),
+        ({"criterion": "posterior", "kernel": "thin_plate"}, "needs a positive definite kernel"),
+        ({"kernel": "gausian"}, "'kernel' parameter"),
+        ({"degree": 2}, "'degree' parameter"),
+        ({"alpha": -1.0}, "'alpha' parameter"),
+    ],
+)
+def test_bad_parameters(params, match):
+    X, y, _ = smooth(30)
+    with pytest.raises(ValueError, match=match):
+        RBFNetRegressor(**params).fit(X, y)
+
+
+def test_all_weights_zero():
+    X, y, _ = smooth(30)
+    with pytest.raises(ValueError, match="weights must contain at least one non-zero"):
+        RBFNetRegressor().fit(X, y, sample_weight=np.zeros(30))
+
+
+def test_offset_of_the_features_does_not_matter():
+    X, y, _ = smooth(150)
+    shifted = X + 2.0**20  # exact in floating point for these, up to the last digits
+    X = shifted - 2.0**20
+    one, two = (RBFNetRegressor(random_state=0).fit(data, y) for data in (X, shifted))
+    np.testing.assert_allclose(one.length_scale_, two.length_scale_, rtol=1e-3)
+    np.testing.assert_allclose(one.predict(X), two.predict(shifted), atol=1e-3)
+
+
+def test_feature_that_never_varied_is_ignored():
+    X, y, _ = smooth(100)
+    still = np.column_stack([X, np.full(100, 3.0)])
+    model = RBFNetRegressor(random_state=0).fit(still, y)
+    assert model.length_scale_[2] == np.inf
+    moved = np.column_stack([X, np.linspace(-5, 5, 100)])
+    np.testing.assert_array_equal(model.predict(moved), model.predict(still))
+    np.testing.assert_allclose(
+        model.predict(still), RBFNetRegressor(random_state=0).fit(X, y).predict(X), atol=1e-6
+    )
+    # Widths that were found can be given, infinite ones, too.
+    again = clone(model).set_params(length_scale=model.length_scale_).fit(moved, y)
+    np.testing.assert_array_equal(again.length_scale_, model.length_scale_)
+    np.testing.assert_allclose(again.predict(moved), model.predict(moved), atol=0.01)
+
+
+def test_nearly_noise_free_data_are_fitted_down_to_their_noise():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (700, 3))
+    f = np.sin(3 * X[:, 0]) + X[:, 1] ** 2 + 0.5 * X[:, 0] * X[:, 2]
+    y = f + 1e-4 * rng.standard_normal(700)
+    model = RBFNetRegressor(random_state=0).fit(X[:500], y[:500])
+    assert np.sqrt(np.mean((model.predict(X[500:]) - f[500:]) ** 2)) < 1e-4
+    assert np.sqrt(model.noise_variance_) == pytest.approx(1e-4, rel=0.3)
+
+
+def test_deviations_survive_a_file_that_holds_little():
+    X, y, _ = smooth(200)
+    Y = np.column_stack([y, y**2, np.sin(y)])
+    model = RBFNetRegressor(random_state=0).fit(X, Y)
+    expected = model.predict(X, return_std=True)
+    stored = pickle.dumps(model)
+    k = len(model.centers_)
+    # Half a square matrix, whatever the number of outputs, and little else.
+    assert len(stored) < 8 * (k * k + 20 * k) + 8000
+    np.testing.assert_array_equal(pickle.loads(stored).predict(X, return_std=True), expected)
+
+
+@pytest.mark.parametrize("name", ["matern52", "multiquadric"])
+def test_leave_one_out_error_by_leaving_one_out(name):
+    rng = np.random.default_rng(0)
+    X, Y, weights = rng.standard_normal((25, 2)), rng.standard_normal((25, 2)), np.ones(25)
+    weights[:5] = 2.0
+    alphas = np.array([0.1, 0.5])
+    K = kernel_matrix(X, X, name)
+    expected = 0.0
+    for output, alpha in enumerate(alphas):
+        for row in range(25):
+            keep = np.arange(25) != row
+            if KERNELS[name].positive_definite:
+                inner = K[np.ix_(keep, keep)] + np.diag(alpha / weights[keep])
+                fitted = K[row, keep] @ np.linalg.solve(inner, Y[keep, output])
+            else:  # weights of the functions have the prior, those of the row left out too
+                A = np.sqrt(weights[keep])[:, None] * K[keep]
+                b = np.sqrt(weights[keep]) * Y[keep, output]
+                fitted = K[row] @ np.linalg.solve(A.T @ A + alpha * np.eye(25), A.T @ b)
+            expected += weights[row] * (Y[row, output] - fitted) ** 2
+    error = leave_one_out_error(X, Y, weights, name, np.zeros(2), np.log(alphas))
+    assert error == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_alone_needs_hardly_a_centre(seed):
+    rng = np.random.default_rng(seed)
+    X, y = rng.uniform(-1, 1, (400, 3)), rng.standard_normal(400)
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    assert len(model.centers_) <= 15
+    # The mean of 400 rows is all there is to learn: nothing far from it is predicted.
+    assert np.sqrt(np.mean(model.predict(rng.uniform(-1, 1, (500, 3))) ** 2)) < 0.25
+
+
+@pytest.mark.parametrize("selection", ["ols", "newrb"])
+def test_a_centre_at_every_row_leaves_room_for_the_constant(selection):
+    X, y, _ = smooth(10)
+    model = RBFNetRegressor(10, length_scale=0.3, alpha=0, selection=selection).fit(X, y)
+    assert len(model.centers_) == 9
+    assert model.stop_reason_ == "dependent"
+    np.testing.assert_allclose(model.predict(X), y, atol=1e-8)
+
+
+def test_only_the_ratios_of_the_weights_matter():
+    X, y, _ = smooth(150, seed=3)
+    weights = np.random.default_rng(0).uniform(0.5, 2, 150)
+    one = RBFNetRegressor(random_state=0).fit(X, y, sample_weight=weights)
+    mean, std = one.predict(X, return_std=True)
+    for factor in (1e-6, 3.0, 1e6):
+        other = RBFNetRegressor(random_state=0).fit(X, y, sample_weight=factor * weights)
+        np.testing.assert_array_equal(other.center_indices_, one.center_indices_)
+        scaled = other.predict(X, return_std=True)
+        np.testing.assert_allclose(scaled, (mean, std), rtol=1e-6)
+        assert other.alpha_ == pytest.approx(factor * one.alpha_, rel=1e-6)
+
+
+@pytest.mark.parametrize("what", ["twice", "drawn with replacement"])
+def test_a_row_that_is_there_twice_does_not_show_that_there_is_no_noise(what):
+    X, y, f = smooth(200, seed=4, noise=0.2)
+    rng = np.random.default_rng(0)
+    rows = np.tile(np.arange(200), 2) if what == "twice" else rng.integers(0, 200, 200)
+    model = RBFNetRegressor(random_state=0).fit(X[rows], y[rows])
+    assert np.sqrt(model.noise_variance_) == pytest.approx(0.2, rel=0.2)
+    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < 0.1
+
+
+def test_replicates_that_differ_show_the_noise():
+    # Five measurements at each of 15 places: the variance within places is an estimate of its own.
+    X, _, f = smooth(15, seed=5)
+    X, f = np.repeat(X, 5, axis=0), np.repeat(f, 5)
+    y = f + 0.3 * np.random.default_rng(0).standard_normal(75)
+    within = y.reshape(15, 5).var(axis=1, ddof=1).mean()
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    assert model.noise_variance_ == pytest.approx(within, rel=0.3)

@@ -1,0 +1,252 @@
+import pickle
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+
+from sklearn_raacmm import Arm, PoseFeatures
+from sklearn_raacmm.residuals import _pose_features
+
+NAMES = ["aacmm6", "panda", "ur10"]
+
+
+def angles_of(arm, n=40, seed=0):
+    return np.random.default_rng(seed).uniform(-np.pi, np.pi, (n, arm.n_joints))
+
+
+def origins(arm, angles):
+    """Origins of all frames of one pose, by 4x4 products and scipy's rotations."""
+    pose, found = np.eye(4), [np.zeros(3)]
+    for i, angle in enumerate(angles):
+        joint, link = np.eye(4), np.eye(4)
+        theta = arm.joint_signs[i] * angle + arm.theta_offset[i]
+        joint[:3, :3] = Rotation.from_rotvec([0, 0, theta]).as_matrix()
+        joint[2, 3] = arm.d[i]
+        link[:3, :3] = Rotation.from_rotvec([arm.alpha[i], 0, 0]).as_matrix()
+        link[0, 3] = arm.a[i]
+        pose = pose @ joint @ link if arm.convention == "standard" else pose @ link @ joint
+        found.append(pose[:3, 3])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pose_against_vectors(name):
+    """theta_dis is what is left of a right angle between the line O2-O5 and the vertical."""
+    arm = Arm.from_name(name)
+    angles = angles_of(arm)
+    shoulder, wrist = arm.pose_frames
+    line = np.array([origins(arm, q)[wrist] - origins(arm, q)[shoulder] for q in angles])
+    from_vertical = np.arccos(line[:, 2] / np.linalg.norm(line, axis=1))
+
+    features = PoseFeatures(arm).fit_transform(angles)
+
+    swivel, elbow = arm.pose_joints
+    assert_array_equal(features[:, :2], angles[:, [swivel - 1, elbow - 1]])
+    assert_allclose(features[:, 2], np.pi / 2 - from_vertical, atol=1e-7)
+
+
+def test_pose_ignores_what_does_not_change_the_shape():
+    """The base exactly, and on an ideal arm (a5 = 0) the forearm's roll and the wrist as well."""
+    ideal = Arm.from_degrees(
+        a=[0, 62, 0, 62, 0, 0], alpha=[-90, -90, 90, -90, 90, -90], d=[376, 0, 750, 0, 500, 15]
+    )
+    angles = angles_of(ideal)
+    other = angles_of(ideal, seed=1)
+    other[:, 1:4] = angles[:, 1:4]
+    pose = PoseFeatures(ideal).fit(angles)
+    assert_allclose(pose.transform(other), pose.transform(angles), atol=1e-12)
+    # The shoulder does change it, so this is not a constant.
+    other[:, 1] += 0.1
+    assert not np.allclose(pose.transform(other), pose.transform(angles), atol=1e-3)
+
+
+@pytest.mark.parametrize("joints", ["pose", "all"])
+def test_periodic_knows_no_turns(joints):
+    arm = Arm.from_name("aacmm6")
+    angles = angles_of(arm)
+    turned = angles + 2 * np.pi * np.random.default_rng(1).integers(-1, 2, angles.shape)
+    pose = PoseFeatures(arm, encoding="periodic", joints=joints).fit(angles)
+    features = pose.transform(angles)
+    assert_allclose(pose.transform(turned), features, atol=1e-12)
+    # Cosine and sine of the very same angles: atan2 gives them back.
+    plain = PoseFeatures(arm, joints=joints).fit_transform(angles)
+    assert_allclose(np.arctan2(features[:, 1::2], features[:, ::2]), plain, atol=1e-12)
+
+
+def test_all_joints():
+    arm = Arm.from_name("panda")
+    angles = angles_of(arm)
+    assert_array_equal(PoseFeatures(arm, joints="all").fit_transform(angles), angles)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_appended_azimuth_is_that_of_the_arm(name):
+    arm = Arm.from_name(name)
+    angles = angles_of(arm)
+    features = PoseFeatures(arm, append_azimuth=True).fit_transform(angles)
+    assert_array_equal(features[:, :3], PoseFeatures(arm).fit_transform(angles))
+    azimuth = arm.azimuth(angles)
+    assert_allclose(
+        features[:, 3:], np.column_stack([np.cos(azimuth), np.sin(azimuth)]), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("joints", ["pose", "all"])
+@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+def test_degrees(joints, encoding):
+    angles = angles_of(Arm.from_name("aacmm6"))
+    params = {"joints": joints, "encoding": encoding, "append_azimuth": True}
+    degrees = PoseFeatures(angle_unit="deg", **params).fit_transform(np.rad2deg(angles))
+    assert_allclose(degrees, PoseFeatures(**params).fit_transform(angles), atol=1e-12)
+
+
+@pytest.mark.parametrize("joints", ["pose", "all"])
+def test_degrees_taken_for_radians_warn(joints):
+    pose = PoseFeatures(joints=joints).fit(np.zeros((1, 6)))
+    with pytest.warns(UserWarning, match=r"90 rad .* if they are degrees"):
+        pose.transform([[0, 90, 0, 90, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("params", "names"),
+    [
+        ({}, ["theta3", "theta4", "theta_dis"]),
+        (
+            {"arm": Arm.from_name("aacmm6").replace(pose_joints=(4, 2))},
+            ["theta4", "theta2", "theta_dis"],
+        ),
+        (
+            {"append_azimuth": True},
+            ["theta3", "theta4", "theta_dis", "azimuth_cos", "azimuth_sin"],
+        ),
+        (
+            {"encoding": "periodic"},
+            [f"{a}_{part}" for a in ("theta3", "theta4", "theta_dis") for part in ("cos", "sin")],
+        ),
+        ({"joints": "all"}, [f"theta{i}" for i in range(1, 7)]),
+    ],
+)
+def test_names_and_containers(params, names):
+    angles = angles_of(Arm.from_name("aacmm6"))
+    pose = PoseFeatures(**params)
+    values = pose.fit_transform(angles)
+    assert pose.get_feature_names_out().tolist() == names
+    for container in (pd.DataFrame, pl.DataFrame):
+        pose.set_output(transform=container.__module__.split(".")[0])
+        frame = pose.fit_transform(angles)
+        assert isinstance(frame, container)
+        assert list(frame.columns) == names
+        assert_array_equal(frame.to_numpy(), values)
+
+
+@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+def test_float32_in_float32_out(encoding):
+    angles = angles_of(Arm.from_name("aacmm6")).astype(np.float32)
+    pose = PoseFeatures(encoding=encoding, append_azimuth=True)
+    features = pose.fit_transform(angles)
+    assert features.dtype == np.float32
+    # Computed in float64, rounded once.
+    assert_array_equal(features, pose.transform(angles.astype(np.float64)).astype(np.float32))
+
+
+def test_batches_make_no_difference(monkeypatch):
+    angles = angles_of(Arm.from_name("aacmm6"))
+    pose = PoseFeatures(append_azimuth=True).fit(angles)
+    whole = pose.transform(angles)
+    monkeypatch.setattr(_pose_features, "_BATCH_ROWS", 7)
+    assert_array_equal(pose.transform(angles), whole)
+
+
+def test_default_arm():
+    angles = angles_of(Arm.from_name("aacmm6"))
+    pose = PoseFeatures().fit(angles)
+    assert pose.arm is None
+    assert pose.arm_ == Arm.from_name("aacmm6")
+    assert_array_equal(
+        pose.transform(angles), PoseFeatures(Arm.from_name("aacmm6")).fit_transform(angles)
+    )
+
+
+def test_clone_and_pickle():
+    arm = Arm.from_name("panda").replace(probe=(1, 2, 3))
+    pose = clone(PoseFeatures(arm, encoding="periodic"))
+    assert pose.arm == arm
+    angles = angles_of(arm)
+    restored = pickle.loads(pickle.dumps(pose.fit(angles)))
+    assert_array_equal(restored.transform(angles), pose.transform(angles))
+    assert "PoseFeatures" in pose._repr_html_()
+
+
+# -- bad input ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_columns", [1, 5, 7])
+def test_wrong_number_of_joints(n_columns):
+    with pytest.raises(ValueError, match=rf"X has {n_columns} columns, .*'aacmm6'.* has 6 joints"):
+        PoseFeatures().fit(np.zeros((3, n_columns)))
+    pose = PoseFeatures().fit(np.zeros((3, 6)))
+    with pytest.raises(ValueError, match=f"X has {n_columns} features, .* is expecting 6"):
+        pose.transform(np.zeros((3, n_columns)))
+
+
+@pytest.mark.parametrize(("value", "word"), [(np.nan, "NaN"), (np.inf, "infinity")])
+def test_not_finite(value, word):
+    angles = np.zeros((3, 6))
+    pose = PoseFeatures().fit(angles)
+    angles[1, 2] = value
+    for method in (PoseFeatures().fit, pose.transform):
+        with pytest.raises(ValueError, match=f"X contains {word}"):
+            method(angles)
+
+
+def test_unfitted():
+    with pytest.raises(NotFittedError, match="PoseFeatures instance is not fitted"):
+        PoseFeatures().transform(np.zeros((3, 6)))
+    with pytest.raises(NotFittedError, match="PoseFeatures instance is not fitted"):
+        PoseFeatures().get_feature_names_out()
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"arm": "panda"},
+        {"angle_unit": "gon"},
+        {"encoding": "sin"},
+        {"joints": [3, 4]},
+        {"append_azimuth": "yes"},
+    ],
+)
+def test_parameters_are_validated(params):
+    with pytest.raises(ValueError, match=f"The '{next(iter(params))}' parameter of PoseFeatures"):
+        PoseFeatures(**params).fit(np.zeros((3, 6)))
+
+
+def test_probe_on_the_base_axis(monkeypatch):
+    """A hinge at the base that can bring the probe straight above it."""
+    monkeypatch.setattr(_pose_features, "_BATCH_ROWS", 2)  # rows are counted across batches
+    arm = Arm(a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[400, 0, 0], pose_joints=(2, 3),
+              pose_frames=(1, 2))  # fmt: skip
+    pose = PoseFeatures(arm, append_azimuth=True).fit(np.zeros((1, 3)))
+    upright = np.array([[0.0, 0, 0], [0.5, 1, 0], [0.3, np.pi / 2, 0]])
+    with pytest.raises(ValueError, match=r"probe lies on the base axis, first in row 2 \(radius"):
+        pose.transform(upright)
+    # Without the azimuth nothing is undefined there.
+    assert_allclose(PoseFeatures(arm).fit_transform(upright)[2, 2], np.pi / 2)
+
+
+def test_shoulder_and_wrist_that_coincide(monkeypatch):
+    monkeypatch.setattr(_pose_features, "_BATCH_ROWS", 2)
+    arm = Arm.from_name("panda").replace(pose_frames=(1, 2))  # d2 = a1 = 0: one point, always
+    with pytest.raises(ValueError, match="frames 1 and 2 coincide, first in row 0"):
+        PoseFeatures(arm).fit_transform(np.zeros((3, 7)))
+    # Two links of one length, folded in the last row.
+    arm = Arm(a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[400, 0, 0], pose_joints=(2, 3),
+              pose_frames=(1, 3))  # fmt: skip
+    angles = np.array([[0, 0, 0], [0.5, 1, 1], [0.3, 0.4, np.pi]])
+    with pytest.raises(ValueError, match="frames 1 and 3 coincide, first in row 2"):
+        PoseFeatures(arm).fit_transform(angles)

@@ -1,0 +1,528 @@
+import functools
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import coo_array, csr_array, issparse
+from scipy.spatial.transform import Rotation
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.dummy import DummyRegressor
+from sklearn.exceptions import NotFittedError, UnsetMetadataPassedError
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from sklearn.impute import SimpleImputer
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import BayesianRidge, HuberRegressor, LinearRegression, Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, Normalizer, StandardScaler
+from sklearn.utils import get_tags
+
+from sklearn_raacmm import (
+    CylindricalResidualTarget,
+    cartesian_to_cylindrical,
+    cylindrical_to_cartesian,
+    position_residuals,
+)
+
+
+def first_column(X):
+    """Azimuth kept in the first column, as a module-level function that pickles."""
+    return np.asarray(X)[:, 0]
+
+
+def first_of_any(X):
+    """The same of a sparse array, or of lists."""
+    return np.asarray(X[:, [0]].toarray() if issparse(X) else X)[:, 0]
+
+
+def about_z(phi):
+    return Rotation.from_rotvec(np.multiply.outer(phi, [0.0, 0.0, 1.0]))
+
+
+@pytest.fixture
+def isotropic():
+    """An arm that looks the same from every side: residual = f(features), turned by azimuth."""
+    rng = np.random.default_rng(0)
+    phi = rng.uniform(-np.pi, np.pi, 200)
+    features = rng.normal(size=(200, 2))
+    coef = rng.normal(size=(2, 3))
+    turn = about_z(phi)
+    y = turn.apply(features @ coef)
+    X = np.column_stack([features, np.cos(phi), np.sin(phi)])
+    return X, y, phi, features, coef
+
+
+# -- position_residuals ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("labels", [list("cab"), [7, -1, 2], [0.5, 0.25, 9.0]])
+def test_position_residuals_against_pandas(labels, weighted):
+    rng = np.random.default_rng(1)
+    groups = rng.choice(labels, 60)
+    points = rng.normal(size=(60, 3)) * 1000
+    weight = rng.uniform(0.1, 2, 60) if weighted else None
+    w = np.ones(60) if weight is None else weight
+
+    table = pd.DataFrame(points * w[:, None]).assign(g=groups, w=w)
+    sums = table.groupby("g").transform("sum")
+    totals = table.groupby("g")["w"].transform("sum")
+    expected = points - sums[[0, 1, 2]].to_numpy() / totals.to_numpy()[:, None]
+
+    assert_allclose(position_residuals(points, groups, weight), expected, rtol=0, atol=1e-10)
+
+
+def test_position_residuals_ignore_where_the_position_is():
+    rng = np.random.default_rng(2)
+    groups = np.repeat(np.arange(5), 8)
+    points = rng.normal(size=(40, 3))
+    shifted = points + rng.normal(size=(5, 3))[groups] * 1000
+    assert_allclose(
+        position_residuals(shifted, groups), position_residuals(points, groups), atol=1e-10
+    )
+
+
+def test_rows_of_weight_zero_do_not_move_the_mean():
+    points = np.array([[0.0, 0, 0], [2, 0, 0], [100, 0, 0]])
+    residuals = position_residuals(points, ["A", "A", "A"], sample_weight=[1, 1, 0])
+    assert_allclose(residuals[:, 0], [-1, 1, 99])
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [
+        (["A", "A", "B", "C"], r"2 of 3 positions .*'B', 'C'"),
+        (["A", "A", None, "A"], r"1 missing labels among 4 .*row 2"),
+        (["A", "A", np.nan, "A"], r"1 missing labels among 4 .*row 2"),
+        ([1.0, np.nan, np.nan, 1.0], r"2 missing labels among 4 .*row 1"),
+        (pd.Series(["A", pd.NA, "A", "A"]), r"1 missing labels among 4 .*row 1"),
+        (["A", "A", "", "A"], r"1 missing labels among 4"),
+        (np.array(["A", 1, "A", 1], dtype=object), r"one kind, got int and str mixed"),
+        (np.zeros((4, 2)), r"shape \(4, 2\)"),
+        (["A", "A"], "groups names 2 samples, but there are 4"),
+        ([], "groups names 0 samples, but there are 4"),
+        (None, "got None"),
+    ],
+)
+def test_position_residuals_refuses_groups(groups, message):
+    with pytest.raises(ValueError, match=message):
+        position_residuals(np.ones((4, 3)), groups)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.ones((4, 2)), "3 columns .* got 2"),
+        (np.full((4, 3), np.nan), "contains NaN"),
+        (np.full((4, 3), np.inf), "contains infinity"),
+        (np.empty((0, 3)), r"0 sample\(s\)"),
+        (np.ones(3), "Expected 2D array"),
+    ],
+)
+def test_position_residuals_refuses_points(points, message):
+    with pytest.raises(ValueError, match=message):
+        position_residuals(points, ["A"] * len(points))
+
+
+def test_position_residuals_refuses_weights():
+    points, groups = np.ones((4, 3)), ["A", "A", "B", "B"]
+    with pytest.raises(ValueError, match=r"1 of 2 positions .* non-zero weight: 'B'"):
+        position_residuals(points, groups, sample_weight=[1, 1, 1, 0])
+    with pytest.raises(ValueError, match=r"1 of 4 are \(the least is -2\)"):
+        position_residuals(points, groups, sample_weight=[1, 1, 1, -2])
+    with pytest.raises(ValueError, match=r"inconsistent numbers of samples: \[4, 3\]"):
+        position_residuals(points, groups, sample_weight=[1, 1, 1])
+
+
+# -- the two frames -------------------------------------------------------------------------------
+
+
+def test_rotation_against_scipy():
+    rng = np.random.default_rng(3)
+    vectors, phi = rng.normal(size=(50, 3)), rng.uniform(-7, 7, 50)
+    turn = about_z(phi)
+    assert_allclose(cylindrical_to_cartesian(vectors, phi), turn.apply(vectors), atol=1e-14)
+    assert_allclose(cartesian_to_cylindrical(vectors, phi), turn.inv().apply(vectors), atol=1e-14)
+
+
+def test_components_are_those_of_polar_coordinates():
+    """Differences of radius, arc and height agree for small residuals, to second order."""
+    rng = np.random.default_rng(4)
+    reference = np.column_stack([rng.uniform(300, 900, (30, 2)), rng.uniform(0, 900, 30)])
+    points = reference + rng.normal(scale=0.05, size=(30, 3))
+    radius, phi = np.hypot(*points[:, :2].T), np.arctan2(points[:, 1], points[:, 0])
+    radius_ref = np.hypot(*reference[:, :2].T)
+    phi_ref = np.arctan2(reference[:, 1], reference[:, 0])
+    polar = np.column_stack(
+        [radius - radius_ref, radius_ref * (phi - phi_ref), points[:, 2] - reference[:, 2]]
+    )
+    assert_allclose(cartesian_to_cylindrical(points - reference, phi), polar, atol=1e-4)
+
+
+def test_rotation_refuses_other_widths():
+    for function in (cartesian_to_cylindrical, cylindrical_to_cartesian):
+        with pytest.raises(ValueError, match="3 columns, got 2"):
+            function(np.ones((4, 2)), 0.0)
+
+
+# -- CylindricalResidualTarget --------------------------------------------------------------------
+
+
+def test_recovers_an_isotropic_arm(isotropic):
+    X, y, _, features, coef = isotropic
+    model = CylindricalResidualTarget().fit(X, y)
+    assert_allclose(model.regressor_.coef_, coef.T, atol=1e-12)
+    assert_allclose(model.predict(X), y, atol=1e-12)
+    # The same regressor on the Cartesian residual has no chance: it averages over all azimuths.
+    assert LinearRegression().fit(features, y).score(features, y) < 0.5
+
+
+def test_turning_the_base_turns_the_residual(isotropic):
+    X, y, phi, features, _ = isotropic
+    model = CylindricalResidualTarget(KernelRidge(kernel="rbf")).fit(X, y)
+    turned = np.column_stack([features, np.cos(phi + 0.7), np.sin(phi + 0.7)])
+    expected = about_z(0.7).apply(model.predict(X))
+    assert_allclose(model.predict(turned), expected, atol=1e-12)
+
+
+def test_forms_agree(isotropic):
+    X, y, phi, features, _ = isotropic
+    inner = KernelRidge(kernel="rbf", alpha=0.1)
+    appended = CylindricalResidualTarget(inner).fit(X, y)
+
+    class Inner(KernelRidge):
+        def fit(self, X, y):
+            return super().fit(X[:, 1:], y)
+
+        def predict(self, X):
+            return super().predict(X[:, 1:])
+
+    raw = np.column_stack([phi, features])
+    from_callable = CylindricalResidualTarget(
+        Inner(kernel="rbf", alpha=0.1), azimuth=first_column
+    ).fit(raw, y)
+    assert_allclose(from_callable.predict(raw), appended.predict(X), atol=1e-12)
+
+
+def test_the_direction_never_reaches_the_regressor(isotropic):
+    X, y, *_ = isotropic
+    for target in (y, y[:, :1], y[:, 0]):
+        model = CylindricalResidualTarget().fit(X, target)
+        assert model.n_features_in_ == 4
+        assert model.regressor_.n_features_in_ == 2
+    frame = pd.DataFrame(X, columns=["a", "b", "azimuth_cos", "azimuth_sin"])
+    model = CylindricalResidualTarget().fit(frame, y)
+    assert_array_equal(model.feature_names_in_, frame.columns)
+    assert_array_equal(model.regressor_.feature_names_in_, ["a", "b"])
+    expected = CylindricalResidualTarget().fit(X, y).predict(X)
+    assert_allclose(model.predict(frame), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("y_columns", [0, [0]], ids=["1-D", "one column"])
+@pytest.mark.parametrize("azimuth", ["appended", first_column, None])
+def test_a_scalar_target_passes_through(y_columns, azimuth):
+    rng = np.random.default_rng(5)
+    X, y = rng.normal(size=(30, 4)), rng.normal(size=(30, 3))[:, y_columns]
+    model = CylindricalResidualTarget(Ridge(), azimuth=azimuth).fit(X, y)
+    assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
+
+
+@pytest.mark.parametrize("azimuth", ["appended", None])
+def test_more_than_three_targets_pass_through_where_there_is_no_azimuth(azimuth):
+    rng = np.random.default_rng(8)
+    X, y = rng.normal(size=(30, 4)), rng.normal(size=(30, 5))
+    model = CylindricalResidualTarget(Ridge(), azimuth=azimuth).fit(X, y)
+    assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
+
+
+@pytest.mark.parametrize("n_features", [1, 2, 6])
+@pytest.mark.parametrize("form", [np.float64, np.float32, object, "list", "Fortran", "frame"])
+def test_any_number_of_features_in_any_form(form, n_features):
+    rng = np.random.default_rng(9)
+    phi, features = rng.uniform(-7, 7, 40), rng.normal(size=(40, n_features))
+    X = np.column_stack([features, np.cos(phi), np.sin(phi)])
+    y = about_z(phi).apply(features @ rng.normal(size=(n_features, 3)))
+    forms = {"list": np.ndarray.tolist, "Fortran": np.asfortranarray, "frame": pd.DataFrame}
+    given = forms[form](X) if form in forms else X.astype(form)
+    for rows in (slice(None), slice(0, 1)):
+        predicted = CylindricalResidualTarget().fit(given, y).predict(given[rows])
+        assert_allclose(predicted, y[rows], atol=1e-5)
+    # The direction is no feature of a scalar target either.
+    model = CylindricalResidualTarget().fit(given, y[:, 2])
+    assert model.regressor_.n_features_in_ == n_features
+
+
+def test_what_the_regressor_takes_is_left_to_it(isotropic):
+    _, y, phi, features, _ = isotropic
+    raw = np.column_stack([phi, features])
+    turned = cartesian_to_cylindrical(y, phi)
+    for form in (csr_array, csr_array.toarray, lambda X: X.toarray().tolist()):
+        X = form(csr_array(raw))
+        model = CylindricalResidualTarget(Ridge(), azimuth=first_of_any).fit(X, y)
+        expected = about_z(phi).apply(Ridge().fit(raw, turned).predict(raw))
+        assert_allclose(model.predict(X), expected, atol=1e-9)
+    # Gaps in the features.
+    with_gaps = np.column_stack([features, np.cos(phi), np.sin(phi)])
+    with_gaps[::3, 0] = np.nan
+    inner = make_pipeline(SimpleImputer(), Ridge())
+    expected = clone(inner).fit(with_gaps[:, :2], turned).predict(with_gaps[:, :2])
+    for given in (with_gaps, pd.DataFrame(with_gaps), with_gaps.tolist()):
+        model = CylindricalResidualTarget(inner).fit(given, y)
+        assert_allclose(model.predict(given), about_z(phi).apply(expected), atol=1e-9)
+
+
+def test_no_azimuth_is_the_cartesian_target(isotropic):
+    X, y, *_ = isotropic
+    model = CylindricalResidualTarget(Ridge(), azimuth=None).fit(X, y)
+    assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
+
+
+@pytest.mark.parametrize(
+    "scaler", [StandardScaler(), MinMaxScaler(), MinMaxScaler((-1, 0.9)), Normalizer()]
+)
+def test_a_scaler_in_between_raises(isotropic, scaler):
+    X, y, *_ = isotropic
+    with pytest.raises(ValueError, match=r"have a norm other than 1 .*Put a scaler inside"):
+        make_pipeline(scaler, CylindricalResidualTarget()).fit(X, y)
+
+
+def test_a_scaler_that_leaves_the_direction_alone_is_harmless(isotropic):
+    X, y, *_ = isotropic
+    X = np.concatenate([X, [[0, 0, 1, 0], [0, 0, 0, 1]]])
+    y = np.concatenate([y, np.zeros((2, 3))])
+    scaled = make_pipeline(MaxAbsScaler(), CylindricalResidualTarget()).fit(X, y)
+    assert_allclose(scaled.predict(X), CylindricalResidualTarget().fit(X, y).predict(X), atol=1e-9)
+
+
+def test_the_direction_is_checked_at_predict_too(isotropic):
+    X, y, *_ = isotropic
+    model = CylindricalResidualTarget().fit(X, y)
+    bad = X.copy()
+    bad[3, -2:] *= 1.001
+    with pytest.raises(ValueError, match=r"1 of 200 rows .*\(row 3: 1.001\)"):
+        model.predict(bad)
+    bad[3, -1] = np.nan
+    with pytest.raises(ValueError, match="contains NaN"):
+        model.predict(bad)
+    with pytest.raises(ValueError, match=r"X has 3 features, but .* is expecting 4"):
+        model.predict(X[:, 1:])
+    with pytest.raises(ValueError, match="Reshape your data"):
+        model.predict(X[0])
+    with pytest.raises(ValueError, match=r"^X has 2 of 800 values masked"):
+        model.predict(np.ma.masked_greater(X, np.sort(X, axis=None)[-3]))
+
+
+def test_names_of_columns_are_checked_at_predict_too(isotropic):
+    X, y, *_ = isotropic
+    frame = pd.DataFrame(X, columns=["a", "b", "azimuth_cos", "azimuth_sin"])
+    model = CylindricalResidualTarget().fit(frame, y)
+    for name in frame:  # those of the direction, too, which the regressor within does not see
+        with pytest.raises(ValueError, match=r"feature names should match"):
+            model.predict(frame.rename(columns={name: "c"}))
+    assert_array_equal(model.feature_names_in_, frame.columns)
+
+
+def test_float32_keeps_the_direction(isotropic):
+    X, y, *_ = isotropic
+    model = CylindricalResidualTarget().fit(X.astype(np.float32), y)
+    assert_allclose(model.predict(X.astype(np.float32)), y, atol=1e-5)
+
+
+@pytest.mark.parametrize("n_columns", [2, 4, 5])
+@pytest.mark.parametrize("azimuth", ["appended", first_column])
+def test_y_of_the_wrong_width(isotropic, n_columns, azimuth):
+    X, y, *_ = isotropic
+    y = np.resize(y, (len(y), n_columns))
+    with pytest.raises(ValueError, match=f"y has {n_columns} columns, but a residual has 3"):
+        CylindricalResidualTarget(azimuth=azimuth).fit(X, y)
+
+
+@pytest.mark.parametrize(
+    ("X", "y", "message"),
+    [
+        (np.ones((4, 3)), None, "requires y to be passed"),
+        (np.ones((4, 3)), np.full((4, 3), np.nan), "y contains NaN"),
+        (np.ones((4, 3)), np.full((4, 3), np.inf), "y contains infinity"),
+        (np.ones((4, 3)), np.ones((3, 3)), r"inconsistent numbers of samples: \[4, 3\]"),
+        (np.ones((4, 2)), np.ones((4, 3)), r"X has shape \(4, 2\), but needs at least one feature"),
+        (np.ones(4), np.ones((4, 3)), r"X has shape \(4,\), but needs at least one feature"),
+        (np.eye(2), np.ones((2, 3)), r"X has shape \(2, 2\), but needs at least one feature"),
+        (np.ma.masked_equal(np.eye(3), 1), np.ones((3, 3)), r"^X has 3 of 9 values masked"),
+        (np.eye(3), np.ma.masked_equal(np.eye(3), 1), r"^y has 3 of 9 values masked"),
+        (np.eye(3), np.full((3, 3), 1e60), r"^y holds 1e\+60"),
+        (np.empty((0, 3)), np.empty((0, 3)), r"0 sample\(s\)"),
+    ],
+)
+def test_bad_input(X, y, message):
+    with pytest.raises(ValueError, match=message):
+        CylindricalResidualTarget().fit(X, y)
+
+
+def test_a_direction_in_a_sparse_array_is_refused(isotropic):
+    X, y, *_ = isotropic
+    for form in (csr_array, coo_array):
+        with pytest.raises(TypeError, match=r"Sparse data was passed for X,"):
+            CylindricalResidualTarget(Ridge()).fit(form(X), y)
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "message"),
+    [
+        (lambda X: X[:, :2], r"shape \(200,\), got shape \(200, 2\)"),
+        (lambda X: X[1:, 0], r"shape \(200,\), got shape \(199,\)"),
+        (lambda X: X[:, :2, None], r"shape \(200,\), got shape \(200, 2, 1\)"),
+        (lambda X: np.full(len(X), np.nan), "azimuth contains NaN"),
+    ],
+)
+def test_bad_azimuth(isotropic, azimuth, message):
+    X, y, *_ = isotropic
+    with pytest.raises(ValueError, match=message):
+        CylindricalResidualTarget(azimuth=azimuth).fit(X, y)
+
+
+def test_unfitted():
+    with pytest.raises(NotFittedError, match="CylindricalResidualTarget instance is not fitted"):
+        CylindricalResidualTarget().predict(np.ones((2, 3)))
+
+
+# -- standard deviations --------------------------------------------------------------------------
+
+
+def gaussian_process():
+    kernel = RBF(1.0, "fixed") + WhiteKernel(1e-3, "fixed")
+    return GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True)
+
+
+def test_std_is_turned_as_a_covariance(isotropic):
+    X, y, phi, features, _ = isotropic
+    scale = np.array([1.0, 5.0, 25.0])
+    turn = about_z(phi)
+    y = turn.apply(turn.inv().apply(y) * scale)  # three very different uncertainties
+
+    model = CylindricalResidualTarget(gaussian_process()).fit(X[:80], y[:80])
+    mean, std = model.predict(X, return_std=True)
+
+    inner = gaussian_process().fit(features[:80], turn.inv().apply(y)[:80])
+    inner_mean, inner_std = inner.predict(features, return_std=True)
+    matrices = turn.as_matrix()
+    covariance = matrices @ (inner_std[:, :, None] ** 2 * np.eye(3)) @ matrices.transpose(0, 2, 1)
+    assert_allclose(mean, turn.apply(inner_mean), atol=1e-10)
+    assert_allclose(std, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), atol=1e-10)
+    assert_array_equal(mean, model.predict(X))
+
+
+def test_one_std_a_row_is_the_same_in_every_frame(isotropic):
+    X, y, *_ = isotropic
+
+    class OneStd(DummyRegressor):
+        def predict(self, X, return_std=False):
+            mean = super().predict(X)
+            return (mean, np.arange(len(X), dtype=float)) if return_std else mean
+
+    _, std = CylindricalResidualTarget(OneStd()).fit(X, y).predict(X, return_std=True)
+    assert_allclose(std, np.repeat(np.arange(200.0)[:, None], 3, axis=1), rtol=1e-14)
+
+
+def test_std_of_a_scalar_target_passes_through(isotropic):
+    X, y, _, features, _ = isotropic
+    mean, std = (
+        CylindricalResidualTarget(BayesianRidge()).fit(X, y[:, 2]).predict(X, return_std=True)
+    )
+    expected = BayesianRidge().fit(features, y[:, 2]).predict(features, return_std=True)
+    assert_array_equal(mean, expected[0])
+    assert_array_equal(std, expected[1])
+
+
+def test_return_cov_is_refused(isotropic):
+    X, y, *_ = isotropic
+    model = CylindricalResidualTarget(gaussian_process()).fit(X, y)
+    with pytest.raises(ValueError, match="return_cov=True is not supported"):
+        model.predict(X, return_cov=True)
+
+
+# -- a good citizen of scikit-learn ---------------------------------------------------------------
+
+
+def weighted_reference(isotropic, weight):
+    _, y, phi, features, _ = isotropic
+    return Ridge().fit(features, cartesian_to_cylindrical(y, phi), sample_weight=weight)
+
+
+@pytest.mark.parametrize("routing", [False, True])
+def test_sample_weight_reaches_the_regressor(isotropic, routing):
+    X, y, *_ = isotropic
+    y = y + np.random.default_rng(6).normal(size=y.shape)
+    weight = np.random.default_rng(7).uniform(size=len(y))
+    expected = weighted_reference((X, y, *isotropic[2:]), weight)
+    with config_context(enable_metadata_routing=routing):
+        inner = Ridge().set_fit_request(sample_weight=True) if routing else Ridge()
+        model = CylindricalResidualTarget(inner).fit(X, y, sample_weight=weight)
+        assert_allclose(model.regressor_.coef_, expected.coef_)
+        # Inside a pipeline as well, by the syntax of each of the two ways.
+        pipeline = make_pipeline(CylindricalResidualTarget(make_pipeline(inner)))
+        if routing:
+            pipeline.fit(X, y, sample_weight=weight)
+        else:
+            name = "cylindricalresidualtarget__ridge__sample_weight"
+            pipeline.fit(X, y, **{name: weight})
+        assert_allclose(pipeline.predict(X), model.predict(X))
+
+
+def test_routing_asks_for_what_is_not_requested(isotropic):
+    X, y, *_ = isotropic
+    with config_context(enable_metadata_routing=True):
+        with pytest.raises(UnsetMetadataPassedError, match="sample_weight"):
+            CylindricalResidualTarget(Ridge()).fit(X, y, sample_weight=np.ones(len(y)))
+        # The default regressor is ours, and asks.
+        CylindricalResidualTarget().fit(X, y, sample_weight=np.ones(len(y)))
+
+
+@pytest.mark.parametrize("routing", [False, True])
+def test_return_std_and_score_are_routed(isotropic, routing):
+    X, y, *_ = isotropic
+    with config_context(enable_metadata_routing=routing):
+        inner = gaussian_process()
+        if routing:
+            inner.set_predict_request(return_std=True)
+        model = make_pipeline(CylindricalResidualTarget(inner)).fit(X, y)
+        mean, std = model.predict(X, return_std=True)
+        assert mean.shape == std.shape == y.shape
+        # scikit-learn's own TransformedTargetRegressor fails here with routing on.
+        assert model.score(X, y) == model[-1].score(X, y)
+        if routing:
+            model = CylindricalResidualTarget(gaussian_process()).fit(X, y)
+            with pytest.raises(UnsetMetadataPassedError, match="return_std"):
+                model.predict(X, return_std=True)
+
+
+def test_clone_params_pickle_and_html(isotropic):
+    _, y, phi, features, _ = isotropic
+    model = CylindricalResidualTarget(Ridge(alpha=3), azimuth=first_column)
+    assert clone(model).get_params()["regressor__alpha"] == 3
+    azimuth = functools.partial(np.take, indices=0, axis=1)
+    model.set_params(regressor__alpha=2.0, azimuth=azimuth)
+    raw = np.column_stack([phi, features])
+    model.fit(raw, y)
+    assert model.regressor.alpha == model.regressor_.alpha == 2
+    assert not hasattr(model.regressor, "coef_")
+    assert_array_equal(pickle.loads(pickle.dumps(model)).predict(raw), model.predict(raw))
+    html = model._repr_html_()
+    assert "CylindricalResidualTarget" in html
+    assert "Ridge" in html
+
+
+@pytest.mark.parametrize("inner", [Ridge(), gaussian_process(), HuberRegressor()])
+def test_tags_are_those_of_the_regressor_within(inner):
+    tags, expected = get_tags(CylindricalResidualTarget(inner)), get_tags(inner)
+    assert tags.input_tags.sparse == expected.input_tags.sparse
+    assert tags.target_tags.multi_output == expected.target_tags.multi_output
+
+
+def test_parameters_are_validated(isotropic):
+    X, y, *_ = isotropic
+    for bad in ({"azimuth": "last"}, {"azimuth": 0}, {"regressor": 3}):
+        with pytest.raises(ValueError, match=f"The '{next(iter(bad))}' parameter"):
+            CylindricalResidualTarget(**bad).fit(X, y)

@@ -1,0 +1,130 @@
+"""The wings of the package: imports run one way, and private names stay in their wing."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+import sklearn_raacmm
+
+PACKAGE = Path(sklearn_raacmm.__file__).parent
+# From the ground up: a wing imports only from those before it.
+WINGS = (
+    "utils",
+    "arm",
+    "network",
+    "residuals",
+    "metrics",
+    "calibration",
+    "error_model",
+    "correction",
+    "datasets",
+    "display",
+    "export",
+)
+MODULES = sorted(PACKAGE.rglob("*.py"))
+# The longest file that is still one thing.
+MAX_LINES = 600
+
+
+def wing_of(path):
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else None
+
+
+def imports_of(path):
+    """Yield (module, name) of each import of our own; name is None for a plain import."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "sklearn_raacmm":
+                    yield alias.name, None
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import"
+            if node.module.split(".")[0] == "sklearn_raacmm":
+                for alias in node.names:
+                    yield node.module, alias.name
+
+
+def faults_of(path):
+    wing, faults = wing_of(path), []
+    for module, name in imports_of(path):
+        parts = module.split(".")[1:]
+        if name is not None and (PACKAGE.joinpath(*parts, f"{name}.py").exists()):
+            parts.append(name)
+            name = None
+        if parts == ["_version"]:
+            continue
+        if not parts:
+            faults.append(f"imports {module}.{name} from the top of the package")
+            continue
+        other = parts[0]
+        if wing is None:
+            if len(parts) > 1:
+                faults.append(f"reaches into {module}")
+        elif other != wing:
+            if WINGS.index(other) >= WINGS.index(wing):
+                faults.append(f"imports upwards, from {module}")
+            if len(parts) > 1 or (name or "").startswith("_"):
+                faults.append(f"takes the private {module} {name or ''}")
+    return faults
+
+
+def test_every_folder_is_a_wing_and_every_module_of_one_is_private():
+    folders = {p.name for p in PACKAGE.iterdir() if p.is_dir() and p.name != "__pycache__"}
+    assert folders == set(WINGS)
+    assert {p.name for p in PACKAGE.glob("*.py")} <= {"__init__.py", "_version.py", "__main__.py"}
+    assert [p for p in MODULES if wing_of(p) and not p.name.startswith("_")] == []
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(PACKAGE).as_posix())
+def test_imports_run_one_way_and_private_names_stay_in_their_wing(path):
+    assert faults_of(path) == []
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MAX_LINES
+
+
+def test_modules_of_a_wing_import_each_other_without_a_circle():
+    arrows = {}
+    for path in MODULES:
+        of = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        targets = set()
+        for module, name in imports_of(path):
+            parts = module.split(".")[1:]
+            if PACKAGE.joinpath(*parts, f"{name}.py").exists():
+                parts.append(name)
+            target = ".".join(parts)
+            targets.add(target if PACKAGE.joinpath(*parts).with_suffix(".py").exists() else "")
+        arrows[of] = targets - {"", of}
+    placed = set()
+    while len(placed) < len(arrows):
+        free = {of for of, targets in arrows.items() if of not in placed and targets <= placed}
+        assert free, f"a circle among {sorted(set(arrows) - placed)}"
+        placed |= free
+
+
+@pytest.mark.parametrize("wing", [None, *WINGS])
+def test_what_a_wing_hands_on_is_there_and_has_no_underscore(wing):
+    name = "sklearn_raacmm" if wing is None else f"sklearn_raacmm.{wing}"
+    __import__(name)
+    module = sys.modules[name]
+    assert [n for n in module.__all__ if n.startswith("_") and n != "__version__"] == []
+    assert [n for n in module.__all__ if not hasattr(module, n)] == []
+    assert len(module.__all__) == len(set(module.__all__))
+
+
+def test_the_rules_would_notice(tmp_path, monkeypatch):
+    """The checks themselves: an arrow upwards, a private name, and one past the wing's door."""
+    bad = tmp_path / "network" / "_bad.py"
+    bad.parent.mkdir()
+    monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
+    for line in (
+        "from sklearn_raacmm.correction import ArmResidualRegressor",
+        "from sklearn_raacmm.arm import _secret",
+        "from sklearn_raacmm.arm._arm import Arm",
+        "from sklearn_raacmm import Arm",
+    ):
+        bad.write_text(line + "\n")
+        assert len(faults_of(bad)) >= 1, line
+    bad.write_text("from sklearn_raacmm.arm import Arm\n")
+    assert faults_of(bad) == []
