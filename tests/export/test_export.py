@@ -31,8 +31,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import _columns as _arm_terms
-from sklearn_raacmm.error_model._columns import term_columns
+from sklearn_raacmm.error_model import term_columns
 from sklearn_raacmm.export import export_c, fingerprint
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 
@@ -577,11 +576,3 @@ def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):
     behind = make_pipeline(StandardScaler(), harmonics(data.arm, gravity=False))
     with pytest.raises(ValueError, match=r"jointharmonicregressor comes after another transformer"):
         build(behind.fit(data.data, data.target))
-
-
-def test_columns_that_are_not_known_are_refused(data, tmp_path, monkeypatch):
-    model = harmonics(data.arm, gravity=False, wobble=False).fit(data.data, data.target)
-    known = _arm_terms._kinematics
-    monkeypatch.setattr(_arm_terms, "_kinematics", lambda *a: 1.001 * known(*a))
-    with pytest.raises(RuntimeError, match="does not know all columns"):
-        export_c(model, tmp_path / "arm.c")
