@@ -5,15 +5,18 @@
 
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, loads, term_columns, wobbles
 from sklearn_raacmm.error_model._fit_checks import check_fit
-from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor, quantile
-from sklearn_raacmm.error_model._normal_equations import Smooth
+from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
+from sklearn_raacmm.error_model._linear_model import LinearModel
 
 __all__ = [
     "ARCSEC",
     "JointHarmonicRegressor",
-    "Smooth",
+    "LinearModel",
+    "LinearOptions",
     "Terms",
     "check_fit",
+    "fit_linear_model",
     "loads",
     "quantile",
     "term_columns",
