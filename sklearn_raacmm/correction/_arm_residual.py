@@ -10,10 +10,16 @@ from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.cluster import KMeans
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns, points_of, probe_of
+from sklearn_raacmm.arm import Arm, check_angles, points_of
 from sklearn_raacmm.error_model import JointHarmonicRegressor, Smooth, check_fit, quantile
 from sklearn_raacmm.network import KERNELS, RBFNetRegressor, kernel_matrix, psd_inverse_root
-from sklearn_raacmm.residuals import pose_columns, std_to_cartesian, to_cartesian, to_cylindrical
+from sklearn_raacmm.residuals import (
+    direction_of,
+    pose_columns,
+    std_to_cartesian,
+    to_cartesian,
+    to_cylindrical,
+)
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
@@ -308,11 +314,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if self.features == "all":
             F, (x, y, _) = X, points_of(self.arm_, X).T
         else:
-            frames = frame_columns(self.arm_, dh_theta(self.arm_, X))
-            F = np.stack(pose_columns(self.arm_, X, frames), axis=1)
-            x, y, _ = probe_of(self.arm_, frames)
-        azimuth = np.arctan2(y, x)
-        return F, (np.cos(azimuth), np.sin(azimuth))
+            columns, (x, y, _) = pose_columns(self.arm_, X)
+            F = np.stack(columns, axis=1)
+        return F, direction_of(x, y)
 
     def _check(self, X, y, weights, positions, codes, lengths):
         """Mean deviations at positions left out in blocks, by every model and fading."""
