@@ -12,7 +12,13 @@ from sklearn.base import clone
 from sklearn_raacmm.arm import Arm, dh_theta, frame_columns, points_of, probe_of
 from sklearn_raacmm.error_model import LinearModel, LinearOptions, fit_linear_model
 from sklearn_raacmm.network import RBFNetRegressor
-from sklearn_raacmm.residuals import pose_columns, std_to_cartesian, to_cartesian, to_cylindrical
+from sklearn_raacmm.residuals import (
+    direction_of,
+    pose_columns,
+    std_to_cartesian,
+    to_cartesian,
+    to_cylindrical,
+)
 from sklearn_raacmm.utils import centred
 
 
@@ -51,8 +57,7 @@ def network_input(arm, angles, features):
         frames = frame_columns(arm, dh_theta(arm, angles))
         F = np.stack(pose_columns(arm, angles, frames), axis=1)
         x, y, _ = probe_of(arm, frames)
-    azimuth = np.arctan2(y, x)
-    return NetworkInput(F, (np.cos(azimuth), np.sin(azimuth)))
+    return NetworkInput(F, direction_of(x, y))
 
 
 @dataclass(frozen=True, eq=False)
