@@ -32,6 +32,7 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     centred,
     check_features,
+    chunks,
     fit_context,
     group_means,
     one_blas_thread,
@@ -454,8 +455,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     def _predict(self, X, return_std=False):
         terms = self._terms()
         mean, std = np.empty((len(X), 3)), np.empty((len(X), 3))
-        for start in range(0, len(X), _CHUNK):
-            rows = slice(start, start + _CHUNK)
+        for rows in chunks(len(X), _CHUNK):
             columns = term_columns(self.arm_, X[rows], terms)
             mean[rows] = columns @ self.coef_
             if return_std:

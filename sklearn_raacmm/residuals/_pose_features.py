@@ -9,19 +9,18 @@ import numpy as np
 from sklearn.base import TransformerMixin
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns, probe_of
+from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, check_angles, dh_theta, frame_columns, probe_of
 from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     check_feature_names_in,
     check_features,
+    chunks,
     fit_context,
 )
 
 # Frames take 96 bytes a joint and row; a batch of them stays within a few megabytes.
 _BATCH_ROWS = 8192
-# A nanometre: below it a direction is made of rounding, on any arm.
-MIN_LENGTH_MM = 1e-6
 
 
 class PoseFeatures(TransformerMixin, VersionedEstimator):
@@ -164,9 +163,8 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         check_is_fitted(self)
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
-        for start in range(0, len(X), _BATCH_ROWS):
-            rows = slice(start, start + _BATCH_ROWS)
-            features[rows] = self._features(X[rows].astype(np.float64, copy=False), start)
+        for rows in chunks(len(X), _BATCH_ROWS):
+            features[rows] = self._features(X[rows].astype(np.float64, copy=False), rows.start)
         return features
 
     def _features(self, X, first_row):

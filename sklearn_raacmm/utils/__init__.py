@@ -16,6 +16,7 @@ from sklearn_raacmm.utils._checks import (
     refuse_masked,
     show,
 )
+from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import write_whole
 from sklearn_raacmm.utils._groups import (
     centred,
@@ -57,6 +58,8 @@ __all__ = [
     "check_option",
     "check_points",
     "check_weights",
+    "chunk_size",
+    "chunks",
     "deviations_by_group",
     "encode_groups",
     "fit_context",
