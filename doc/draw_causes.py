@@ -94,9 +94,7 @@ CAUSES = {
 
 def main():
     """Draw."""
-    figure, axes = plt.subplots(
-        2, 4, figsize=(12, 5), height_ratios=[2.2, 1], layout="constrained"
-    )
+    figure, axes = plt.subplots(2, 4, figsize=(12, 5), height_ratios=[2.2, 1], layout="constrained")
     for (title, (draw, wave, label, text)), above, below in zip(
         CAUSES.items(), axes[0], axes[1], strict=True
     ):
