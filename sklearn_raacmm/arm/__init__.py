@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, check_angles
+from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     carried,
@@ -21,6 +21,7 @@ from sklearn_raacmm.arm._kinematics import (
 __all__ = [
     "FIELDS",
     "MAX_LENGTH_MM",
+    "MIN_LENGTH_MM",
     "Arm",
     "carried",
     "check_angles",

@@ -13,6 +13,8 @@ from sklearn_raacmm.utils import floats, show
 _WARN_RAD = 4 * np.pi
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
+# A nanometre: on any arm, shorter lengths and their directions are made of rounding.
+MIN_LENGTH_MM = 1e-6
 
 
 def numbers(name, value, size, unit, bound, broadcast=False):

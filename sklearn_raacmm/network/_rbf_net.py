@@ -34,6 +34,7 @@ from sklearn_raacmm.utils import (
     check_features,
     check_fitted,
     check_weights,
+    chunks,
     fit_context,
     floats,
     one_blas_thread,
@@ -459,9 +460,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             mean += X @ np.atleast_2d(self.linear_coef_).T
         variance = np.zeros((n, mean.shape[1]))
         posterior = self._posterior(centers) if return_std else None
-        step = max(1, _CHUNK // max(k, 1))
-        for start in range(0, n, step):
-            part = slice(start, start + step)
+        for part in chunks(n, _CHUNK // max(k, 1)):
             K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel)
             mean[part] += K @ coef
             if return_std:

@@ -195,7 +195,17 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             y = to_cylindrical(y, direction)
         if get_config()["enable_metadata_routing"]:
             fit_params = process_routing(self, "fit", **fit_params).regressor.fit
-        self.regressor_ = clone(self._get_regressor()).fit(features, y, **fit_params)
+        self.regressor_ = clone(self._get_regressor())
+        try:
+            self.regressor_.fit(features, y, **fit_params)
+        except ValueError as error:
+            if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
+                raise
+            raise ValueError(
+                f"{type(self.regressor_).__name__} learns one target at a time, but y has "
+                f"{y.shape[1]} columns: wrap the last estimator of it in "
+                f"sklearn.multioutput.MultiOutputRegressor. ({error})"
+            ) from error
         return self
 
     def predict(self, X, **predict_params):

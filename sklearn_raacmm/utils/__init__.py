@@ -11,6 +11,7 @@ from sklearn_raacmm.utils._checks import (
     check_option,
     check_points,
     check_weights,
+    check_whole_number,
     floats,
     is_plain,
     refuse_disguised,
@@ -18,6 +19,7 @@ from sklearn_raacmm.utils._checks import (
     refuse_masked,
     show,
 )
+from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import write_whole
 from sklearn_raacmm.utils._groups import (
     centred,
@@ -61,6 +63,9 @@ __all__ = [
     "check_option",
     "check_points",
     "check_weights",
+    "check_whole_number",
+    "chunk_size",
+    "chunks",
     "deviations_by_group",
     "encode_groups",
     "fit_context",

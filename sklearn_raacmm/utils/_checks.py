@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
+
 import numpy as np
 from scipy.sparse import issparse
 from sklearn.utils import check_array
@@ -144,6 +146,15 @@ def check_option(name, value, options):
     """Refuse what is not one of the options."""
     if not (value is None or isinstance(value, str)) or value not in options:
         raise ValueError(f"{name}={value!r} is not one of {', '.join(map(repr, options))}.")
+
+
+def check_whole_number(name, value, low, high=None):
+    """Refuse what is not a whole number from `low` to `high`, without an upper bound if None."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or value < low or (high is not None and value > high):
+        bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{name} must be a whole number {bounds}, got {show(value)}.")
+    return int(value)
 
 
 def check_points(points, n_coordinates=None):

@@ -10,12 +10,14 @@ from scipy.spatial.transform import Rotation
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.dummy import DummyRegressor
+from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.exceptions import NotFittedError, UnsetMetadataPassedError
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.impute import SimpleImputer
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import BayesianRidge, HuberRegressor, LinearRegression, Ridge
+from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, Normalizer, StandardScaler
 from sklearn.utils import get_tags
@@ -561,3 +563,23 @@ def test_no_estimator_here_asks_for_its_own_tags_in_predict(monkeypatch):
     expected = model.fit(pose.transform(X), y).predict(pose.transform(X))[:1]
     monkeypatch.delattr("sklearn.base.BaseEstimator.__sklearn_tags__")
     assert_allclose(model.predict(pose.transform(X[:1])), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_regressor_of_one_target_is_told_what_wraps_it(scaled):
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (30, 4)), rng.normal(size=(30, 3))
+    trees = HistGradientBoostingRegressor(max_iter=2)
+    inner = make_pipeline(StandardScaler(), trees) if scaled else trees
+    with pytest.raises(ValueError, match=r"y has 3 columns: wrap .* in sklearn.*MultiOutputRegr"):
+        CylindricalResidualTarget(inner, azimuth=first_column).fit(X, y)
+    wrapped = CylindricalResidualTarget(MultiOutputRegressor(trees), azimuth=first_column)
+    assert wrapped.fit(X, y).predict(X).shape == (30, 3)
+    # What else is wrong with the data is said by the regressor itself.
+    with pytest.raises(ValueError, match=r"^boom$"):
+        CylindricalResidualTarget(Broken(), azimuth=first_column).fit(X, y)
+
+
+class Broken(Ridge):
+    def fit(self, X, y):
+        raise ValueError("boom")
