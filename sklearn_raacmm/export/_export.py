@@ -10,7 +10,8 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
-from sklearn_raacmm.export._c_source import fingerprint_of, sources
+from sklearn_raacmm.export._c_files import sources
+from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted, leaves
@@ -57,17 +58,23 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         A C identifier that the functions' names begin with; None: the stem of `path`. With N
         joints (or features) and M outputs the functions are
 
-        - ``void <name>_correct(const double joint_angles[N], double correction_mm[3])``: what
+        - ``int <name>_correct(const double joint_angles[N], double correction_mm[3])``: what
           ``predict`` gives, to be subtracted from the measured point;
-        - ``void <name>_point(const double joint_angles[N], double point_mm[3])``: the corrected
+        - ``int <name>_correct_n(const double *joint_angles, double *correction_mm, size_t n)``: the
+          same for n rows;
+        - ``int <name>_point(const double joint_angles[N], double point_mm[3])``: the corrected
           centre of the probe, through the arm's kinematics;
-        - ``void <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
+        - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
         - ``const char *<name>_fingerprint(void)``.
 
+        They return 0, or 2 where the result is NaN. The header defines names for these numbers, and
+        ``<NAME>_VERSION``, ``_FINGERPRINT``, ``_N_INPUTS``, ``_N_OUTPUTS``, ``_TABLE_BYTES``,
+        ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
+        and ``_DATA_FINGERPRINT``.
+
         Joint angles are in the unit that `model` takes. A model without an arm, or without three
-        outputs, has ``<name>_predict(const double features[N], double prediction[M])`` instead of
-        the first two.
+        outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
 
     dtype : {"double", "float"}, default="double"
         Precision of everything, the functions' arguments included. In single precision a
@@ -114,7 +121,8 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
     ...     source, header = export_c(model, Path(folder) / "sine.c")
     ...     text = header.read_text()
     >>> print(*[line for line in text.splitlines() if line.endswith(";")], sep="\n")
-    void sine_predict(const double features[1], double prediction[1]);
+    int sine_predict(const double features[1], double prediction[1]);
+    int sine_predict_n(const double *features, double *prediction, size_t n);
     const char *sine_fingerprint(void);
     """
     path = Path(path)
@@ -128,8 +136,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")
-    notes = () if card is None else str(card).splitlines()
-    source, header = sources(model, name, path.stem, dtype, std, notes)
+    source, header = sources(model, name, path.stem, dtype, std, card)
     header_path = path.with_suffix(".h")
     write_whole({path: source, header_path: header})
     return path, header_path
