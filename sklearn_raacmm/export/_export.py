@@ -9,7 +9,7 @@ from pathlib import Path
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._c_text import check_name
@@ -28,8 +28,10 @@ TRUSTED_TYPES = [
         Arm.azimuth,
         ArmResidualRegressor,
         JointHarmonicRegressor,
+        LinearModel,
         PoseFeatures,
         RBFNetRegressor,
+        Terms,
         CylindricalResidualTarget,
     )
 ]
