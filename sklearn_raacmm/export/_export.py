@@ -316,7 +316,7 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     return converted
 
 
-def describe(model, X=None, y=None, groups=None, *, n_folds=5):
+def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None, date=None):
     """Say what a fitted model is, so that whoever receives its file knows.
 
     A fitted model does not keep the poses that it was fitted on: give them here, and pass the card
@@ -342,11 +342,19 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5):
         copy of the model having been fitted on the others, in so many folds. 0, or without
         `groups`: that at the rows given, and the card says so.
 
+    serial_number : str, default=None
+        Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
+
+    date : str or datetime.date, default=None
+        Of the measurement, or of the model.
+
     Returns
     -------
     ModelCard
         A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
-        the single-point repeatability, the mean over positions.
+        the single-point repeatability, the mean over positions. Where `y` are deviations from the
+        means of their positions, the means are taken off what is left, too: neither data nor
+        model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
 
     Raises
     ------
@@ -372,4 +380,4 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5):
     >>> print(str(card)[:32])
     # Residual correction of an arm
     """
-    return card_of(model, X, y, groups, n_folds=n_folds)
+    return card_of(model, X, y, groups, n_folds=n_folds, serial_number=serial_number, date=date)
