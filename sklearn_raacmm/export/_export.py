@@ -15,7 +15,7 @@ from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._load_c import compiled
 from sklearn_raacmm.export._model_card import card_of
-from sklearn_raacmm.export._steps import check_fitted, leaves
+from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show, write_whole
@@ -270,7 +270,7 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     ImportError
         Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
     ValueError
-        If an estimator has no converter.
+        If an estimator has no converter, or skl2onnx fails on it.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -287,24 +287,10 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     if target_opset is not None and not isinstance(target_opset, int | dict):
         raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
     check_fitted(model)
-    register_onnx()
-    from skl2onnx import to_onnx as convert
-    from skl2onnx.common.data_types import DoubleTensorType, FloatTensorType
-    from skl2onnx.common.exceptions import MissingConverter, MissingShapeCalculator
+    # Late: skl2onnx takes a second to import.
+    from sklearn_raacmm.export import _onnx
 
-    kind = DoubleTensorType if dtype == "double" else FloatTensorType
-    n_features = next(leaves(model)).estimator.n_features_in_
-    try:
-        converted = convert(
-            model, initial_types=[("X", kind([None, n_features]))], target_opset=target_opset
-        )
-    except (MissingConverter, MissingShapeCalculator) as error:
-        names = {type(step).__name__ for _, step in leaves(model)}
-        missing = [name for name in sorted(names) if f"{name}'" in str(error)]
-        raise ValueError(
-            f"{' and '.join(missing) or type(model).__name__} cannot be converted to ONNX: "
-            "skl2onnx knows no converter."
-        ) from error
+    converted = _onnx.convert(model, dtype, target_opset)
     facts = {"sklearn_raacmm_version": __version__}
     if card is not None:
         facts["model_card"] = str(card)
