@@ -9,6 +9,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import FAMILIES, Terms, term_columns, term_names
+from sklearn_raacmm.utils import chunks
 
 # Poses predicted at a time.
 _CHUNK = 2048
@@ -126,8 +127,7 @@ class LinearModel:
         """
         mean = np.empty((len(angles), 3))
         std = np.empty((len(angles), 3)) if return_std else None
-        for start in range(0, len(angles), _CHUNK):
-            rows = slice(start, start + _CHUNK)
+        for rows in chunks(len(angles), _CHUNK):
             columns = self.columns(angles[rows])
             mean[rows] = columns @ self.coef
             if return_std:
