@@ -7,7 +7,6 @@ import numpy as np
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
-from sklearn_raacmm.export._c_text import whole_table
 from sklearn_raacmm.export._steps import n_outputs
 from sklearn_raacmm.network import KERNELS
 from sklearn_raacmm.residuals import NORM_TOLERANCE
@@ -273,7 +272,7 @@ def _network_variance(numbers, step, with_noise):
     lines = []
     if m:
         lines.append(f"{real} row[{m}];")
-        text += whole_table("triangle_of", of, "which triangle each output has")
+        text += numbers.integers("triangle_of", of, "which triangle each output has")
         packed = [R.T[np.tril_indices(m)] for R in distinct]
         text += numbers.table("triangle", np.stack(packed), "rows of the transposed triangles")
     lines.append(f"{real} outside = {int(definite)};")
