@@ -7,12 +7,14 @@ from sklearn_raacmm.arm._arm import Arm
 from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
+    carried,
     cross,
     dh_theta,
     frame_columns,
     parameter_jacobian,
     points_of,
     probe_of,
+    probe_points,
     reach_mm,
 )
 
@@ -21,6 +23,7 @@ __all__ = [
     "MAX_LENGTH_MM",
     "MIN_LENGTH_MM",
     "Arm",
+    "carried",
     "check_angles",
     "cross",
     "dh_theta",
@@ -28,5 +31,6 @@ __all__ = [
     "parameter_jacobian",
     "points_of",
     "probe_of",
+    "probe_points",
     "reach_mm",
 ]

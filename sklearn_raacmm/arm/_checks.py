@@ -64,7 +64,9 @@ def check_angles(angles, n_joints, angle_unit, stacklevel=3):
         )
     if not len(angles):
         return angles
-    # max and min carry NaN along: one pass each, and no mask of the size of the data.
+    # Max and min carry NaN along: one pass each, and no mask of the size of the data.
+    if angle_unit == "rad" and max(angles.max(), -angles.min()) <= _WARN_RAD:  # false for NaN
+        return angles
     largest = np.maximum(angles.max(axis=0), -angles.min(axis=0))
     if not np.all(np.isfinite(largest)):
         bad = np.argwhere(~np.isfinite(angles))

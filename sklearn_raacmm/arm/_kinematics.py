@@ -18,26 +18,50 @@ def dh_theta(arm, angles):
     return np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
 
 
-def probe_points(arm, theta):
-    """Probe points (3, n_samples): the probe's vector carried from the last frame to the base.
+def carried(arm, theta, fixed):
+    """Points that are fixed in frames of the arm, in the base frame.
 
-    A vector through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
+    A point through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
+
+    Parameters
+    ----------
+    arm : Arm
+    theta : ndarray of shape (n_joints, n_samples)
+        From `dh_theta`.
+    fixed : list of (int, sequence of 3 floats)
+        Number of the frame, 0 to n_joints, and the point's coordinates in it, in mm.
+
+    Returns
+    -------
+    ndarray of shape (len(fixed), 3, n_samples)
+        In mm.
     """
     cos, sin = np.cos(theta), np.sin(theta)
-    cos_alpha, sin_alpha = np.cos(arm.alpha), np.sin(arm.alpha)
-    x, y, z = arm.probe
-    for i in reversed(range(arm.n_joints)):
-        if arm.convention == "standard":
-            y, z = cos_alpha[i] * y - sin_alpha[i] * z, sin_alpha[i] * y + cos_alpha[i] * z
-            x, z = x + arm.a[i], z + arm.d[i]
-            x, y = cos[i] * x - sin[i] * y, sin[i] * x + cos[i] * y
-        else:
-            x, y = cos[i] * x - sin[i] * y, sin[i] * x + cos[i] * y
-            x, z = x + arm.a[i], z + arm.d[i]
-            y, z = cos_alpha[i] * y - sin_alpha[i] * z, sin_alpha[i] * y + cos_alpha[i] * z
-    points = np.empty((3, theta.shape[1]))
-    points[0], points[1], points[2] = x, y, z
+    if theta.shape[1] == 1:
+        # Python's numbers are ten times as fast as arrays of one number, and round alike.
+        cos, sin = cos[:, 0].tolist(), sin[:, 0].tolist()
+    a, d, cos_alpha, sin_alpha = (
+        values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
+    )
+    points = np.empty((len(fixed), 3, theta.shape[1]))
+    for point, (frame, (x, y, z)) in zip(points, fixed, strict=True):
+        for i in reversed(range(frame)):
+            c, s, ca, sa = cos[i], sin[i], cos_alpha[i], sin_alpha[i]
+            if arm.convention == "standard":
+                y, z = ca * y - sa * z, sa * y + ca * z
+                x, z = x + a[i], z + d[i]
+                x, y = c * x - s * y, s * x + c * y
+            else:
+                x, y = c * x - s * y, s * x + c * y
+                x, z = x + a[i], z + d[i]
+                y, z = ca * y - sa * z, sa * y + ca * z
+        point[0], point[1], point[2] = x, y, z
     return points
+
+
+def probe_points(arm, theta):
+    """Probe points (3, n_samples), in mm."""
+    return carried(arm, theta, [(arm.n_joints, arm.probe.tolist())])[0]
 
 
 def points_of(arm, angles):

@@ -68,10 +68,10 @@ _VARIANCE = """\
 """
 
 
-def error_model(numbers, step, std):
-    """``error_model(arm, y, v)`` of a `JointHarmonicRegressor`; v, the variances, if `std`."""
-    arm, real = step.arm_, numbers.real
-    table = column_table(arm, step._terms())
+def error_model(numbers, linear, std):
+    """``error_model(arm, y, v)`` of a `LinearModel`; v, the variances, if `std`."""
+    arm, real = linear.arm, numbers.real
+    table = column_table(arm, linear.terms)
     m = len(table.kind)
     if not m:
         unused = "    (void)arm;\n" + "    if (v)\n        v[0] = v[1] = v[2] = 0;\n" * std
@@ -87,11 +87,11 @@ def error_model(numbers, step, std):
     note = "of the wave: cosine if positive, sine if negative"
     text += whole_table("column_order", table.order, note)
     text += numbers.table("column_unit", table.unit, "rad or mm per unit coefficient")
-    text += numbers.table("column_coef", step.coef_)
+    text += numbers.table("column_coef", linear.coef)
     variance = ""
     if std:
-        text += numbers.table("column_half", step._half.T, "root of the coefficients' covariance")
-        variance = _VARIANCE.format(real=real, m=m, r=step._half.shape[1])
+        text += numbers.table("column_half", linear.half.T, "root of the coefficients' covariance")
+        variance = _VARIANCE.format(real=real, m=m, r=linear.half.shape[1])
     n = arm.n_joints
     return (
         text

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.network._candidates import Features
 from sklearn_raacmm.network._center_choice import (
@@ -33,6 +32,7 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     check_data,
     check_features,
+    check_fitted,
     check_weights,
     chunks,
     fit_context,
@@ -449,7 +449,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ValueError
             If X has another number of features than in fit, or holds NaN or infinity.
         """
-        check_is_fitted(self)
+        check_fitted(self, "coef_")
         X = check_features(self, X, dtype=np.float64, reset=False)
         n, k = len(X), len(self.centers_)
         shift = self.centers_.mean(axis=0) if k else 0.0

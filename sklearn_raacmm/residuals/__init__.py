@@ -6,6 +6,7 @@
 from sklearn_raacmm.residuals._cylindrical import (
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
+    direction_of,
     position_residuals,
     std_to_cartesian,
     to_cartesian,
@@ -21,6 +22,7 @@ __all__ = [
     "PoseFeatures",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
+    "direction_of",
     "pose_columns",
     "position_residuals",
     "std_to_cartesian",

@@ -32,7 +32,6 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import term_columns
 from sklearn_raacmm.export import export_c, fingerprint
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 
@@ -517,12 +516,11 @@ def harmonics(arm, **params):
 def agree(call, model, X, with_std=True):
     """Compare with predict to a share of the terms' size: coefficients may nearly cancel."""
     mean, std = model.predict(X, return_std=True)
-    first = getattr(model, "harmonics_", model)
-    first = first if hasattr(first, "coef_") else model
-    terms = np.abs(term_columns(first.arm_, X, first._terms())) @ np.abs(first.coef_)
+    linear = model.linear_model_
+    terms = np.abs(linear.columns(X)) @ np.abs(linear.coef)
     atol = 1e-12 + 1e-13 * terms.max()
     np.testing.assert_allclose(call("correct", X, 3), mean, rtol=0, atol=atol)
-    points = first.arm_.forward(X) - mean
+    points = linear.arm.forward(X) - mean
     np.testing.assert_allclose(call("point", X, 3), points, rtol=0, atol=5e-12 + atol)
     if with_std:
         got_mean, got_std = call("correct_std", X, 3, n_results=2)
