@@ -112,6 +112,8 @@ def _as_many_columns_as_joints(monkeypatch):
             # Radians within one turn: some checks draw around 100.
             if getattr(estimator, "angle_unit", "rad") == "rad":
                 X = np.remainder(X, 6.0).astype(X.dtype)
+            else:  # degrees beyond 2 pi, which would be taken for radians
+                X = X * X.dtype.type(30)
         return adapt(estimator, X, *args, **kwargs)
 
     def adapt_to_space(estimator, y):

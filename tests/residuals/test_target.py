@@ -554,6 +554,24 @@ class Broken(Ridge):
         raise ValueError("boom")
 
 
+@pytest.mark.parametrize("appended", [True, False])
+@pytest.mark.parametrize(("unit", "factor"), [("rad", 60.0), ("deg", 1.0)])
+def test_a_chain_warns_of_a_unit_once(unit, factor, appended):
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    X, y = factor * rng.uniform(-1, 1, (40, 6)), rng.normal(size=(40, 3))
+    pose = PoseFeatures(arm, angle_unit=unit, append_azimuth=appended)
+    if appended:
+        model = make_pipeline(pose, CylindricalResidualTarget(Ridge()))
+    else:
+        azimuth = functools.partial(arm.azimuth, angle_unit=unit) if unit == "deg" else arm.azimuth
+        model = CylindricalResidualTarget(make_pipeline(pose, Ridge()), azimuth=azimuth)
+    for use in (lambda: model.fit(X, y), lambda: model.predict(np.tile(X, (300, 1)))):
+        with pytest.warns(UserWarning, match="degrees") as caught:
+            use()
+        assert len(caught) == 1
+
+
 # -- speed without other results -----------------------------------------------------------------
 
 
