@@ -12,7 +12,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns, points_of, probe_of
 from sklearn_raacmm.error_model import JointHarmonicRegressor, Smooth, check_fit, quantile
-from sklearn_raacmm.network import KERNELS, RBFNetRegressor, kernel_matrix, psd_inverse_root
+from sklearn_raacmm.network import RBFNetRegressor, kernel_matrix, psd_inverse_root
 from sklearn_raacmm.residuals import pose_columns, std_to_cartesian, to_cartesian, to_cylindrical
 from sklearn_raacmm.utils import (
     Interval,
@@ -272,13 +272,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         network = RBFNetRegressor(degree=-1, random_state=0) if self.network is None else None
         network = clone(self.network) if network is None else network
         if tuned is not None:
-            network.set_params(length_scale=tuned.length_scale_)
+            network.set_params(kernel=tuned.kernel_, length_scale=tuned.length_scale_)
         F, direction = self._features(X)
         left = y - centred(self.harmonics_._predict(X)[0], codes, weights)
         self.network_ = network.fit(F, to_cylindrical(left, direction), weights)
         if not self.joint or not len(network.centers_):
             return
-        if np.any(network.linear_coef_) or not KERNELS[network.kernel].positive_definite:
+        if np.any(network.linear_coef_):
             return  # not a smooth error with a covariance
         self.harmonics_._fit(X, y, weights, codes, lengths, self._smooth())
         left = y - centred(self.harmonics_._predict(X)[0], codes, weights)
@@ -294,11 +294,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """The network's prior, as a smooth error for the first stage's normal equations."""
         network = self.network_
         centers = network.centers_ / network.length_scale_
-        inverse = psd_inverse_root(kernel_matrix(centers, centers, network.kernel)).T
+        inverse = psd_inverse_root(kernel_matrix(centers, centers, network.kernel_)).T
 
         def basis(angles):
             F = self._features(angles)[0] / network.length_scale_
-            return kernel_matrix(F, centers, network.kernel) @ inverse
+            return kernel_matrix(F, centers, network.kernel_) @ inverse
 
         alpha = np.broadcast_to(np.asarray(network.alpha_, dtype=float), 3).copy()
         alpha[alpha <= 0] = 1e-12
