@@ -453,7 +453,8 @@ class Arm:
         Warns
         -----
         UserWarning
-            If an angle is more than two turns: most likely another unit.
+            If an angle is more than two turns, or if all degrees are below 2 pi: most likely
+            another unit.
         """
         angles = check_angles(angles, self.n_joints, angle_unit)
         return points_of(self, angles)

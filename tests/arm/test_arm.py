@@ -467,3 +467,30 @@ def test_what_is_not_json(tmp_path):
             Arm.from_json(source)
     with pytest.raises(FileNotFoundError):
         Arm.from_json(tmp_path / "none.json")
+
+
+# -- units that are most likely wrong --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["forward", "frames", "jacobian", "azimuth"])
+def test_radians_given_as_degrees_are_warned_of(method):
+    arm = Arm.from_name("panda")
+    angles = np.random.default_rng(0).uniform(-3, 3, (20, 7))
+    with pytest.warns(UserWarning, match=r'reach 2.9\d+ only \(joint \d\): .* angle_unit="rad"'):
+        wrong = getattr(arm, method)(angles, angle_unit="deg")
+    np.testing.assert_array_equal(wrong, getattr(arm, method)(np.deg2rad(angles)))
+
+
+@pytest.mark.parametrize(
+    "angles",
+    [
+        np.eye(6) * [[3.0], [0.1], [0.1], [0.1], [0.1], [0.1]],  # one joint swings, the rest stand
+        np.array([[6.3, 1.0, 1.0, 1.0, 1.0, 1.0]]),
+        np.full((3, 6), 0.2),
+        np.empty((0, 6)),
+    ],
+)
+def test_small_degrees_are_degrees(angles):
+    arm = Arm.from_name("ur10")
+    expected = arm.forward(np.deg2rad(angles))
+    np.testing.assert_array_equal(arm.forward(angles, angle_unit="deg"), expected)
