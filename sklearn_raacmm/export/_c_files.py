@@ -122,12 +122,19 @@ def _functions(body, name, real, std):
     argument = "joint_angles" if body.arm else "features"
     given = f"const {real} {argument}[{n}]"
     state, arm = ("    struct arm_state arm;\n", "&arm, ") if body.arm else ("", "")
-    none = ", 0" if std else ""
+    # Where a correction fades, evaluate() says how much of it is left.
+    none, trust = ", 0" if std else "", ", &trust" if body.fades else ""
+    state += f"    {real} trust;\n" if body.fades else ""
     verb, out = ("correct", "correction_mm") if corrects else ("predict", "prediction")
     status = (
         f"Returns {upper}_OK, or {upper}_NOT_FINITE where all are NaN: an input\n"
         "   is NaN or infinite, or the model is not defined there."
     )
+    if body.fades:
+        status += (
+            f" {upper}_FADED: the model\n   is less certain of this pose than the residuals that "
+            "it was fitted on are large."
+        )
     about = f"What the model predicts from {argument.replace('_', ' ')}.\n   {status}"
     if corrects:
         unit = "degrees" if body.angle_unit == "deg" else "rad"
@@ -139,7 +146,7 @@ def _functions(body, name, real, std):
         Function(
             f"int {name}_{verb}({given}, {real} {out}[{q}])",
             about,
-            f"{state}    return evaluate({argument}, {arm}{out}{none});\n",
+            f"{state}    return evaluate({argument}, {arm}{out}{none}{trust});\n",
         ),
         Function(
             f"int {name}_{verb}_n(const {real} *{argument}, {real} *{out}, size_t n)",
@@ -156,9 +163,19 @@ def _functions(body, name, real, std):
                 f"int {name}_point({given}, {real} point_mm[3])",
                 "The corrected centre of the probe in the base frame, mm; status and NaN as above.",
                 f"{state}    {real} y[3];\n"
-                f"    const int status = evaluate({argument}, {arm}y{none});\n"
+                f"    const int status = evaluate({argument}, {arm}y{none}{trust});\n"
                 "    for (int k = 0; k < 3; ++k)\n        point_mm[k] = arm.probe[k] - y[k];\n"
                 "    return status;\n",
+            )
+        )
+    if body.fades:
+        functions.append(
+            Function(
+                f"{real} {name}_trust({given})",
+                "The share of the correction that the fading leaves, of its stages the smallest: 1 "
+                "where\n   the model knows the pose, 0 far away, NaN as above.",
+                f"{state}    {real} y[{q}];\n    (void)evaluate({argument}, {arm}y{none}{trust});\n"
+                "    return trust;\n",
             )
         )
     if std:
@@ -169,7 +186,8 @@ def _functions(body, name, real, std):
                 f"int {name}_{verb}_std({given}, {real} {out}[{q}], {real} {spread}[{q}])",
                 "The same with its standard deviation, as predict(return_std=True) gives it: it "
                 "grows\n   away from the poses that the model was fitted on.",
-                f"{state}    const int status = evaluate({argument}, {arm}{out}, {spread});\n"
+                f"{state}    const int status = "
+                f"evaluate({argument}, {arm}{out}, {spread}{trust});\n"
                 f"    for (int j = 0; j < {q}; ++j)\n"
                 f"        {spread}[j] = {root}({spread}[j]);\n    return status;\n",
             )

@@ -69,9 +69,12 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
           centre of the probe, through the arm's kinematics;
         - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
+        - ``double <name>_trust(const double joint_angles[N])``, of an :class:`ArmResidualRegressor`
+          that fades: the share of the correction that is left, of its stages the smallest;
         - ``const char *<name>_fingerprint(void)``.
 
-        They return 0, or 2 where the result is NaN. The header defines names for these numbers, and
+        The first four return 0; 1 where less than half of a stage is left; 2 where the result is
+        NaN. The header defines names for these numbers, and
         ``<NAME>_VERSION``, ``_FINGERPRINT``, ``_N_INPUTS``, ``_N_OUTPUTS``, ``_TABLE_BYTES``,
         ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
         and ``_DATA_FINGERPRINT``.

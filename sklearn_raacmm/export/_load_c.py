@@ -127,7 +127,7 @@ class CompiledModel:
         return self._row(angles, "point")[1]
 
     def status(self, angles):
-        """What the C function returns for one row: 0 fine, 2 not finite.
+        """What the C function returns for one row: 0 fine, 1 faded, 2 not finite.
 
         Parameters
         ----------
