@@ -24,7 +24,7 @@ class Function(NamedTuple):
     body: str
 
 
-def sources(model, name, stem, dtype, std, card):
+def sources(model, name, stem, dtype, std, card=None, notes=()):
     """Text of the C file and of the header.
 
     Parameters
@@ -37,6 +37,8 @@ def sources(model, name, stem, dtype, std, card):
     std : bool
     card : dict, str or None
         Facts about the model; fields of a dict become macros, too.
+    notes : list of str
+        More facts.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def sources(model, name, stem, dtype, std, card):
     if body.arm is not None:
         label = f" {body.arm.name}" if body.arm.name else ""
         facts.append(f"arm{label}: {body.n_inputs} joints, {body.arm.convention} DH, mm and rad")
-    facts += [*body.steps, f"functions of math.h: {', '.join(_math_functions(body, std))}"]
+    facts += [*body.steps, *notes, f"functions of math.h: {', '.join(_math_functions(body, std))}"]
     banner = comment(facts + ([] if card is None else ["", *str(card).splitlines()]))
     functions = _functions(body, name, dtype, std)
     functions.append(
@@ -102,7 +104,7 @@ def _macros(body, name, digest, card):
         "N_OUTPUTS": body.n_outputs,
         "TABLE_BYTES": body.table_bytes,
         "INPUT_UNIT": f'"{body.angle_unit}"' if body.arm is not None else None,
-        "OUTPUT_UNIT": '"mm"' if body.arm is not None and body.n_outputs == 3 else None,
+        "OUTPUT_UNIT": '"mm"' if body.corrects else None,
         "SERIAL_NUMBER": _quoted(card.get("serial_number")),
         "DATE": _quoted(card.get("date")),
         "DATA_FINGERPRINT": _quoted(training.get("data_fingerprint")),
@@ -118,7 +120,7 @@ def _quoted(text):
 def _functions(body, name, real, std):
     """Public functions that compute."""
     n, q, upper = body.n_inputs, body.n_outputs, name.upper()
-    corrects = body.arm is not None and q == 3
+    corrects = body.corrects
     argument = "joint_angles" if body.arm else "features"
     given = f"const {real} {argument}[{n}]"
     state, arm = ("    struct arm_state arm;\n", "&arm, ") if body.arm else ("", "")

@@ -33,6 +33,11 @@ class Body(NamedTuple):
     table_bytes: int
     fades: bool
 
+    @property
+    def corrects(self):
+        """Whether the outputs are a correction of the arm's point."""
+        return self.arm is not None and self.n_outputs == 3
+
 
 class _Writer:
     """Collects tables and functions, and the statements of evaluate(), step by step."""
