@@ -1,6 +1,8 @@
 """What is wrong with a simulated arm, and by how much; public in `sklearn_raacmm.datasets`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -71,14 +73,14 @@ class ArmErrors:
 
     length_mm: float = 0.2
     angle_deg: float = 0.02
-    eccentricity_arcsec: tuple = (4.0, 1.2)
+    eccentricity_arcsec: Sequence[float] = (4.0, 1.2)
     encoder_noise_arcsec: float = 1.0
     quantisation_arcsec: float = 0.62
     wobble_arcsec: float = 3.0
     runout_um: float = 2.0
     joint_compliance_urad_per_nm: float = 33.0
     counterbalance: float = 0.85
-    sag_um: tuple = (128.0, 24.0)
+    sag_um: Sequence[float] = (128.0, 24.0)
     warming_k: float = 1.0
     seating_um: float = 3.0
 
@@ -98,7 +100,7 @@ class ArmErrors:
             object.__setattr__(self, field.name, plain)
 
     @classmethod
-    def only(cls, **sizes):
+    def only(cls, **sizes: Any) -> "ArmErrors":
         """Switch on only the sources that are named.
 
         The counterbalance, which is no source, keeps its default.
@@ -118,7 +120,7 @@ class ArmErrors:
         return cls(**off | sizes)
 
     @classmethod
-    def from_name(cls, name):
+    def from_name(cls, name: str) -> "ArmErrors":
         """Return a mix of sources by name.
 
         Parameters

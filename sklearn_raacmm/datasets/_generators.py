@@ -7,8 +7,10 @@ What is fetched (``fetch_...``) was measured by others, who published it.
 
 import warnings
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils import Bunch, check_random_state
 
 from sklearn_raacmm.calibration import calibrate
@@ -23,14 +25,14 @@ _MAX_ELEVATION = np.deg2rad(35)
 
 
 def make_single_point(
-    n_positions=10,
-    n_poses=100,
+    n_positions: int = 10,
+    n_poses: int = 100,
     *,
-    machine="typical",
-    random_state=0,
-    return_X_y=False,
-    as_frame=False,
-):
+    machine: SimulatedArm | ArmErrors | str = "typical",
+    random_state: int | np.random.RandomState | None = 0,
+    return_X_y: bool = False,
+    as_frame: bool = False,
+) -> Any:
     """Simulate the cone-hole test: the probe in one cone, the elbow swung from left to right.
 
     Parameters
@@ -115,15 +117,15 @@ def make_single_point(
 
 
 def make_gauge(
-    lengths=(300.0, 500.0),
-    n_placements=10,
-    n_poses=10,
+    lengths: ArrayLike = (300.0, 500.0),
+    n_placements: int = 10,
+    n_poses: int = 10,
     *,
-    machine="typical",
-    random_state=0,
-    return_X_y=False,
-    as_frame=False,
-):
+    machine: SimulatedArm | ArmErrors | str = "typical",
+    random_state: int | np.random.RandomState | None = 0,
+    return_X_y: bool = False,
+    as_frame: bool = False,
+) -> Any:
     """Simulate measurements of gauges: two cones at a known distance, in many placements.
 
     Parameters

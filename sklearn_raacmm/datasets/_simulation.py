@@ -76,7 +76,12 @@ class SimulatedArm:
     ['eccentricity', 'runout', 'sag', 'torsion', 'warming', 'wobble']
     """
 
-    def __init__(self, errors="typical", *, random_state=0):
+    def __init__(
+        self,
+        errors: ArmErrors | str = "typical",
+        *,
+        random_state: int | np.random.RandomState | None = 0,
+    ):
         self.errors = errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
         # RandomState, not Generator: its stream is frozen, so a seed means the same data for ever.
         rng = check_random_state(random_state)
