@@ -22,6 +22,8 @@ from sklearn_raacmm.arm._checks import (
 )
 from sklearn_raacmm.arm._files import BUILT_IN, read_json, write_json
 from sklearn_raacmm.arm._kinematics import CHUNK_ROWS, cross, dh_theta, frame_columns, points_of
+from sklearn_raacmm.arm._layouts import from_lengths
+from sklearn_raacmm.arm._urdf import read_urdf, write_urdf
 from sklearn_raacmm.utils import chunks, html_table
 
 
@@ -311,6 +313,130 @@ class Arm:
         if not (isinstance(name, str) and name in BUILT_IN):
             raise ValueError(f"name must be one of {sorted(BUILT_IN)}, got {name!r}.")
         return cls.from_degrees(name=name, **BUILT_IN[name]).replace(**changes)
+
+    @classmethod
+    def from_lengths(
+        cls,
+        layout: str,
+        shoulder: float,
+        upper: float,
+        fore: float,
+        probe: float,
+        *,
+        elbow_offset: float = 0.0,
+        wrist_offset: float = 0.0,
+        **params: Any,
+    ) -> "Arm":
+        """Build an arm of a usual layout from the lengths of a maker's drawing.
+
+        Neighbouring axes cross at right angles, or pass each other at the offsets. With all angles
+        at zero the upper arm, the forearm and the probe lie along one line; see the page "Arms" of
+        the documentation for a picture. Where the encoders have their zero elsewhere, give
+        ``theta_offset``.
+
+        Parameters
+        ----------
+        layout : {"2-2-2", "2-2-3"}
+            Joints at shoulder, elbow and wrist; the seventh turns the probe about its own axis.
+        shoulder : float
+            Height of the shoulder above the base, mm.
+        upper, fore : float
+            Lengths from shoulder to elbow and from elbow to wrist, mm.
+        probe : float
+            From the last axis across (the wrist) to the centre of the probe, mm.
+        elbow_offset, wrist_offset : float, default=0
+            Distances between the two axes at the shoulder and the upper arm, and between those at
+            the elbow and the forearm, mm.
+        **params : dict
+            Other parameters of `Arm`, such as ``theta_offset`` in degrees, ``joint_signs``, and
+            ``name``.
+
+        Returns
+        -------
+        Arm
+            The arm, to be calibrated.
+
+        Raises
+        ------
+        ValueError
+            If the layout is unknown, or a length is not a number.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_lengths("2-2-2", 375, 750, 500, 100)
+        >>> arm
+        <Arm '2-2-2 arm': 6 joints, standard DH, probe (0, 0, 100) mm>
+        """
+        return from_lengths(
+            cls, layout, shoulder, upper, fore, probe, elbow_offset, wrist_offset, params
+        )
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | PathLike[str],
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+    ) -> "Arm":
+        """Read a chain of revolute joints from a URDF file.
+
+        The table follows from the common normals of the axes. Fixed joints are folded in; angles
+        such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
+        that from `base` to `tip`, their zeros and senses are the file's.
+
+        Parameters
+        ----------
+        source : str or path-like
+            Path of the file, or the text itself if it starts with "<".
+        base, tip : str, default=None
+            Names of the links where the chain begins and ends; `tip` is the probe. None: the only
+            ones there are.
+
+        Returns
+        -------
+        Arm
+            In the modified convention. Points are in the frame of the link `base` wherever a
+            Denavit-Hartenberg table can start from it, as with a first axis along z through the
+            origin; else a warning says from where.
+
+        Raises
+        ------
+        ValueError
+            If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
+            way is prismatic or of another kind: the sentence names it.
+
+        Warns
+        -----
+        UserWarning
+            If the base frame is another, or if axes are so nearly parallel that they are taken as
+            parallel.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("panda")
+        >>> again = Arm.from_urdf(arm.to_urdf())
+        >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
+        True
+        """
+        return read_urdf(cls, source, base, tip)
+
+    def to_urdf(self, path=None):
+        """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
+
+        Parameters
+        ----------
+        path : str or path-like, default=None
+            File to write. None only returns the text.
+
+        Returns
+        -------
+        str
+            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
+        """
+        return write_urdf(self, path)
 
     @classmethod
     def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> "Arm":

@@ -6,7 +6,11 @@
 from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._planning import next_poses
-from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
+from sklearn_raacmm.correction._scores import (
+    CorrectionScores,
+    cross_validate_correction,
+    predict_with_std,
+)
 
 __all__ = [
     "ArmResidualRegressor",
@@ -15,4 +19,5 @@ __all__ = [
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
+    "predict_with_std",
 ]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_raacmm.arm import Arm, dh_theta, frame_columns, points_of, probe_of
+from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model import LinearModel, LinearOptions, fit_linear_model
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import (
@@ -54,9 +54,8 @@ def network_input(arm, angles, features):
     if features == "all":
         F, (x, y, _) = angles, points_of(arm, angles).T
     else:
-        frames = frame_columns(arm, dh_theta(arm, angles))
-        F = np.stack(pose_columns(arm, angles, frames), axis=1)
-        x, y, _ = probe_of(arm, frames)
+        columns, (x, y, _) = pose_columns(arm, angles)
+        F = np.stack(columns, axis=1)
     return NetworkInput(F, direction_of(x, y))
 
 

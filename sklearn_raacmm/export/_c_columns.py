@@ -6,7 +6,6 @@
 import numpy as np
 
 from sklearn_raacmm.error_model import column_table
-from sklearn_raacmm.export._c_text import whole_table
 
 _COLUMNS = """\
 /* What one unit of each coefficient does to the probe, mm. */
@@ -80,12 +79,12 @@ def error_model(numbers, linear, std):
             f"{f', {real} *v' if std else ''})\n{{\n{unused}    y[0] = y[1] = y[2] = 0;\n}}\n"
         )
     note = "0 a turn about the axis, 1 a shift along it, 2 a turn by the torque of a load about it"
-    text = whole_table("column_kind", table.kind, note)
-    text += whole_table("column_frame", table.frame)
-    text += whole_table("column_axis", table.axis)
-    text += whole_table("column_of", table.of, "joint of the wave, or load")
+    text = numbers.integers("column_kind", table.kind, note)
+    text += numbers.integers("column_frame", table.frame)
+    text += numbers.integers("column_axis", table.axis)
+    text += numbers.integers("column_of", table.of, "joint of the wave, or load")
     note = "of the wave: cosine if positive, sine if negative"
-    text += whole_table("column_order", table.order, note)
+    text += numbers.integers("column_order", table.order, note)
     text += numbers.table("column_unit", table.unit, "rad or mm per unit coefficient")
     text += numbers.table("column_coef", linear.coef)
     variance = ""

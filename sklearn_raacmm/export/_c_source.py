@@ -1,4 +1,4 @@
-"""A fitted chain as one C99 source and its header."""
+"""What a fitted chain computes, as C99: its tables and static functions, step by step."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm._version import __version__
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.export import _c_columns, _c_steps
-from sklearn_raacmm.export._c_text import Numbers, comment_text
+from sklearn_raacmm.export._c_text import Numbers
 from sklearn_raacmm.export._steps import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
@@ -27,6 +26,7 @@ class Body(NamedTuple):
     arm: object  # or None
     angle_unit: str
     steps: tuple  # of text, for people
+    table_bytes: int
 
 
 class _Writer:
@@ -74,7 +74,7 @@ class _Writer:
         elif isinstance(step, RBFNetRegressor):
             self._load()
             text, self.n_outputs = _c_steps.network(self.numbers, step, self.std)
-            about = f"RBFNetRegressor: {step.kernel}, {len(step.centers_)} centres"
+            about = f"RBFNetRegressor: {step.kernel_}, {len(step.centers_)} centres"
             self._put(text, f"network(x, y{self._v});", about)
         elif isinstance(step, LINEAR):
             if self.std:
@@ -168,21 +168,20 @@ class _Writer:
         if self.arm is not None:
             lines.append("kinematics(input, arm);")
         lines += self.statements
-        if self.std:
-            # Not each function asks for the standard deviation.
-            lines += [
-                "if (!valid && v)",
-                f"    for (int j = 0; j < {q}; ++j)",
-                f"        v[j] = ({real})NAN;",
-            ]
+        # Not each function asks for the standard deviation.
+        no_std = ["        if (v)", f"            v[j] = ({real})NAN;"] if self.std else []
         lines += [
             "if (!valid)",
-            f"    for (int j = 0; j < {q}; ++j)",
+            f"    for (int j = 0; j < {q}; ++j) {{",
             f"        y[j] = ({real})NAN;",
+            *no_std,
+            "    }",
+            "return valid ? 0 : 2;",
         ]
         body = "\n".join(f"    {line}" for line in lines)
         return (
-            f"static void evaluate(const {real} input[{self.n_inputs}], {arm}{real} y[{q}]"
+            "/* 0: fine, 2: not finite. */\n"
+            f"static int evaluate(const {real} input[{self.n_inputs}], {arm}{real} y[{q}]"
             f"{', ' + real + ' *v' if self.std else ''})\n"
             f"{{\n{body}\n}}\n"
         )
@@ -191,97 +190,19 @@ class _Writer:
 def body_of(model, dtype="double", std=False):
     """Everything that a chain computes, see `Body`; ValueError where it cannot be written."""
     check_fitted(model)
-    writer = _Writer(model, Numbers(dtype), std)
-    text = "\n".join([*writer.parts, writer.evaluate()])
+    numbers = Numbers(dtype)
+    writer = _Writer(model, numbers, std)
     return Body(
-        text, writer.n_inputs, writer.n_outputs, writer.arm, writer.angle_unit, tuple(writer.steps)
+        "\n".join([*writer.parts, writer.evaluate()]),
+        writer.n_inputs,
+        writer.n_outputs,
+        writer.arm,
+        writer.angle_unit,
+        tuple(writer.steps),
+        numbers.n_bytes,
     )
 
 
 def fingerprint_of(model):
     """SHA-256 of what a chain computes: constants and operations, in double precision."""
     return hashlib.sha256(body_of(model).text.encode()).hexdigest()
-
-
-def sources(model, name, stem, dtype, std, notes):
-    """Text of the C file and of the header."""
-    body = body_of(model, dtype, std)
-    digest = fingerprint_of(model)
-    facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
-    if body.arm is not None:
-        label = f" {body.arm.name}" if body.arm.name else ""
-        facts.append(f"arm{label}: {body.n_inputs} joints, {body.arm.convention} DH, mm and rad")
-    facts += [*body.steps, *notes]
-    banner = "".join(f" * {comment_text(fact, 90)}".rstrip() + "\n" for fact in facts)
-    functions = _functions(body, name, dtype, std)
-    functions.append(
-        (
-            f"const char *{name}_fingerprint(void)",
-            "SHA-256 of what the model computes: the same for the same model.",
-            f'    return "{digest}";\n',
-        )
-    )
-    guard = f"{name.upper()}_H"
-    declared = "".join(f"/* {about} */\n{head};\n\n" for head, about, _ in functions)
-    header = (
-        f"/* {stem}.h\n{banner} */\n#ifndef {guard}\n#define {guard}\n\n#ifdef __cplusplus\n"
-        f'extern "C" {{\n#endif\n\n{declared}#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'
-    )
-    defined = "".join(f"\n{head}\n{{\n{text}}}\n" for head, _, text in functions)
-    source = (
-        f"/* {stem}.c\n{banner} *\n"
-        " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
-        " * changes, so every function may be called from any thread. Do not compile it with\n"
-        " * -ffast-math, which takes away the NaN that stands for a refusal.\n */\n"
-        f'#include "{stem}.h"\n\n#include <math.h>\n\n{body.text}{defined}'
-    )
-    return source, header
-
-
-def _functions(body, name, real, std):
-    """Public functions: head, comment and body of each."""
-    n, q = body.n_inputs, body.n_outputs
-    unit = "degrees" if body.angle_unit == "deg" else "rad"
-    argument = "joint_angles" if body.arm else "features"
-    given = f"const {real} {argument}[{n}]"
-    state, arm = ("    struct arm_state arm;\n", "&arm, ") if body.arm else ("", "")
-    none = ", 0" if std else ""
-    corrects = body.arm is not None and q == 3
-    verb, out = ("correct", "correction_mm") if corrects else ("predict", "prediction")
-    refusal = "All are NaN if an input is NaN or\n   infinite, or the model is not defined there."
-    about = f"What the model predicts from {argument.replace('_', ' ')}. {refusal}"
-    if corrects:
-        about = (
-            "How far off the probe is, in the base frame, mm: subtract it from the measured\n"
-            f"   point. Joint angles in {unit}, as the encoders give them. {refusal}"
-        )
-    functions = [
-        (
-            f"void {name}_{verb}({given}, {real} {out}[{q}])",
-            about,
-            f"{state}    evaluate({argument}, {arm}{out}{none});\n",
-        )
-    ]
-    if corrects:
-        functions.append(
-            (
-                f"void {name}_point({given}, {real} point_mm[3])",
-                "The corrected centre of the probe in the base frame, mm; NaN as above.",
-                f"{state}    {real} y[3];\n    evaluate({argument}, {arm}y{none});\n"
-                "    for (int k = 0; k < 3; ++k)\n        point_mm[k] = arm.probe[k] - y[k];\n",
-            )
-        )
-    if std:
-        spread = "std_mm" if corrects else "std"
-        root = f"sqrt{'f' if real == 'float' else ''}"
-        functions.append(
-            (
-                f"void {name}_{verb}_std({given}, {real} {out}[{q}], {real} {spread}[{q}])",
-                "The same with its standard deviation, as predict(return_std=True) gives it: it "
-                "grows\n   away from the poses that the model was fitted on.",
-                f"{state}    evaluate({argument}, {arm}{out}, {spread});\n"
-                f"    for (int j = 0; j < {q}; ++j)\n"
-                f"        {spread}[j] = {root}({spread}[j]);\n",
-            )
-        )
-    return functions

@@ -61,9 +61,10 @@ def test_interrupted_at_every_stage(kind):
         model.fit(theta + 0.1, new, groups=groups)
 
     n_calls = 40 if kind == "linear" else 120
-    total = calls(lambda: clone(model).fit(theta, new, groups=groups), -1)
+    # The second time, when all that is kept between fits is there: fewer calls than the first.
+    total = min(calls(lambda: clone(model).fit(theta + 0.1, new, groups=groups), -1) for _ in "ab")
     # Every call of the first ones, and an even choice of the others.
-    for at in {*range(1, 20), *np.linspace(20, total - 60, n_calls, dtype=int).tolist()}:
+    for at in {*range(1, 20), *np.linspace(20, 0.9 * total, n_calls, dtype=int).tolist()}:
         if calls(refit, at):
             pytest.fail(f"call {at} of {total} was never made")
         assert vars(model).keys() == before.keys()
