@@ -12,12 +12,26 @@ from threadpoolctl import threadpool_limits
 # Before pytest collects a module of the package for its examples: one that came first would be
 # imported twice, and what the tests call would not know its classes.
 import sklearn_raacmm  # noqa: F401
+from sklearn_raacmm.utils import _chunks
 
 ROOT = Path(__file__).resolve().parent.parent
 
 # The suite runs in parallel: two workers with two BLAS threads each on two cores wait for one
 # another most of the time.
 threadpool_limits(1, user_api="blas")
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--chunk-rows",
+        type=int,
+        metavar="N",
+        help="compute everything in chunks of N rows, so that small data cross their borders, too",
+    )
+
+
+def pytest_configure(config):
+    _chunks.LIMIT = config.getoption("--chunk-rows")
 
 
 def data_dir(name):

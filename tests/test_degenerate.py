@@ -304,7 +304,7 @@ SENTENCES = {
     "harmonics: offsets": (lambda: jhr(ANGLES, RESIDUALS, offsets=True), "needs groups"),
     "planning: half a pose": (
         lambda: next_poses(harmonics().fit(ANGLES, RESIDUALS), ANGLES, 1.5),
-        "n_poses must be 1 to 40",
+        "n_poses must be a whole number from 1 to 40",
     ),
     "planning: criterion": (
         lambda: next_poses(harmonics().fit(ANGLES, RESIDUALS), ANGLES, 1, criterion=["I"]),

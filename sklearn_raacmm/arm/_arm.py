@@ -7,9 +7,18 @@ from dataclasses import KW_ONLY, dataclass, fields
 
 import numpy as np
 
-from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, check_angles, floats, numbers, pair_of, show
+from sklearn_raacmm.arm._checks import (
+    MAX_LENGTH_MM,
+    MIN_LENGTH_MM,
+    check_angles,
+    floats,
+    numbers,
+    pair_of,
+    show,
+)
 from sklearn_raacmm.arm._files import BUILT_IN, read_json, write_json
-from sklearn_raacmm.arm._kinematics import chunks, cross, dh_theta, frame_columns, points_of
+from sklearn_raacmm.arm._kinematics import CHUNK_ROWS, cross, dh_theta, frame_columns, points_of
+from sklearn_raacmm.utils import chunks
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -114,6 +123,11 @@ class Arm:
         # Halves of characters, which only escapes in JSON can bring, cannot be written to a file.
         if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
             raise ValueError(f"name must be a string of whole characters, got {self.name!r}.")
+        if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
+            raise ValueError(
+                f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
+                "length does not move its probe."
+            )
         for field, value in checked.items():
             object.__setattr__(self, field, value)
 
@@ -217,7 +231,7 @@ class Arm:
         return cls(a, alpha, d, theta_offset, **params)
 
     @classmethod
-    def from_name(cls, name, **changes):
+    def from_name(cls, name, /, **changes):
         """Return one of the built-in arms.
 
         Parameters
@@ -235,7 +249,7 @@ class Arm:
               elevation of the line from shoulder to wrist, make the whole shape of the arm in its
               vertical plane; joints 2 and 3 say alone what that elevation is.
         **changes : dict
-            Parameters of `Arm` to change, such as ``probe``.
+            Parameters of `Arm` to change, such as ``probe`` or ``name``.
 
         Returns
         -------
@@ -258,8 +272,9 @@ class Arm:
 
         Parameters
         ----------
-        source : str or path-like
-            Path of the file, or the text itself if it starts with a brace.
+        source : str, path-like, bytes or dict
+            Path of the file; or the text itself, which starts with a brace, as str or as bytes in
+            UTF-8; or the dict that the text stands for. A byte-order mark is ignored.
 
         Returns
         -------
@@ -271,6 +286,10 @@ class Arm:
         ValueError
             If the text is not JSON, of another format or version, or a field is missing, not
             numeric or out of bounds; the sentence names the field.
+        TypeError
+            If `source` is of another type.
+        OSError
+            If the file cannot be read, or is a folder.
         """
         return read_json(cls, source)
 
@@ -363,7 +382,7 @@ class Arm:
         """
         angles = check_angles(angles, self.n_joints, angle_unit)
         frames = np.empty((len(angles), self.n_joints + 1, 3, 4))
-        for rows in chunks(len(angles)):
+        for rows in chunks(len(angles), CHUNK_ROWS):
             frames[rows] = frame_columns(self, dh_theta(self, angles[rows])).transpose(3, 0, 2, 1)
         return frames
 
@@ -387,7 +406,7 @@ class Arm:
         result = np.empty((len(angles), 3, self.n_joints))
         # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
         first = 0 if self.convention == "standard" else 1
-        for rows in chunks(len(angles)):
+        for rows in chunks(len(angles), CHUNK_ROWS):
             columns = frame_columns(self, dh_theta(self, angles[rows]))
             probe = columns[-1, 3] + np.tensordot(self.probe, columns[-1, :3], axes=1)
             for i, sign in enumerate(self.joint_signs):

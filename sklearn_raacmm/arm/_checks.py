@@ -13,6 +13,8 @@ from sklearn_raacmm.utils import floats, show
 _WARN_RAD = 4 * np.pi
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
+# A nanometre: on any arm, shorter lengths and their directions are made of rounding.
+MIN_LENGTH_MM = 1e-6
 
 
 def numbers(name, value, size, unit, bound, broadcast=False):
@@ -62,7 +64,9 @@ def check_angles(angles, n_joints, angle_unit, stacklevel=3):
         )
     if not len(angles):
         return angles
-    # max and min carry NaN along: one pass each, and no mask of the size of the data.
+    # Max and min carry NaN along: one pass each, and no mask of the size of the data.
+    if angle_unit == "rad" and max(angles.max(), -angles.min()) <= _WARN_RAD:  # false for NaN
+        return angles
     largest = np.maximum(angles.max(axis=0), -angles.min(axis=0))
     if not np.all(np.isfinite(largest)):
         bad = np.argwhere(~np.isfinite(angles))

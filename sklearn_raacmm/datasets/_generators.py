@@ -16,7 +16,7 @@ from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._bunch import pack
 from sklearn_raacmm.datasets._simulation import SimulatedArm
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import floats
+from sklearn_raacmm.utils import check_whole_number, floats
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -106,7 +106,8 @@ def make_single_point(
     >>> 0 < single_point_repeatability(perfect, test.groups) < before < 0.2
     True
     """
-    _check_counts(n_positions=(n_positions, 1), n_poses=(n_poses, 2))
+    check_whole_number("n_positions", n_positions, 1)
+    check_whole_number("n_poses", n_poses, 2)
     machine, rng = _machine_and_stream(machine, random_state, stream=1)
     positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
     data = _measure(machine, positions, poses, rng)
@@ -167,7 +168,8 @@ def make_gauge(
     >>> bool(length_error(measured, test.lengths, statistic="max") < 0.2)
     True
     """
-    _check_counts(n_placements=(n_placements, 1), n_poses=(n_poses, 2))
+    check_whole_number("n_placements", n_placements, 1)
+    check_whole_number("n_poses", n_poses, 2)
     machine, rng = _machine_and_stream(machine, random_state, stream=2)
     lengths = np.repeat(_check_lengths(lengths, machine), n_placements)
     ends, poses = _draw_gauges(machine, lengths, n_poses, rng)
@@ -310,12 +312,6 @@ def _machine_and_stream(machine, random_state, stream):
             machine = ArmErrors.from_name(machine)
         machine = _individual(machine, seed)
     return machine, np.random.RandomState([seed, stream])
-
-
-def _check_counts(**counts):
-    for name, (value, low) in counts.items():
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < low:
-            raise ValueError(f"{name} must be a whole number of at least {low}, got {value!r}.")
 
 
 def _check_lengths(lengths, machine):

@@ -3,14 +3,14 @@
 Public in `sklearn_raacmm.datasets`.
 """
 
-from numbers import Integral, Real
+from numbers import Real
 
 import numpy as np
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
-from sklearn_raacmm.utils import floats, refuse_huge
+from sklearn_raacmm.utils import check_whole_number, floats, refuse_huge
 
 _ARCSEC = np.pi / (180 * 3600)  # rad
 
@@ -271,8 +271,7 @@ class SimulatedArm:
         """
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
-        if not isinstance(n_poses, Integral) or isinstance(n_poses, bool) or n_poses < 0:
-            raise ValueError(f"n_poses must be a whole number of at least 0, got {n_poses!r}.")
+        check_whole_number("n_poses", n_poses, 0)
         found = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)

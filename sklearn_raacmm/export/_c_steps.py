@@ -6,10 +6,11 @@
 import numpy as np
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler
 
+from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.export._c_text import whole_table
 from sklearn_raacmm.export._steps import n_outputs
 from sklearn_raacmm.network import KERNELS
-from sklearn_raacmm.residuals import MIN_LENGTH_MM, NORM_TOLERANCE
+from sklearn_raacmm.residuals import NORM_TOLERANCE
 
 # The radial functions of the squared scaled distance s; {f} is the suffix of the precision.
 _KERNEL_BODIES = {

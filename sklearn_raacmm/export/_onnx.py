@@ -9,14 +9,10 @@ float32 are good to a nanometre of correction, kinematics in float32 is not.
 
 import numpy as np
 
+from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.export._steps import azimuth_arm, n_outputs
 from sklearn_raacmm.network import RBFNetRegressor
-from sklearn_raacmm.residuals import (
-    MIN_LENGTH_MM,
-    NORM_TOLERANCE,
-    CylindricalResidualTarget,
-    PoseFeatures,
-)
+from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, PoseFeatures
 
 try:
     from onnx import TensorProto

@@ -6,7 +6,7 @@ this module is no statement of conformance to any of them.
 """
 
 import numpy as np
-from sklearn import config_context
+from sklearn import get_config
 from sklearn.metrics import make_scorer
 from sklearn.utils import Bunch, check_array
 
@@ -263,13 +263,16 @@ def repeatability_scorer(X=None, groups=None, *, statistic="2s", aggregate="mean
     scorer : callable
         ``scorer(estimator, X, y)``: minus :func:`within_position_scatter`, in mm, so that greater
         is better. Without X and groups, a scorer of :func:`~sklearn.metrics.make_scorer` that
-        requests `groups`, for metadata routing.
+        requests `groups`, for metadata routing, which has to be enabled by then.
 
     Raises
     ------
     ValueError
         If only one of X and groups is given, or if equal rows of X belong to different groups;
         when scoring, if groups were not routed, or if a row was not among those of X.
+    RuntimeError
+        If neither is given and metadata routing is off: the scorer would never be given groups,
+        and scikit-learn would set every score to NaN.
 
     Examples
     --------
@@ -303,12 +306,16 @@ def repeatability_scorer(X=None, groups=None, *, statistic="2s", aggregate="mean
         raise ValueError("Give X and groups together (metadata routing off), or neither (on).")
     if X is not None:
         return _RowScorer(X, groups, statistic, aggregate)
+    if not get_config()["enable_metadata_routing"]:
+        raise RuntimeError(
+            "repeatability_scorer() without arguments needs metadata routing, which is off. "
+            "Enable it first by sklearn.set_config(enable_metadata_routing=True), or tell the "
+            "scorer the groups: repeatability_scorer(X, groups)."
+        )
     scorer = make_scorer(
         _routed_scatter, greater_is_better=False, statistic=statistic, aggregate=aggregate
     )
-    # set_score_request refuses to run while routing is off; the request itself is harmless then.
-    with config_context(enable_metadata_routing=True):
-        return scorer.set_score_request(groups=True)
+    return scorer.set_score_request(groups=True)
 
 
 def _routed_scatter(y_true, y_pred, *, groups=None, statistic, aggregate):

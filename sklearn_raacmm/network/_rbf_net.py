@@ -7,7 +7,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.network._candidates import Features
 from sklearn_raacmm.network._center_choice import (
@@ -33,7 +32,9 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     check_data,
     check_features,
+    check_fitted,
     check_weights,
+    chunks,
     fit_context,
     floats,
     one_blas_thread,
@@ -448,7 +449,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ValueError
             If X has another number of features than in fit, or holds NaN or infinity.
         """
-        check_is_fitted(self)
+        check_fitted(self, "coef_")
         X = check_features(self, X, dtype=np.float64, reset=False)
         n, k = len(X), len(self.centers_)
         shift = self.centers_.mean(axis=0) if k else 0.0
@@ -459,9 +460,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             mean += X @ np.atleast_2d(self.linear_coef_).T
         variance = np.zeros((n, mean.shape[1]))
         posterior = self._posterior(centers) if return_std else None
-        step = max(1, _CHUNK // max(k, 1))
-        for start in range(0, n, step):
-            part = slice(start, start + step)
+        for part in chunks(n, _CHUNK // max(k, 1)):
             K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel)
             mean[part] += K @ coef
             if return_std:

@@ -7,15 +7,19 @@ from sklearn_raacmm.utils._checks import (
     LARGEST,
     check_data,
     check_features,
+    check_fitted,
     check_option,
     check_points,
     check_weights,
+    check_whole_number,
     floats,
+    is_plain,
     refuse_disguised,
     refuse_huge,
     refuse_masked,
     show,
 )
+from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import write_whole
 from sklearn_raacmm.utils._groups import (
     centred,
@@ -39,6 +43,7 @@ from sklearn_raacmm.utils._sklearn import (
     validate_params,
 )
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
+from sklearn_raacmm.utils._whole_fit import whole_fit
 
 __all__ = [
     "LARGEST",
@@ -52,11 +57,15 @@ __all__ = [
     "check_feature_names",
     "check_feature_names_in",
     "check_features",
+    "check_fitted",
     "check_groups",
     "check_n_features",
     "check_option",
     "check_points",
     "check_weights",
+    "check_whole_number",
+    "chunk_size",
+    "chunks",
     "deviations_by_group",
     "encode_groups",
     "fit_context",
@@ -64,6 +73,7 @@ __all__ = [
     "group_means",
     "group_sums",
     "group_weights",
+    "is_plain",
     "one_blas_thread",
     "refuse_disguised",
     "refuse_huge",
@@ -71,5 +81,6 @@ __all__ = [
     "safe_indexing",
     "show",
     "validate_params",
+    "whole_fit",
     "write_whole",
 ]
