@@ -8,7 +8,6 @@ from math import factorial
 import numpy as np
 
 from sklearn_raacmm.export._steps import n_outputs
-from sklearn_raacmm.network import KERNELS
 
 # Centres that are computed together: a multiple of the numbers in a processor's vector.
 _VECTOR = 8
@@ -30,8 +29,6 @@ _KERNEL_LOOPS = {
     ],
     "rational_quadratic": ["phi[c] = 1 / (1 + 0.5{f} * phi[c]);"],
     "inverse_multiquadric": ["phi[c] = 1 / sqrt{f}(1 + phi[c]);"],
-    "multiquadric": ["phi[c] = sqrt{f}(1 + phi[c]);"],
-    "thin_plate": ["phi[c] = phi[c] == 0 ? phi[c] : 0.5{f} * phi[c] * log{f}(phi[c]);"],
 }
 
 
@@ -69,7 +66,7 @@ def network(numbers, step, std, with_noise=True):
         text += numbers.table("center", np.pad(centers, fill), note)
         weights = np.atleast_2d(step.coef_)
         text += numbers.table("weight", np.pad(weights, fill), "one column a centre")
-        exp, loops = _kernel(numbers, step.kernel, full)
+        exp, loops = _kernel(numbers, step.kernel_, full)
         text += exp
         lines += [
             f"for (int c = 0; c < {full}; ++c)",
@@ -104,7 +101,7 @@ def _network_variance(numbers, step, with_noise):
     shift = step.centers_.mean(axis=0) if k else 0.0
     inside, triangles = step._posterior((step.centers_ - shift) / step.length_scale_)
     tail, p = step._tail_map, len(step._tail_map)
-    m, definite = p + k, KERNELS[step.kernel].positive_definite
+    m = p + k
     distinct = list({id(R): R for R in triangles}.values())
     ids = [id(R) for R in distinct]
     of = [ids.index(id(R)) for R in triangles]
@@ -116,7 +113,7 @@ def _network_variance(numbers, step, with_noise):
         text += numbers.integers("triangle_of", of, "which triangle each output has")
         packed = [R.T[np.tril_indices(m)] for R in distinct]
         text += numbers.table("triangle", np.stack(packed), "rows of the transposed triangles")
-    lines.append(f"{real} outside = {int(definite)};")
+    lines.append(f"{real} outside = 1;")
     lines.append(f"{real} of_weights[{len(distinct)}];")
     if p:
         text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")
@@ -133,7 +130,7 @@ def _network_variance(numbers, step, with_noise):
         lines += [f"for (int c = 0; c < {k}; ++c)", f"    row[{p} + c] = phi[c];"]
     else:
         lines.append("(void)phi;")
-    if k and definite:
+    if k:
         text += numbers.table("span", inside, "root of the inverse kernel matrix of the centres")
         lines += [
             f"for (int i = 0; i < {len(inside)}; ++i) {{",

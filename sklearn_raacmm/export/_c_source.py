@@ -84,7 +84,7 @@ class _Writer:
         elif isinstance(step, RBFNetRegressor):
             self._load()
             text, self.n_outputs = _c_network.network(self.numbers, step, self.std)
-            about = f"RBFNetRegressor: {step.kernel}, {len(step.centers_)} centres"
+            about = f"RBFNetRegressor: {step.kernel_}, {len(step.centers_)} centres"
             self._put(text, f"network(x, y{self._v});", about)
         elif isinstance(step, LINEAR):
             if self.std:

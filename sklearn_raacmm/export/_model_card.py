@@ -184,7 +184,7 @@ def _fingerprint(model):
 def _step(step):
     name = type(step).__name__
     if hasattr(step, "centers_"):
-        return f"{name} ({step.kernel}, {len(step.centers_)} centres)"
+        return f"{name} ({step.kernel_}, {len(step.centers_)} centres)"
     if hasattr(step, "get_feature_names_out") and hasattr(step, "arm_"):
         return f"{name} ({', '.join(step.get_feature_names_out())})"
     return name

@@ -228,11 +228,6 @@ def _radial(graph, kernel, s):
         return graph("Div", 1.0, graph("Add", graph("Mul", s, 0.5), 1.0))
     if kernel == "inverse_multiquadric":
         return graph("Div", 1.0, graph("Sqrt", graph("Add", s, 1.0)))
-    if kernel == "multiquadric":
-        return graph("Sqrt", graph("Add", s, 1.0))
-    if kernel == "thin_plate":
-        positive = graph.where(graph("Greater", s, 0.0), s, 1.0)
-        return graph("Mul", graph("Mul", s, 0.5), graph("Log", positive))
     raise RuntimeError(f"RBFNetRegressor with kernel={kernel!r} cannot be converted to ONNX.")
 
 
@@ -251,7 +246,7 @@ def _convert_network(scope, operator, container):
         squares = graph("ReduceSum", graph("Mul", z, z), graph.integers(1), keepdims=1)
         s = graph("MatMul", z, -2.0 * centers.T)
         s = graph("Add", graph("Add", s, np.square(centers).sum(axis=1)[None, :]), squares)
-        phi = _radial(graph, step.kernel, graph("Max", s, 0.0))
+        phi = _radial(graph, step.kernel_, graph("Max", s, 0.0))
         y = graph("Add", y, graph("MatMul", phi, np.atleast_2d(step.coef_).T))
     graph.put(y, operator.outputs[0])
 

@@ -19,7 +19,7 @@ from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     std_to_cartesian,
@@ -143,6 +143,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
 
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
+    @one_warning()
     def fit(self, X, y, **fit_params):
         """Fit the regressor on the residuals in the cylindrical frame.
 
@@ -208,6 +209,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             ) from error
         return self
 
+    @one_warning()
     def predict(self, X, **predict_params):
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
