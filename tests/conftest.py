@@ -84,7 +84,7 @@ def read_panda(folder):
     )
 
 
-def read_ur10(path):
+def read_ur10(path, point=(14, 15, 16)):
     """Read the UR10's tracker series.
 
     Returns a namespace of ``angles`` (n, 6) rad (commanded), ``points`` (n, 3) mm in the tracker's
@@ -99,7 +99,7 @@ def read_ur10(path):
     _, groups = np.unique(table[:, 1:4].round(6), axis=0, return_inverse=True)
     return SimpleNamespace(
         angles=table[:, 7:13],
-        points=table[:, 14:17],
+        points=table[:, list(point)],
         groups=groups.ravel(),
         temperature=table[:, 13],
     )
@@ -128,3 +128,10 @@ def panda():
 def ur10():
     """The UR10's tracker series, see `read_ur10`."""
     return read_ur10(data_dir("ur10_tracker") / "measurements_grid.csv")
+
+
+@pytest.fixture(scope="session")
+def ur10_b():
+    """The UR10's second series, see `read_ur10`: its points stand in another column."""
+    path = data_dir("ur10_tracker") / "measurements_joint_configurations.csv"
+    return read_ur10(path, point=[14, 16, 18])

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
     in_rad,
     load_arm,
@@ -48,6 +49,8 @@ def learn(options):
 def _learn(options, arm, table, lengths, facts):
     if options.limit_2s is not None and table.points is not None:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
+    if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
+        raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
     result = learn_correction(
         arm, in_rad(table), table.positions, table.points, lengths,
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
@@ -153,8 +156,6 @@ def arm(options):
         shown.to_json(options.out)
         print(f"Written to {options.out}")
     if options.picture:
-        from sklearn_raacmm.app._figures import picture_of
-
         write_whole({options.picture: picture_of(shown)})
         print(f"Written to {options.picture}")
     return OK

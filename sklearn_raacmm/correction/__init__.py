@@ -11,13 +11,16 @@ from sklearn_raacmm.correction._scores import (
     cross_validate_correction,
     predict_with_std,
 )
+from sklearn_raacmm.correction._table_search import TableChange, search_table
 
 __all__ = [
     "ArmResidualRegressor",
     "CorrectionScores",
     "LearnedCorrection",
+    "TableChange",
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
     "predict_with_std",
+    "search_table",
 ]

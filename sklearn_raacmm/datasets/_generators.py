@@ -208,6 +208,9 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
             groups,
             # 0.01 mm: a usual standard uncertainty of a gauge with cones at its ends.
             lengths=[(a, b, length, 0.01) for (a, b), length in zip(pairs, lengths, strict=True)],
+            # Fixed, so that the simulated data stay what they are.
+            prior_length_mm=2.0,
+            prior_angle_rad=0.02,
         )
     return result.arm.replace(name="calibrated (simulated)")
 

@@ -11,9 +11,10 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._c_source import fingerprint_of
+from sklearn_raacmm.export._c_project import check_rows, project_files
+from sklearn_raacmm.export._c_source import body_of, fingerprint_of
 from sklearn_raacmm.export._c_text import check_name
-from sklearn_raacmm.export._load_c import compiled
+from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import RBFNetRegressor
@@ -38,7 +39,7 @@ TRUSTED_TYPES = [
 ]
 
 
-def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
+def export_c(model, path, *, name=None, dtype="double", std=False, card=None, poses=None):
     r"""Write a fitted model as one C99 file and its header.
 
     The file needs nothing but the mathematical library: no memory is allocated, nothing static
@@ -69,9 +70,12 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
           centre of the probe, through the arm's kinematics;
         - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
+        - ``double <name>_trust(const double joint_angles[N])``, of an :class:`ArmResidualRegressor`
+          that fades: the share of the correction that is left, of its stages the smallest;
         - ``const char *<name>_fingerprint(void)``.
 
-        They return 0, or 2 where the result is NaN. The header defines names for these numbers, and
+        The first four return 0; 1 where less than half of a stage is left; 2 where the result is
+        NaN. The header defines names for these numbers, and
         ``<NAME>_VERSION``, ``_FINGERPRINT``, ``_N_INPUTS``, ``_N_OUTPUTS``, ``_TABLE_BYTES``,
         ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
         and ``_DATA_FINGERPRINT``.
@@ -92,6 +96,13 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
         plain ones become underscores.
 
+    poses : array-like of shape (n, N), default=None
+        Rows that the model was fitted on, or others that it will see. With them come, beside the C
+        file, ``<stem>_test.c``, which compares 32 rows with what ``predict`` gives (20 of these, 8
+        corners of their ranges, 4 with NaN or infinity); ``CMakeLists.txt``, which builds and runs
+        it; and ``<stem>.hpp``, for C++17. In single precision the header then says how far
+        the functions are from ``predict`` at these rows, where a compiler is at hand.
+
     Returns
     -------
     source, header : pathlib.Path
@@ -102,7 +113,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
     ValueError
         If a step cannot be exported (the sentence names it), `name` is not a C identifier or a
         word of C or C++, `path` does not end in ".c" or holds unusual characters, or a number of
-        the model is not finite in this precision.
+        the model is not finite in this precision; if a CMakeLists.txt of somebody else is there.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -139,9 +150,14 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")
-    source, header = sources(model, name, path.stem, dtype, std, card)
-    header_path = path.with_suffix(".h")
-    write_whole({path: source, header_path: header})
+    header_path, extra, notes = path.with_suffix(".h"), {}, []
+    if poses is not None:
+        body = body_of(model, dtype, std)
+        rows = check_rows(poses, body.n_inputs)
+        extra = project_files(model, name, path, dtype, rows, body.corrects)
+        notes = single_precision(model, rows) if dtype == "float" else []
+    source, header = sources(model, name, path.stem, dtype, std, card, notes)
+    write_whole({path: source, header_path: header, **extra})
     return path, header_path
 
 

@@ -71,15 +71,24 @@ def build(tmp_path):
             out = np.full((n_results, len(rows), n_outputs), 7, dtype=real)
             for i, row in enumerate(rows):
                 status = function(row, *out[:, i])
-                assert status == (0 if np.isfinite(out[:, i]).all() else 2)
+                assert status in ((0, 1) if np.isfinite(out[:, i]).all() else (2,))
             if name in ("correct", "predict"):  # the same for many rows, to the last bit
                 many = getattr(loaded, f"arm_{name}_n")
                 many.argtypes, many.restype = [array, array, ctypes.c_size_t], ctypes.c_int
                 again = np.full((len(rows), n_outputs), 7, dtype=real)
-                assert many(rows, again, len(rows)) == (0 if np.isfinite(out).all() else 2)
+                assert many(rows, again, len(rows)) in ((0, 1) if np.isfinite(out).all() else (2,))
                 np.testing.assert_array_equal(again, out[0])
             return out[0] if n_results == 1 else tuple(out)
 
+        def trust(rows):
+            loaded.arm_trust.argtypes = [array]
+            loaded.arm_correct.argtypes = [array, array]
+            loaded.arm_trust.restype = {"double": ctypes.c_double, "float": ctypes.c_float}[dtype]
+            rows, out = np.ascontiguousarray(rows, dtype=real), np.empty(3, dtype=real)
+            found = [(loaded.arm_trust(row), loaded.arm_correct(row, out)) for row in rows]
+            return [np.array(part) for part in zip(*found, strict=True)]
+
+        call.trust = trust
         call.fingerprint = loaded.arm_fingerprint().decode()
         return call
 
@@ -638,6 +647,32 @@ def test_arm_residuals(build, data, params):
     bad = np.tile(data.data[:1], (6, 1))
     bad[np.arange(6), np.arange(6)] = np.nan
     assert np.isnan(build(model)("correct", bad, 3)).all()
+
+
+@pytest.mark.parametrize("std", [False, True])
+@pytest.mark.parametrize("use", ["harmonics", "harmonics+network"])
+def test_c_says_which_poses_the_model_does_not_know(build, data, use, std):
+    first = harmonics(data.arm, gravity=False, n_harmonics=2)
+    model = ArmResidualRegressor(
+        data.arm, harmonics=first, network=network(degree=-1), features="pose", use=use, fade=2.0
+    ).fit(data.data, data.target)
+    X = np.concatenate([data.data, angles_everywhere(6, 50), np.full((1, 6), np.nan)])
+    trust, status = build(model, std=std).trust(X)
+    # What is left of each stage, by the formula of the documentation and what Python has.
+    stages = [model.linear_model_.predict(X[:-1], return_std=True)[1]]
+    if use == "harmonics+network":
+        pose = PoseFeatures(data.arm).fit_transform(X[:-1])
+        azimuth = data.arm.azimuth(X[:-1])
+        u, v, w = model.network_.predict(pose, return_std=True, with_noise=False)[1].T ** 2
+        c, s = np.cos(azimuth) ** 2, np.sin(azimuth) ** 2
+        stages.append(np.sqrt(np.stack([u * c + v * s, u * s + v * c, w], axis=1)))
+    size = model.residual_rms_mm_**2
+    left = [size / (size + np.sum((2.0 * deviation) ** 2, axis=1)) for deviation in stages]
+    expected = np.min(left, axis=0)
+    np.testing.assert_allclose(trust[:-1], expected, rtol=1e-6)
+    assert np.isnan(trust[-1])
+    np.testing.assert_array_equal(status, [*np.where(expected < 0.5, 1, 0), 2])
+    assert 0 < np.mean(expected < 0.5) < 1
 
 
 def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):
