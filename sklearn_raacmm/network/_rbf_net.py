@@ -4,6 +4,7 @@ from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
@@ -262,11 +263,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def __init__(
         self,
-        n_centers="auto",
+        n_centers: int | str | None = "auto",
         *,
         kernel="auto",
-        length_scale="auto",
-        alpha="auto",
+        length_scale: ArrayLike | str = "auto",
+        alpha: float | str = "auto",
         degree=0,
         criterion="auto",
         tol=0.02,
