@@ -1,4 +1,4 @@
-"""Two representations of the candidates that `_selection` chooses from.
+"""Two representations of the candidates that `_forward_selection` chooses from.
 
 `WhitenedCandidates` holds coordinates in which the inner product of the selection is the Euclidean
 one: few where the kernel is smooth. `SymmetricCandidates` holds the kernel matrix itself.
@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
+from sklearn.utils import gen_batches
 
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky
 from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
@@ -24,6 +25,8 @@ MAX_SYMMETRIC = 15_000
 # in centres and at the least. With 2.5 the residual was up to 4 % larger than with an exact factor,
 # with 3.5 up to 2 % (three draws of candidates).
 RANK_PER_CENTER, MIN_RANK = 3.5, 256
+# Columns of the kernel matrix looked at together.
+COLUMNS = 256
 # A factor that leaves more than this of the diagonal does not ask for the last digits.
 COARSE = 1e-5
 
@@ -50,23 +53,27 @@ class WhitenedCandidates:
     def correlations(self):
         return self.coordinates @ self.target
 
-    def column(self, j):
-        """Candidate j, and the vector whose product with another gives their inner product."""
-        u = self.coordinates[j].copy()
+    def columns(self, indices):
+        """Candidates as rows, and the dual rows whose products with others are inner products."""
+        u = np.ascontiguousarray(self.coordinates[indices])
         return u, u
 
     def inner(self, v):
-        """Inner products of every candidate with the direction whose dual vector is v."""
-        return self.coordinates @ v
+        """Inner products (m, n_candidates) of all candidates with directions of dual rows v."""
+        return v @ self.coordinates.T
+
+    def products(self, v, indices):
+        """The same (m, len(indices)) of some candidates."""
+        return v @ self.coordinates[indices].T
 
 
 class SymmetricCandidates:
-    """Every sample is a candidate: the kernel matrix is symmetric, one triangle is read a step.
+    """Every sample is a candidate, and the symmetric kernel matrix itself is worked on.
 
     Parameters
     ----------
     K : ndarray of shape (n, n), Fortran order
-        Kernel matrix; only the lower triangle is read after construction.
+        Kernel matrix.
     weights : ndarray of shape (n,)
     tail : ndarray of shape (n, n_tail)
         Orthonormal basis of the weighted polynomial tail (rows times root weight).
@@ -85,27 +92,33 @@ class SymmetricCandidates:
 
     def _weigh(self, u):
         u = self.root * u
-        u -= self.tail @ (self.tail.T @ u)
+        u -= (u @ self.tail) @ self.tail.T
         return self.root * u
 
     def squared_norms(self):
-        weighted = self.root[:, None] * self.K
-        norms = np.einsum("ij,ij->j", weighted, weighted)
-        if self.tail.shape[1]:
-            norms -= ((self.tail.T @ weighted) ** 2).sum(axis=0)
-        return norms + self.alpha * self.K.diagonal()
+        norms, weighted = self.alpha * self.K.diagonal(), self.root[:, None] * self.tail
+        for part in gen_batches(len(norms), COLUMNS):
+            columns = self.K[:, part]
+            norms[part] += self.root**2 @ np.square(columns)
+            norms[part] -= np.square(weighted.T @ columns).sum(axis=0)
+        return norms
 
     def correlations(self):
         return self.K @ self.target
 
-    def column(self, j):
-        u = self.K[:, j].copy()
+    def columns(self, indices):
+        u = np.ascontiguousarray(self.K[:, indices].T)
         v = self._weigh(u)
-        v[j] += self.alpha
+        v[np.arange(len(v)), indices] += self.alpha
         return u, v
 
     def inner(self, v):
-        return blas.dsymv(1.0, self.K, v, lower=1)
+        if len(v) == 1:
+            return blas.dsymv(1.0, self.K, v[0], lower=1)[None]  # reads one triangle
+        return v @ self.K
+
+    def products(self, v, indices):
+        return v @ self.K[:, indices]
 
 
 class Features:
@@ -187,9 +200,11 @@ def whiten(problem, view, factor, features, members, alphas):
     degrees_of_freedom : list of float
         Trace of the smoother that uses all candidates.
     """
-    rows, resolution = factor.rows, factor.residual
-    rank = rows.shape[1]
-    root, coarse = features.root, resolution > COARSE
+    rows, rank = factor.rows, factor.rows.shape[1]
+    root, coarse = features.root, factor.residual > COARSE
+    # A factor that is complete leaves rounding, in which nothing can be told apart. What one of
+    # limited rank leaves says nothing of the candidates as far as they are represented.
+    resolution = factor.residual if factor.complete else 0.0
     raw = coarse and features.rows is None
     if raw:
         # Sums over raw kernel columns halve the work, and lose no digits that matter here.
