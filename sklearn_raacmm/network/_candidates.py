@@ -5,6 +5,7 @@ one: few where the kernel is smooth. `SymmetricCandidates` holds the kernel matr
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
@@ -17,7 +18,8 @@ from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_fact
 # working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
 DEPENDENT = 1e-10
 DEPENDENT_RIDGED = 1e-13
-# Rank at which the factor of a rough kernel is cut where the number of steps is not known.
+# Rank at which the factor of a rough kernel is cut where nothing else limits it: 240 MB for 10 000
+# rows, and a step costs as much memory traffic.
 MAX_RANK = 3000
 # Samples whose whole kernel matrix is held: 1.8 GB.
 MAX_SYMMETRIC = 15_000
@@ -246,8 +248,27 @@ def whiten(problem, view, factor, features, members, alphas):
     return groups, degrees
 
 
+class CandidateSet(NamedTuple):
+    """Candidates as groups of outputs see them, and what their representation leaves out."""
+
+    groups: list  # of WhitenedCandidates or SymmetricCandidates, one for each group
+    degrees_of_freedom: list | None  # trace of the smoother of all candidates, where it is known
+    unseen: float  # mean part of the prior variance outside the factor, if its rank was limited
+
+
 def candidate_groups(
-    problem, view, rows, shift, length_scale, members, kernel, alphas, n_select, *, whitened=False
+    problem,
+    view,
+    rows,
+    shift,
+    length_scale,
+    members,
+    kernel,
+    alphas,
+    n_select,
+    *,
+    max_rank=MAX_RANK,
+    whitened=False,
 ):
     """The representation of the candidates that makes a step of the selection cheapest.
 
@@ -271,14 +292,14 @@ def candidate_groups(
         Ridge of each group.
     n_select : int or None
         Number of steps, where it is known.
+    max_rank : int
+        Rank at which the factor of a rough kernel is cut where nothing else limits it.
     whitened : bool
         Ask for `WhitenedCandidates`.
 
     Returns
     -------
-    groups : list of WhitenedCandidates or SymmetricCandidates
-    degrees_of_freedom : list of float or None
-        Trace of the smoother that uses all candidates, without the tail, where it is known.
+    CandidateSet
     """
     n = problem.n_rows
     Z = (problem.X[rows] - shift) / length_scale
@@ -286,13 +307,13 @@ def candidate_groups(
         # The ridge on the weights of such kernels is left to the last fit.
         features = Features(Z, shift, length_scale, kernel)
         triangle, rotated = _projected_triangle(problem, features, view, len(rows))
-        return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
+        groups = [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members]
+        return CandidateSet(groups, None, 0.0)
 
     least = min(alphas)
     tol = 1e-6 if least == 0 else min(1e-3 * least, 1e-6)
     every = len(rows) == n
     may_be_symmetric = n_select is not None and not whitened and every and n <= MAX_SYMMETRIC
-    max_rank = MAX_RANK
     if may_be_symmetric:
         # From about this rank on a step on the matrix itself makes up for the factor's price.
         max_rank = max(64, int(1.4 * np.sqrt(n * n_select)))
@@ -309,8 +330,12 @@ def candidate_groups(
         weights = block.root[:, 0] ** 2
         pairs = zip(members, alphas, strict=True)
         groups = [SymmetricCandidates(K, weights, basis, targets[:, of], a) for of, a in pairs]
-        return groups, None
+        return CandidateSet(groups, None, 0.0)
+    unseen = 0.0
+    if not factor.complete:
+        unseen = 1 - np.einsum("ij,ij->", factor.rows, factor.rows) / len(rows)
     root = np.asfortranarray(factor.rows[factor.pivots])
     known = factor.rows if every else None
     features = Features(Z[factor.pivots], shift, length_scale, kernel, root, known)
-    return whiten(problem, view, factor, features, members, alphas)
+    groups, degrees = whiten(problem, view, factor, features, members, alphas)
+    return CandidateSet(groups, degrees, unseen)
