@@ -63,7 +63,7 @@ def test_share_outside_the_factor_is_that_of_the_whole_matrix(monkeypatch):
 
 
 def test_more_centres_on_demand_raise_the_rank(monkeypatch):
-    X, y, f = rough(500)
+    X, y, _ = rough(500)
     monkeypatch.setattr(_center_choice, "MAX_RANK", 100)
     monkeypatch.setitem(_center_choice._MAX_CENTERS, "posterior", 60)
     T, _, truth = rough(400, seed=1)
