@@ -12,7 +12,7 @@ from sklearn.utils import check_random_state
 from sklearn_raacmm.network._candidates import Features
 from sklearn_raacmm.network._center_choice import (
     MAX_CANDIDATES,
-    Settings,
+    CenterSettings,
     choose_centers,
     choose_size,
 )
@@ -109,8 +109,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
           parameters of the network that has all candidates: leaving them out then costs about
           `tol` of the error that noise causes anyway. Needs `alpha` > 0.
         - "gcv": least generalised cross-validation score along the path, parameters counted
-          1.5-fold. "loo": least leave-one-out error (PRESS). "bic": least Bayesian information
-          criterion.
+          1.5-fold.
         - "error_reduction": stop when the unexplained share of the targets' variance is at most
           `tol` (Chen's criterion).
         - "mse": stop when the mean squared residual, in the squared units of y, is at most `tol`.
@@ -120,7 +119,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         See `criterion`.
 
     max_centers : int, default=None
-        Most centres that "auto" may take. None: 2000.
+        Most centres that "auto" may take. None: 2000 (500 for "gcv"), with a warning where they
+        did not suffice.
 
     candidates : int, default=None
         Number of distinct training rows, drawn at random, that may become centres. None: all, or
@@ -178,8 +178,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         The criterion after 1, 2, ... centres. Empty where `n_centers` is given.
 
     stop_reason_ : str
-        Why no more centres were tried: "n_centers", "max_centers", "criterion" or "dependent"
-        (every other candidate is a combination of the chosen ones to working precision).
+        Why no more centres were tried: "n_centers", "max_centers", "criterion", "dependent" (every
+        other candidate is a combination of the chosen ones to working precision) or "rank" (the
+        same, but only as far as a factor of limited rank tells the candidates apart).
 
     n_iter_ : int
         Number of centres tried.
@@ -250,9 +251,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ],
         "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
         "degree": [Interval(Integral, -1, 1, closed="both")],
-        "criterion": [
-            StrOptions({"auto", "posterior", "gcv", "loo", "bic", "error_reduction", "mse"})
-        ],
+        "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
         "candidates": [Interval(Integral, 1, None, closed="left"), None],
@@ -316,6 +315,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ValueError
             If X or y hold NaN or infinity, a weight is negative or all are 0, `length_scale` does
             not fit the features, or fewer distinct rows than `n_centers` are there.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If a limit that was not set by a parameter decided on the network: the default number of
+            centres, or the rank of the factor from whose span they are chosen.
         """
         rng = check_random_state(self.random_state)
         problem = self._problem(X, y, sample_weight, rng)
@@ -324,7 +329,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         kernel, length_scale, alpha = self._tune(problem, width, rng)
         shift = problem.X.mean(axis=0)
-        settings = Settings(
+        settings = CenterSettings(
             kernel,
             None if self.n_centers == "auto" else self.n_centers,
             self.criterion,
@@ -341,7 +346,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         p = problem.n_tail
         R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
-        k, scores, reached = choose_size(problem, alpha, columns, path, settings)
+        k, scores, reached = choose_size(problem, alpha, path, settings)
 
         # Only now: who interrupts a fit keeps the model of the last one.
         vars(self).pop("_posterior_", None)
