@@ -1,5 +1,6 @@
 """Which rows become centres, and how many: the network's settings turned into calls."""
 
+import warnings
 from functools import partial
 from typing import NamedTuple
 
@@ -80,21 +81,22 @@ def choose_centers(problem, alpha, shift, length_scale, settings, rng):
     stop_reason : str
         Why there are no more.
 
-    Raises
-    ------
-    ValueError
-        If more centres are asked for than there are candidates.
+    Warns
+    -----
+    UserWarning
+        If more centres are asked for than there are candidates: all are taken then.
     """
     n, criterion = len(problem.X), criterion_in_force(settings, alpha)
     most = MAX_CANDIDATES if settings.candidates is None else settings.candidates
     rows = np.arange(n) if n <= most else np.sort(rng.permutation(n)[:most])
     if criterion is None:
         if settings.n_centers > len(rows):
-            raise ValueError(
+            warnings.warn(
                 f"n_centers={settings.n_centers}, but there are only {len(rows)} distinct "
-                "candidate rows."
+                "candidate rows: all of them are taken.",
+                stacklevel=4,
             )
-        n_select = settings.n_centers
+        n_select = min(settings.n_centers, len(rows))
     else:
         limit = _MAX_CENTERS[criterion] if settings.max_centers is None else settings.max_centers
         n_select = min(limit, len(rows))
