@@ -27,7 +27,6 @@ from tempfile import TemporaryDirectory
 import joblib
 import matplotlib.pyplot as plt
 import numpy as np
-from _comparison import figure_file
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -168,7 +167,7 @@ def plot(times, share, length, std, limit):
 def main(argv=None):
     parser = argparse.ArgumentParser(description="Ask a model for a correction at 1 kHz.")
     parser.add_argument("--seconds", type=float, default=2.0, help="length of each stream")
-    parser.add_argument("--output", type=figure_file, default="live_arm.png")
+    parser.add_argument("--output", type=Path, default="live_arm.png")
     args = parser.parse_args(argv)
     if not 0.01 <= args.seconds <= 3600:
         parser.error(f"--seconds must be between 0.01 and 3600, got {args.seconds:g}")

@@ -4,9 +4,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
+from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._planning import next_poses
+from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
 
 __all__ = [
     "ArmResidualRegressor",
+    "CorrectionScores",
+    "LearnedCorrection",
+    "cross_validate_correction",
+    "learn_correction",
     "next_poses",
 ]

@@ -177,7 +177,7 @@ def fetch_panda_ball_socket(
     -----
     ``arm``, ``points`` and ``target`` come from a calibration that has seen all rows. To judge a
     correction at placements left out, calibrate on the others alone, as
-    ``examples/plot_real_arm.py`` does.
+    ``benchmarks/real_arm.py`` does.
 
     References
     ----------
@@ -304,7 +304,7 @@ def fetch_ur10_tracker(
     -----
     ``arm``, ``points`` and ``target`` come from a calibration that has seen all rows. To judge a
     correction at goals left out, calibrate on the others alone, as
-    ``examples/plot_real_tracker.py`` does.
+    ``benchmarks/real_tracker.py`` does.
 
     References
     ----------

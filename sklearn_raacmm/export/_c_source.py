@@ -101,7 +101,7 @@ class _Writer:
             )
         self.n_outputs = 3
         if isinstance(step, JointHarmonicRegressor):
-            text = _c_columns.error_model(self.numbers, step, self.std)
+            text = _c_columns.error_model(self.numbers, step.linear_model_, self.std)
             about = f"JointHarmonicRegressor: {len(step.coef_)} terms"
             self._put(text, f"error_model(arm, y{self._v});", about)
             return
@@ -109,7 +109,7 @@ class _Writer:
         doubted = self.std or step.fade_ > 0
         stages = ["none", "harmonics", "harmonics+network"].index(step.use_)
         if stages > 0:
-            self.parts.append(_c_columns.error_model(self.numbers, step.harmonics_, doubted))
+            self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
         if stages > 1:
             if step.features == "pose":
                 pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))

@@ -9,7 +9,7 @@ from pathlib import Path
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_source import fingerprint_of, sources
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._model_card import card_of
@@ -27,8 +27,10 @@ TRUSTED_TYPES = [
         Arm.azimuth,
         ArmResidualRegressor,
         JointHarmonicRegressor,
+        LinearModel,
         PoseFeatures,
         RBFNetRegressor,
+        Terms,
         CylindricalResidualTarget,
     )
 ]
