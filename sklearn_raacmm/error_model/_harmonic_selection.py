@@ -46,14 +46,14 @@ _ROUNDING = 1e-12
 _NO_SIZE = 1e-7
 # Harmonics are guessed to be so many, for the first choice.
 _GUESSED_PAIRS = 12
-# Gram rows summed up together: those of the next best candidates are likely asked for next.
-_BATCH = 16
+# Of the next best candidates, how many are named as likely to be asked for next.
+_LIKELY = 16
 
 
 class Posterior(NamedTuple):
     """Coefficients of the chosen columns and what they are worth."""
 
-    pairs: np.ndarray  # (k,) chosen candidates in the order of selection
+    pairs: np.ndarray  # (k,) chosen candidates, sorted
     gains: np.ndarray  # (k,) log Bayes factor of each when it joined
     coef: np.ndarray  # (m + 2 k,) of the columns that are always in, then of the chosen pairs
     root: np.ndarray  # (m + 2 k, m + 2 k) R with covariance = inv(R.T @ R)
@@ -64,7 +64,9 @@ class Posterior(NamedTuple):
     determined: np.ndarray  # (m + 2 k,) share of each coefficient that the data determine
 
 
-def select_harmonics(sums, family, harmonic, prior_variance, prices, lengths=None):
+def select_harmonics(
+    sums, family, harmonic, prior_variance, prices, lengths=None, start=None, fixed=False
+):
     """Choose harmonics and fit all coefficients.
 
     Parameters
@@ -82,30 +84,49 @@ def select_harmonics(sums, family, harmonic, prior_variance, prices, lengths=Non
     lengths : Lengths, optional
         Observations whose variance is known but for their share of the noise. Columns: those of
         the candidates, then those that are always in.
+    start : (ndarray of shape (n_families,), float), optional
+        Variances of the families and of the noise to begin with, such as those of a fit to nearly
+        the same data.
+    fixed : bool, default=False
+        Choose once, at the variances of `start`, and leave these as they are.
 
     Returns
     -------
     Posterior
     """
     problem = _Problem(sums, family, harmonic, prior_variance, lengths)
-    # Without harmonics their variance stays at its guess; noise and other families are found.
-    best = problem.find_variances(np.empty(0, dtype=int), *problem.first_guess())
-    best_value, tried = -np.inf, set()
+    if fixed:
+        pairs, gains, _ = _choose(problem, *start, prices)
+        return _posterior(problem.part(pairs), *start)._replace(pairs=pairs, gains=gains)
+    if start is None:
+        # Without harmonics their variance stays at its guess; noise and other families are found.
+        none = problem.find_variances(np.empty(0, dtype=int), *problem.first_guess())
+        start = none.prior_variance, none.noise_variance
+    best, best_value, tried = None, -np.inf, set()
     for _ in range(_MAX_CHOICES):
-        pairs, gains, paid = _choose(problem, best.prior_variance, best.noise_variance, prices)
+        pairs, gains, paid = _choose(problem, *start, prices)
         if frozenset(pairs.tolist()) in tried:
             break
         tried.add(frozenset(pairs.tolist()))
-        found = problem.find_variances(pairs, best.prior_variance, best.noise_variance)
-        found = found._replace(gains=gains)
+        found = problem.find_variances(pairs, *start)
         if not found.log_evidence - paid > best_value + _SMALL_RISE:
             break
-        best, best_value = found, found.log_evidence - paid
+        best, best_value = found._replace(gains=gains), found.log_evidence - paid
+        start = best.prior_variance, best.noise_variance
     return best
 
 
+def refit(sums, family, harmonic, prior_variance, pairs, lengths, start):
+    """Variances and coefficients of chosen pairs, from variances that are nearly right.
+
+    Parameters and result are those of :func:`select_harmonics`; `gains` are left out.
+    """
+    problem = _Problem(sums, family, harmonic, prior_variance, lengths)
+    return problem.find_variances(np.asarray(pairs, dtype=int), *start)
+
+
 class _Problem:
-    """Sums over poses, known lengths and priors; Gram rows of candidates, kept once summed up."""
+    """Sums over poses, known lengths and priors."""
 
     def __init__(self, sums, family, harmonic, prior_variance, lengths):
         self.sums = _without_rounding(sums)
@@ -114,12 +135,16 @@ class _Problem:
         self.given = prior_variance
         self.lengths = lengths
         self.n = max(sums.n_observations, 1.0)
-        self._rows = {}
         noise = sums.square / self.n if sums.square > 0 else 1.0
         self.start = noise
         self.assumed = _ASSUMED_ROWS * _ASSUMED_SHARE * noise
+        self.guess = self._first_guess()
 
     def first_guess(self):
+        """Variances of the families and of the noise before anything is known."""
+        return np.minimum(self.guess, _LARGEST_VARIANCE), self.start
+
+    def _first_guess(self):
         """Variances at which the columns of a family together would explain as much as there is."""
         variance = np.where(self.known, self.given, 1.0)
         diagonal = self.sums.gram.diagonal()
@@ -129,23 +154,11 @@ class _Problem:
         for f, size in sizes.items():
             if not self.known[f]:
                 variance[f] = self.start * self.n / size if size > 0 else 1.0
-        self.least = _LEAST_SHARE * variance
-        return np.minimum(variance, _LARGEST_VARIANCE), self.start
-
-    def rows(self, pairs, likely=()):
-        """Gram rows of `pairs`, (2 b, 2 n_pairs); those of `likely` are summed up on the way."""
-        missing = [p for p in pairs if p not in self._rows]
-        if missing:
-            missing += [p for p in likely if p not in self._rows and p not in missing]
-            found = self.sums.rows(np.array(missing[: max(_BATCH, len(pairs))]))
-            self._rows |= dict(zip(missing, found.reshape(-1, 2, found.shape[1]), strict=False))
-        if not len(pairs):
-            return np.empty((0, self.sums.cross.shape[1]))
-        return np.concatenate([self._rows[p] for p in pairs])
+        return variance
 
     def find_variances(self, pairs, variance, noise):
         """Coefficients of a fixed choice at the variances of highest evidence."""
-        part = self._part(pairs)
+        part = self.part(pairs)
         found = _posterior(part, variance, noise)
         for _ in range(_MAX_STEPS):
             last = found
@@ -155,10 +168,10 @@ class _Problem:
         best = max(found, last, key=lambda one: one.log_evidence)
         return best._replace(pairs=pairs)
 
-    def _part(self, pairs):
-        sums, columns = self.sums, _columns_of(pairs)
+    def part(self, pairs):
+        sums, columns = self.sums, columns_of(pairs)
         cross = sums.cross[:, columns]
-        rows = self.rows(pairs.tolist())[:, columns]
+        rows = sums.rows(pairs)[:, columns]
         gram = np.block([[sums.gram, cross], [cross.T, 0.5 * (rows + rows.T)]])
         lengths = self.lengths
         if lengths is not None:
@@ -172,8 +185,9 @@ class _Problem:
     def _step(self, part, last):
         """MacKay's step, half of it and so on (in logarithms) where the evidence falls."""
         variance, noise = _fixed_point(part, last)
-        floor, ceiling = self.least, max(_LARGEST_VARIANCE, np.nanmax(self.given, initial=0.0))
-        variance = np.where(self.known, self.given, np.clip(variance, floor, ceiling))
+        least = _LEAST_SHARE * self.guess
+        variance = np.clip(variance, least, np.maximum(least, _LARGEST_VARIANCE))
+        variance = np.where(self.known, self.given, variance)
         noise = max(noise, _LEAST_NOISE * self.start)
         for _ in range(_HALVINGS):
             found = _posterior(part, variance, noise)
@@ -261,7 +275,7 @@ def _without_rounding(sums):
     return sums._replace(gram=root @ root.T, moment=clean(sums.moment), cross=clean(sums.cross))
 
 
-def _columns_of(pairs):
+def columns_of(pairs):
     """Cosine and sine columns of some candidates."""
     pairs = np.asarray(pairs, dtype=int)
     return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
@@ -280,7 +294,7 @@ def _choose(problem, variance, noise, prices):
     Returns
     -------
     pairs, gains, paid
-        Candidates, the log Bayes factor of each, and the sum of their prices.
+        Candidates, sorted; the log Bayes factor of each when it joined; the sum of their prices.
     """
     left = _Leftover(problem, variance, noise)
     chosen, gains, paid = [], [], 0.0
@@ -293,12 +307,13 @@ def _choose(problem, variance, noise, prices):
         best = int(np.argmax(net))
         if not net[best] > 0:
             break
-        left.take(best, np.argsort(-net, kind="stable")[:_BATCH].tolist())
+        left.take(best, np.argsort(-net, kind="stable")[:_LIKELY].tolist())
         alive[best] = False
         chosen.append(best)
         gains.append(float(gain[best]))
         paid += float(price[best])
-    return np.array(chosen, dtype=int), np.array(gains), paid
+    order = np.argsort(chosen)
+    return np.array(chosen, dtype=int)[order], np.array(gains)[order], paid
 
 
 class _Leftover:
@@ -346,7 +361,7 @@ class _Leftover:
     def take(self, pair, likely):
         """Move a candidate to the chosen ones."""
         columns = [2 * pair, 2 * pair + 1]
-        rows = self.problem.rows([pair], likely) / self.noise
+        rows = self.problem.sums.rows([pair], likely) / self.noise
         if self.lengths is not None:
             rows = rows + self.lengths[:, columns].T @ self.lengths
         known = self.factor[: self.size]

@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import gen_batches
 
-from sklearn_raacmm.arm import points_of
-from sklearn_raacmm.error_model._columns import KINEMATICS, Terms, term_columns, term_names
+from sklearn_raacmm.error_model._columns import scale_direction, term_columns, term_names
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
+# Gram rows summed up together: those of the next best candidates are likely asked for next.
+_BATCH = 16
 
 
 class CandidateSums(NamedTuple):
@@ -37,7 +38,7 @@ class CandidateSums(NamedTuple):
     candidate_moment: np.ndarray  # (2 n_pairs,) H'y
     square: float  # y'y
     n_observations: float  # coordinates, less those that offsets spent
-    rows: object  # callable: indices of pairs (b,) to rows of H'H, (2 b, 2 n_pairs)
+    rows: object  # callable: (pairs, likely) to rows of H'H, see `_GramRows`
 
 
 def candidate_sums(arm, angles, y, weights, codes, offered, terms):
@@ -76,7 +77,7 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms):
         columns = np.concatenate([columns[:, :, n_turns:], poses.y[rows, :, None]], axis=2)
         weighted = _weighted_deviations(columns, poses.weights[rows], starts)
         flat = columns.reshape(-1, columns.shape[2])
-        gram = gram + weighted.reshape(flat.shape).T @ flat
+        gram = gram + flat.T @ weighted.reshape(flat.shape)
         cross = cross + _inner_products(weighted, turns[rows], poses.angles[rows], spans)
         own += _own_blocks(turns[rows], poses.angles[rows], poses.weights[rows], starts, spans)
 
@@ -91,18 +92,51 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms):
         cross[-1],
         float(max(gram[-1, -1], 0.0)),
         3.0 * (poses.weights.sum() - poses.n_groups),
-        rows_of,
+        _GramRows(rows_of, 2 * len(offered)),
     )
     return sums if codes is None else _without_motions(sums, arm, terms)
+
+
+def difference(whole, part):
+    """Sums over the poses of `whole` that are not among those of `part`.
+
+    Where positions have offsets, `part` has to hold all poses of its positions.
+    """
+    products = [a - b for a, b in zip(whole[:-1], part[:-1], strict=True)]
+
+    def rows_of(pairs):
+        return whole.rows(pairs) - part.rows(pairs)
+
+    return CandidateSums(*products, _GramRows(rows_of, whole.cross.shape[1]))
+
+
+class _GramRows:
+    """Rows of the candidates' Gram matrix, summed up when first asked for and kept."""
+
+    def __init__(self, sum_up, n_columns):
+        self._sum_up, self._n_columns, self._known = sum_up, n_columns, {}
+
+    def __call__(self, pairs, likely=()):
+        """Rows (2 b, n_columns) of `pairs`; those of `likely` are summed up on the way."""
+        pairs = np.asarray(pairs, dtype=int).tolist()
+        missing = [p for p in pairs if p not in self._known]
+        if missing:
+            missing += [p for p in likely if p not in self._known and p not in missing]
+            missing = missing[: max(_BATCH, len(pairs))]
+            found = self._sum_up(np.array(missing)).reshape(-1, 2, self._n_columns)
+            self._known |= dict(zip(missing, found, strict=True))
+        if not pairs:
+            return np.empty((0, self._n_columns))
+        return np.concatenate([self._known[p] for p in pairs])
 
 
 def _without_motions(sums, arm, terms):
     """Sums that know nothing of a motion of the base and of a common scale of all lengths.
 
     Residuals of a single-point test are the deviations of the points themselves. A turn of the base
-    turns them, and a scale multiplies them: with a scale of -1 and an arm of no size the model would
-    explain them all, and with many rows and a wide prior it does. To first order in the errors
-    neither can be seen, so both are taken out.
+    turns them, and a scale multiplies them: an arm of no size would explain them all, and with many
+    rows and a wide prior the evidence prefers it. To first order in the errors neither can be seen,
+    so both are taken out.
     """
     motions = _motions(arm, terms)
     if not motions.size:
@@ -114,24 +148,16 @@ def _without_motions(sums, arm, terms):
 
 
 def _motions(arm, terms):
-    """Orthonormal coefficients (m, k) of the kinematic columns that move or scale all points."""
-    terms = Terms(np.empty((0, 2), dtype=int), terms.gravity, terms.kinematics, terms.wobble)
-    family = term_names(arm, terms)[1]
-    # Any poses in general position will do: the coefficients are those of the arm.
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, arm.n_joints))
-    columns = term_columns(arm, angles, terms)[:, :, family == KINEMATICS]
-    points, unit = points_of(arm, angles), np.eye(3)
-    moved = [np.broadcast_to(e, points.shape) for e in unit]
-    moved += [np.cross(e, points) for e in unit] + [points]
-    targets = np.stack([motion.ravel() / np.linalg.norm(motion) for motion in moved], axis=1)
-    columns = columns.reshape(len(targets), -1)
-    if not columns.size:
-        return np.empty((len(family), 0))
-    found = np.linalg.lstsq(columns, targets, rcond=1e-10)[0]
-    exact = np.linalg.norm(columns @ found - targets, axis=0) < 1e-6
-    out = np.zeros((len(family), exact.sum()))
-    out[family == KINEMATICS] = np.linalg.qr(found[:, exact])[0]
-    return out
+    """Orthonormal coefficients (m, k) that move all points as one body, or scale them."""
+    terms = terms._replace(harmonics=np.empty((0, 2), dtype=int))
+    names, _ = term_names(arm, terms)
+    if not terms.kinematics:
+        return np.empty((len(names), 0))
+    moving = ["base_x", "base_y", "base_alpha", "base_beta", "d1", "theta_offset1"]
+    if arm.convention == "modified":  # these come before the first joint
+        moving += ["a1", "alpha1", "beta1"]
+    columns = np.eye(len(names))[:, [names.index(name) for name in moving]]
+    return np.linalg.qr(np.column_stack([columns, scale_direction(arm, terms)]))[0]
 
 
 class _Poses(NamedTuple):
