@@ -238,7 +238,7 @@ def learn_correction(
     >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
     >>> learned = learn_correction(
     ...     test.nominal_arm, test.data, test.groups,
-    ...     model=JointHarmonicRegressor(n_harmonics=4), cv=3,
+    ...     model=JointHarmonicRegressor(max_order=4), cv=3,
     ... )
     >>> learned.helps
     True
