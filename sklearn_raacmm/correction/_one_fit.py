@@ -91,11 +91,9 @@ class Data:
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        measured = calibration.arm.forward(self.angles[rows])
         if self.points is None:
-            return position_residuals(measured, self.positions[rows])
-        shifted = self.points[rows] - calibration.base_translation
-        return measured - shifted @ calibration.base_rotation
+            return calibration.residuals(self.angles[rows], groups=self.positions[rows])
+        return calibration.residuals(self.angles[rows], self.points[rows])
 
     def outliers(self, calibration):
         """Rows far from where the calibrated arm has them, which its error model cannot explain.
