@@ -62,7 +62,7 @@ def _learn(options, arm, table, lengths, facts):
     )
     card = describe(result.model, result.angles)
     write_whole({out / "card.md": f"{card}\n## Verdict\n\n- {result.verdict}\n"})
-    layout = find_layout(options.table, arm.n_joints, **_columns(options))
+    layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
     write_corrected(layout, result.correct, out / "corrected.csv")
     print(result.scores)
     rows = table.rows[result.outliers["row"]].tolist()

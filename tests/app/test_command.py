@@ -204,6 +204,25 @@ def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
     assert "note: Do not use it" in capsys.readouterr().err
 
 
+def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
+    machine = other_make.OtherMake(3, error=3.0)
+    readings = machine.rng.uniform(-1.2, 1.2, (120, 7))
+    points = machine.points(readings)[:, [1, 2, 0]] + [0, 0, 2000]
+    table = np.c_[np.rad2deg(readings), points / 1000]
+    header = ",".join([*(f"q{i}_deg" for i in range(1, 8)), "X [m]", "Y [m]", "Z [m]"])
+    np.savetxt(tmp_path / "t.csv", table, "%.7f", ",", header=header, comments="")
+    (tmp_path / "arm.urdf").write_text(URDF)
+    arguments = f"learn {tmp_path}/t.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --points x,y,z"
+    assert main([*arguments.split(), "--folds", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "It helps at new positions: mean deviation" in said
+    assert "region 05" in said
+    assert main([*arguments.split(), "--limit-2s", "0.1"]) == 2
+    assert "not for a tracker's points" in capsys.readouterr().err
+    assert main(["check", f"{tmp_path}/t.csv", "--model", str(tmp_path)]) == 2
+    assert "learnt from a single-point test" in capsys.readouterr().err
+
+
 def test_demo(monkeypatch, tmp_path, capsys):
     small = functools.partial(make_single_point)
     monkeypatch.setattr(
