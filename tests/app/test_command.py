@@ -169,6 +169,15 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, t
         assert re.search(said, capsys.readouterr().out)
 
 
+def test_checks_raise_a_false_alarm_once_in_a_hundred():
+    rng = np.random.default_rng(0)
+    alarms = 0
+    for _ in range(4000):
+        learnt, today = rng.normal(0.02, 0.004, 10), rng.normal(0.02, 0.004, 5)
+        alarms += today.mean() > _commands.highest_mean(learnt, 5)
+    assert 0.006 < alarms / 4000 < 0.014
+
+
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
 def test_export_compiles_and_says_the_same(learned, tmp_path):
     folder, _, readings, _ = learned
