@@ -164,6 +164,23 @@ def test_against_a_tracker(test_data):
     np.testing.assert_allclose(learned.scores.table["after"], means)
 
 
+def test_tracker_points_without_labels_are_left_out_by_region():
+    rng = np.random.default_rng(2)
+    arm = Arm.from_name("ur10")
+    X = rng.uniform(-2, 2, (200, 6))
+    tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
+    learned = learn_correction(arm, X, None, tracker, model=QUICK)
+    labels = learned.scores.table["position"].tolist()
+    assert labels == [f"region {i:02d}" for i in range(1, 11)]
+    # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
+    spread = [np.ptp(tracker[learned.positions == label], axis=0).max() for label in labels]
+    assert max(spread) < np.ptp(tracker, axis=0).max()
+    with pytest.raises(ValueError, match="at least 5 different points are needed"):
+        learn_correction(arm, X[:4], None, tracker[:4], model=QUICK)
+    with pytest.raises(ValueError, match="got None"):
+        learn_correction(arm, X, None, model=QUICK)
+
+
 @pytest.mark.parametrize(
     "model",
     [
