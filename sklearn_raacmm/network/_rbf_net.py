@@ -48,6 +48,7 @@ from sklearn_raacmm.utils import (
     check_data,
     check_features,
     check_fitted,
+    check_shapes,
     check_weights,
     chunks,
     fit_context,
@@ -577,6 +578,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         state = super().__getstate__().copy()
         state.pop("_posterior_", None)
         return state
+
+    def __setstate__(self, state):
+        super().__setstate__(state)
+        if "centers_" not in vars(self):
+            return
+        q = () if np.ndim(self.intercept_) == 0 else ("outputs",)
+        shapes = {"centers_": ("k", "d"), "length_scale_": ("d",), "center_indices_": ("k",)}
+        shapes |= {"coef_": (*q, "k"), "intercept_": q, "linear_coef_": (*q, "d")}
+        shapes |= {"noise_variance_": q, "signal_variance_": q, "_tail_map": ("p", "d1")}
+        sizes = {"d": self.n_features_in_, "d1": self.n_features_in_ + 1}
+        check_shapes(type(self).__name__, vars(self), shapes, sizes, ("length_scale_",))
 
     def _variance(self, X, K, posterior, with_noise):
         """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
