@@ -557,7 +557,8 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     mixed = form_a(arm).set_params(azimuth=AACMM.azimuth)
     assert "different arms" in refused(mixed)
     mixed = form_a(arm, angle_unit="deg")
-    assert "different angle units" in refused(mixed)
+    with pytest.warns(UserWarning, match="angles in degrees reach .* only"):
+        assert "different angle units" in refused(mixed)
     ridge = form_b(arm, net=Ridge()).fit(X, y)
     with pytest.raises(ValueError, match="ridge is a Ridge, which has no standard deviation"):
         export_c(ridge, tmp_path / "arm.c", std=True)
