@@ -36,11 +36,7 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
 from sklearn_raacmm.network._training_data import merge, prepare
-from sklearn_raacmm.network._width_search import (
-    AUTO_KERNELS,
-    SAMPLE_ROWS,
-    search,
-)
+from sklearn_raacmm.network._width_search import AUTO_KERNELS, SAMPLE_ROWS, search
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
