@@ -13,6 +13,7 @@ from sklearn_raacmm.correction import (
     cross_validate_correction,
     learn_correction,
     next_poses,
+    update_correction,
 )
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.network import RBFNetRegressor
@@ -42,4 +43,5 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "position_residuals",
+    "update_correction",
 ]

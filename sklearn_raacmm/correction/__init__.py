@@ -7,6 +7,7 @@ from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
+from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
     "ArmResidualRegressor",
@@ -15,4 +16,5 @@ __all__ = [
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
+    "update_correction",
 ]
