@@ -10,9 +10,11 @@ from sklearn_raacmm.correction import (
     ArmResidualRegressor,
     CorrectionScores,
     LearnedCorrection,
+    TableChange,
     cross_validate_correction,
     learn_correction,
     next_poses,
+    search_table,
     update_correction,
 )
 from sklearn_raacmm.error_model import JointHarmonicRegressor
@@ -35,6 +37,7 @@ __all__ = [
     "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",
+    "TableChange",
     "__version__",
     "calibrate",
     "cartesian_to_cylindrical",
@@ -43,5 +46,6 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "position_residuals",
+    "search_table",
     "update_correction",
 ]
