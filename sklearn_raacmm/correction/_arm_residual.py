@@ -258,7 +258,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if network is None:
             network = RBFNetRegressor(degree=-1, random_state=0)
         if tuned is not None:
-            network = clone(network).set_params(length_scale=tuned.length_scale_)
+            network = clone(network).set_params(
+                kernel=tuned.kernel_, length_scale=tuned.length_scale_
+            )
         return network
 
     def _check(self, fit, data, positions, stages, n_stages):

@@ -9,6 +9,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import FAMILIES, Terms, term_columns, term_names
+from sklearn_raacmm.utils import chunks
 
 # Poses predicted at a time.
 _CHUNK = 2048
@@ -62,7 +63,7 @@ class LinearModel:
         Effective number of coefficients that the data determine.
 
     log_bayes_factor : ndarray of shape (n_harmonics,)
-        By how much each harmonic of `terms` raised the log evidence when it joined.
+        By how much each harmonic of `terms` raises the log evidence, beside all others.
     """
 
     arm: Arm
@@ -126,8 +127,7 @@ class LinearModel:
         """
         mean = np.empty((len(angles), 3))
         std = np.empty((len(angles), 3)) if return_std else None
-        for start in range(0, len(angles), _CHUNK):
-            rows = slice(start, start + _CHUNK)
+        for rows in chunks(len(angles), _CHUNK):
             columns = self.columns(angles[rows])
             mean[rows] = columns @ self.coef
             if return_std:
