@@ -50,7 +50,7 @@ def result():
     lengths = [(int(a), int(b), 400.0, 0.01) for a, b in data.pairs]
     angles = data.data.copy()
     angles[17, 2] += 0.004
-    model = JointHarmonicRegressor(n_harmonics=4)
+    model = JointHarmonicRegressor(max_order=4)
     return learn_correction(
         data.nominal_arm, angles, data.groups, lengths=lengths, model=model, cv=3
     )
