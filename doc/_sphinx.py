@@ -1,6 +1,5 @@
-"""For `conf.py`: links to other projects' pages, and the arguments of the gallery's scripts."""
+"""For `conf.py`: links to other projects' pages, and the order of the gallery."""
 
-import tempfile
 import zlib
 from pathlib import Path
 
@@ -71,46 +70,12 @@ def write_inventories(folder):
     return mapping
 
 
-class GalleryArguments:
-    """Arguments of each script of the gallery: smaller jobs than on the command line."""
-
-    SMALLER = {
-        "plot_simulated_arm": ["--positions", "6", "--poses", "40", "--jobs", "1"],
-        "plot_grid_search": ["--positions", "8", "--poses", "25", "--jobs", "1"],
-        "plot_real_arm": ["--jobs", "1"],
-        "plot_real_tracker": ["--rows", "1000", "--gp-rows", "300", "--jobs", "1"],
-        "plot_paper_figures": [],
-        "plot_live_arm": ["--seconds", "1"],
-    }
-
-    def __init__(self, data_home):
-        self.data_home = data_home
-
-    def __call__(self, gallery_conf, script_vars):
-        """List the arguments of one script; its figure is shown, not kept."""
-        stem = Path(script_vars["src_file"]).stem
-        if stem not in self.SMALLER:
-            return []
-        arguments = [
-            *self.SMALLER[stem],
-            "--output",
-            str(Path(tempfile.gettempdir(), f"{stem}.png")),
-        ]
-        if self.data_home is not None and "real" in stem:
-            arguments += ["--data-home", str(self.data_home)]
-        return arguments
-
-    def __repr__(self):
-        """Say the same every time, or everything would be built again."""
-        return f"GalleryArguments({self.SMALLER})"
-
-
 class GalleryOrder:
     """Order of the gallery: arms first, then how the method works, then the network by itself."""
 
     FIRST = (
-        "plot_own_csv",
         "plot_simulated_arm",
+        "plot_own_csv",
         "plot_arm_poses",
         "plot_real_arm",
         "plot_real_tracker",

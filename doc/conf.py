@@ -10,7 +10,7 @@ from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 
 DOC = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOC))
-from _sphinx import GalleryArguments, write_inventories  # noqa: E402
+from _sphinx import write_inventories  # noqa: E402
 
 project = "sklearn_raacmm"
 author = "The sklearn_raacmm developers"
@@ -22,6 +22,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.intersphinx",
     "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",  # links from the reference to the source
     "sphinx-mathjax-offline",  # formulas without a network, too
     "numpydoc",
     "myst_parser",
@@ -67,6 +68,8 @@ try:
     fetch_panda_ball_socket(data_home=home, download_if_missing=False)
     fetch_ur10_tracker(data_home=home, download_if_missing=False)
     have_real_data = True
+    if home is not None:
+        os.environ["SCIKIT_LEARN_DATA"] = str(home)  # where the examples look for them
 except OSError:
     have_real_data = False
 
@@ -76,7 +79,6 @@ sphinx_gallery_conf = {
     "filename_pattern": "/plot_" if have_real_data else "/plot_(?!real)",
     "ignore_pattern": r"(^|/)_",
     "within_subsection_order": "_sphinx.GalleryOrder",
-    "reset_argv": GalleryArguments(home),
     "doc_module": ("sklearn_raacmm",),
     "backreferences_dir": "generated/backreferences",
     "remove_config_comments": True,

@@ -4,7 +4,8 @@ Which regressor?
 
 Five regressors in the same chain, on the same folds of positions of a simulated arm, with three
 inputs as in the paper and with all joints; and the linear model of the arm itself.
-``compare_regressors.py`` does this at length: every setting searched, costs, lengths, real arms.
+``benchmarks/compare_regressors.py`` does this at length: every setting searched, costs, lengths,
+real arms. The data are simulated.
 """
 
 import warnings

@@ -2,15 +2,15 @@
 Search the whole chain, save the best model
 ===========================================
 
-The chain from joint angles to residual is one scikit-learn estimator, so a grid search can choose
-anything in it: which inputs, which regressor, which settings. Folds are made of whole positions of
-the cone; a random split would put neighbours of the test rows into training, and flatter. The best
-chain is judged at positions that the search never saw, saved, and loaded by another process.
+The chain from joint angles to residual is one scikit-learn estimator. A grid search can therefore
+choose anything in it: the inputs, the regressor, its settings. Folds are made of whole positions of
+the cone; a random split would put neighbours of the test rows into the training rows and flatter
+every model. The best chain is judged at positions that the search never saw. Then it is saved, and
+another process loads it.
 
-The data are simulated.
+The data are simulated: 12 positions with 30 poses each. The script takes about a minute.
 """
 
-import argparse
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +19,6 @@ from tempfile import TemporaryDirectory
 import joblib
 import matplotlib.pyplot as plt
 import numpy as np
-from _comparison import Table, figure_file, processes
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, GroupShuffleSplit
@@ -31,154 +30,109 @@ from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegres
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import repeatability_scorer, single_point_repeatability
 
-INPUTS = {
-    "pose__joints": ["pose", "all"],
-    "pose__encoding": ["angle", "periodic"],
-}
+data = make_single_point(n_positions=12, n_poses=30, random_state=0)
+holdout = GroupShuffleSplit(1, test_size=0.25, random_state=0)
+train, test = next(holdout.split(data.data, groups=data.groups))
+angles, residuals, groups = data.data[train], data.target[train], data.groups[train]
+
+# %%
+# The chain and the grid
+# ----------------------
 # The regressor itself is a key of the grid, beside settings of its own.
-REGRESSOR = "residual__regressor__regressor"
-GRID = [
-    {**INPUTS, REGRESSOR: [RBFNetRegressor(random_state=0)]},
+
+chain = Pipeline(
+    [
+        ("pose", PoseFeatures(data.arm, append_azimuth=True)),
+        (
+            "residual",
+            CylindricalResidualTarget(
+                Pipeline([("scaler", StandardScaler()), ("regressor", RBFNetRegressor())])
+            ),
+        ),
+    ]
+)
+inputs = {"pose__joints": ["pose", "all"], "pose__encoding": ["angle", "periodic"]}
+regressor = "residual__regressor__regressor"
+grid = [
+    {**inputs, regressor: [RBFNetRegressor(random_state=0)]},
     {
-        **INPUTS,
-        REGRESSOR: [make_pipeline(PolynomialFeatures(), Ridge())],
-        f"{REGRESSOR}__polynomialfeatures__degree": [1, 2],
-        f"{REGRESSOR}__ridge__alpha": [1.0, 100.0],
+        **inputs,
+        regressor: [make_pipeline(PolynomialFeatures(), Ridge())],
+        f"{regressor}__polynomialfeatures__degree": [1, 2],
+        f"{regressor}__ridge__alpha": [1.0, 100.0],
     },
     {
-        **INPUTS,
-        REGRESSOR: [KernelRidge(kernel="rbf")],
-        f"{REGRESSOR}__alpha": [0.1, 1.0],
-        f"{REGRESSOR}__gamma": [0.03, 0.1, 0.3],
+        **inputs,
+        regressor: [KernelRidge(kernel="rbf")],
+        f"{regressor}__alpha": [0.1, 1.0],
+        f"{regressor}__gamma": [0.03, 0.1],
     },
-    {**INPUTS, REGRESSOR: [KNeighborsRegressor()], f"{REGRESSOR}__n_neighbors": [5, 20]},
+    {**inputs, regressor: [KNeighborsRegressor()], f"{regressor}__n_neighbors": [5, 20]},
 ]
-NAMES = {
+
+# %%
+# The search
+# ----------
+# With metadata routing off, which is scikit-learn's default, a scorer has to be told the groups
+# beforehand; see :doc:`/user_guide/metadata_routing`.
+
+search = GridSearchCV(
+    chain, grid, scoring=repeatability_scorer(angles, groups), cv=GroupKFold(4), n_jobs=2
+)
+search.fit(angles, residuals, groups=groups)
+names = {
     RBFNetRegressor: "RBF network",
     Pipeline: "polynomial ridge",
     KernelRidge: "kernel ridge",
     KNeighborsRegressor: "nearest neighbours",
 }
-IN_A_NEW_PROCESS = """
-import joblib, sys
-model, angles = joblib.load(sys.argv[1])
-joblib.dump(model.predict(angles), sys.argv[2])
-"""
+best = {}
+results = search.cv_results_
+for params, score in zip(results["params"], results["mean_test_score"], strict=True):
+    key = names[type(params[regressor])], f"{params['pose__joints']}, {params['pose__encoding']}"
+    best[key] = min(-score, best.get(key, np.inf))
+for (name, chosen), score in sorted(best.items(), key=lambda item: item[1]):
+    print(f"{name:<20} {chosen:<16} 2S {1e3 * score:.1f} um")
+print("best:", search.best_params_)
 
+# %%
+# Positions that the search never saw
+# -----------------------------------
 
-def build_chain(arm):
-    """Build the chain: joint angles in rad in, residual dx, dy, dz in mm out."""
-    return Pipeline(
-        [
-            ("pose", PoseFeatures(arm, append_azimuth=True)),
-            (
-                "residual",
-                CylindricalResidualTarget(
-                    Pipeline([("scaler", StandardScaler()), ("regressor", RBFNetRegressor())])
-                ),
-            ),
-        ]
+points, positions = data.points[test], data.groups[test]
+before = single_point_repeatability(points, positions)
+after = single_point_repeatability(points - search.predict(data.data[test]), positions)
+print(f"{len(np.unique(positions))} positions: 2S {1e3 * before:.1f} um before, ", end="")
+print(f"{1e3 * after:.1f} um after")
+
+# %%
+# Saved, and loaded by another process
+# ------------------------------------
+
+with TemporaryDirectory() as folder:
+    saved, predicted = Path(folder, "model.joblib"), Path(folder, "predicted.joblib")
+    joblib.dump((search.best_estimator_, data.data[test]), saved)
+    code = (
+        "import joblib, sys; model, angles = joblib.load(sys.argv[1]); "
+        "joblib.dump(model.predict(angles), sys.argv[2])"
     )
+    subprocess.run([sys.executable, "-c", code, str(saved), str(predicted)], check=True)
+    same = np.array_equal(joblib.load(predicted), search.predict(data.data[test]))
+print(f"predictions in the other process: {'equal' if same else 'DIFFERENT'}")
 
+# %%
+# The scores as a figure
+# ----------------------
 
-def best_of_each(search):
-    """Return the best score of every regressor with every choice of inputs."""
-    results = search.cv_results_
-    best = {}
-    for params, score in zip(results["params"], results["mean_test_score"], strict=True):
-        inputs = f"{params['pose__joints']}, {params['pose__encoding']}"
-        key = inputs, NAMES[type(params[REGRESSOR])]
-        best[key] = min(-score, best.get(key, np.inf))
-    return best
-
-
-def same_in_a_new_process(model, angles):
-    """Save the model, let another process load it and predict, and compare bit by bit."""
-    with TemporaryDirectory() as folder:
-        saved, predicted = Path(folder, "model.joblib"), Path(folder, "predicted.joblib")
-        joblib.dump((model, angles), saved)
-        command = [sys.executable, "-c", IN_A_NEW_PROCESS, str(saved), str(predicted)]
-        subprocess.run(command, check=True)
-        return np.array_equal(joblib.load(predicted), model.predict(angles))
-
-
-def plot(best, before):
-    """Draw the scores as bars."""
-    figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
-    inputs = list(dict.fromkeys(key[0] for key in best))
-    for i, name in enumerate(NAMES.values()):
-        values = [best[key, name] for key in inputs]
-        axes.bar(np.arange(len(inputs)) + 0.2 * (i - 1.5), values, 0.2, label=name)
-    axes.axhline(before, color="0.4", ls="--", label="uncorrected")
-    axes.set_xticks(
-        range(len(inputs)),
-        [f"joints={a}\nencoding={b}" for a, b in (key.split(", ") for key in inputs)],
-    )
-    axes.set(
-        ylabel="repeatability 2S (mm)",
-        title="Best setting of each, in the search's own folds (simulated)",
-    )
-    figure.legend(fontsize="small", loc="outside right upper")
-    return figure
-
-
-def main(argv=None):
-    """Run the job."""
-    parser = argparse.ArgumentParser(description="Search the whole chain, save the best model.")
-    parser.add_argument("--positions", type=int, default=12, help="of the cone (default: 12)")
-    parser.add_argument("--poses", type=int, default=40, help="at each position (default: 40)")
-    parser.add_argument("--jobs", type=processes, default=2, help="processes (default: 2)")
-    parser.add_argument(
-        "--output", type=figure_file, default="grid_search.png", help="file of the figure"
-    )
-    args = parser.parse_args(argv)
-    if args.positions < 6:
-        parser.error(f"--positions must be at least 6 to split them, got {args.positions}.")
-
-    try:
-        data = make_single_point(args.positions, args.poses)
-    except ValueError as error:
-        parser.error(str(error))
-    holdout = GroupShuffleSplit(1, test_size=0.25, random_state=0)
-    train, test = next(holdout.split(data.data, groups=data.groups))
-    angles, residuals, groups = data.data[train], data.target[train], data.groups[train]
-
-    search = GridSearchCV(
-        build_chain(data.arm),
-        GRID,
-        # With metadata routing off, scikit-learn's default, a scorer is told the groups beforehand.
-        scoring=repeatability_scorer(angles, groups),
-        cv=GroupKFold(4),
-        n_jobs=args.jobs,
-    ).fit(angles, residuals, groups=groups)
-
-    best = best_of_each(search)
-    print(
-        f"Simulated: {args.positions} positions, {args.poses} poses at each; "
-        f"{len(search.cv_results_['params'])} settings in 4 folds of positions."
-    )
-    print()
-    table = Table(("inputs", 15, ""), ("regressor", 18, ""), ("2S (mm)", 7, ".4f"))
-    for (inputs, regressor), score in sorted(best.items(), key=lambda item: item[1]):
-        table.row(inputs, regressor, score)
-
-    points, positions = data.points[test], data.groups[test]
-    before = single_point_repeatability(points, positions)
-    after = single_point_repeatability(points - search.predict(data.data[test]), positions)
-    print()
-    print(f"Best: {search.best_params_}")
-    print(
-        f"At {len(np.unique(positions))} positions that the search never saw: "
-        f"2S {before:.4f} mm before, {after:.4f} mm after."
-    )
-    same = same_in_a_new_process(search.best_estimator_, data.data[test])
-    print(f"Saved, loaded in a new process: predictions {'equal' if same else 'DIFFER'}.")
-    plot(best, single_point_repeatability(data.points[train], groups)).savefig(args.output, dpi=100)
-    print()
-    print(f"Figure: {args.output}")
-    if not same:
-        raise SystemExit(1)
-
-
-if __name__ == "__main__":
-    main()
+figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+choices = list(dict.fromkeys(key[1] for key in best))
+for i, name in enumerate(names.values()):
+    values = [1e3 * best[name, chosen] for chosen in choices]
+    axes.bar(np.arange(len(choices)) + 0.2 * (i - 1.5), values, 0.19, label=name)
+uncorrected = 1e3 * single_point_repeatability(data.points[train], groups)
+axes.axhline(uncorrected, color="0.3", ls="--", label="uncorrected")
+labels = [f"joints={a}\nencoding={b}" for a, b in (chosen.split(", ") for chosen in choices)]
+axes.set_xticks(range(len(choices)), labels)
+axes.set(ylabel="2S in the search's folds (um)", title="Best setting of each (simulated)")
+figure.legend(fontsize="small", loc="outside right upper")
+plt.show()

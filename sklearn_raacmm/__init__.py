@@ -6,7 +6,16 @@
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
-from sklearn_raacmm.correction import ArmResidualRegressor, next_poses
+from sklearn_raacmm.correction import (
+    ArmResidualRegressor,
+    CorrectionScores,
+    LearnedCorrection,
+    TableChange,
+    cross_validate_correction,
+    learn_correction,
+    next_poses,
+    search_table,
+)
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import (
@@ -21,14 +30,20 @@ __all__ = [
     "Arm",
     "ArmResidualRegressor",
     "CalibrationResult",
+    "CorrectionScores",
     "CylindricalResidualTarget",
     "JointHarmonicRegressor",
+    "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",
+    "TableChange",
     "__version__",
     "calibrate",
     "cartesian_to_cylindrical",
+    "cross_validate_correction",
     "cylindrical_to_cartesian",
+    "learn_correction",
     "next_poses",
     "position_residuals",
+    "search_table",
 ]

@@ -17,16 +17,16 @@ from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
 pytest.importorskip("matplotlib")
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+SCRIPTS = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
 @pytest.fixture
 def example(monkeypatch, tmp_path):
     """Return ``example(name)``: the module of an example, as though run from its folder."""
-    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.syspath_prepend(SCRIPTS)
     monkeypatch.chdir(tmp_path)
     yield importlib.import_module
-    ours = ("compare_", "plot_", "_comparison", "_regressors")
+    ours = ("compare_", "paper_figures", "real_", "_comparison", "_regressors")
     for name in [name for name in sys.modules if name.startswith(ours)]:
         del sys.modules[name]
 
@@ -186,7 +186,7 @@ def test_paper_figures(example, capsys):
     import matplotlib.pyplot as plt
 
     plt.switch_backend("Agg")
-    example("plot_paper_figures").main(["--positions", "4", "--poses", "12"])
+    example("paper_figures").main(["--positions", "4", "--poses", "12"])
     names = [line.removeprefix("Figure: ") for line in capsys.readouterr().out.splitlines()]
     assert names == [f"paper_{name}.png" for name in ("repeatability", "lengths", "residuals")]
     assert all(Path(name).read_bytes().startswith(b"\x89PNG") for name in names)

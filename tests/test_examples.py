@@ -1,19 +1,17 @@
-"""The examples run, small, and what they print is what the package says of the same data."""
+"""The gallery: each example is one file that runs alone, and shows what its text says."""
 
-import functools
 import importlib
 import re
 import runpy
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from sklearn.model_selection import GroupKFold, GroupShuffleSplit
-from sklearn.neighbors import KNeighborsRegressor
-from sklearn.utils import Bunch
 
-from sklearn_raacmm import Arm, calibrate, position_residuals
+import sklearn_raacmm.datasets as datasets
+from sklearn_raacmm import calibrate
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -22,6 +20,48 @@ plt = pytest.importorskip("matplotlib.pyplot")
 pytest.importorskip("pandas")
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 PNG = b"\x89PNG"
+SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("plot_*.py"))
+# Pictures of each script, and a word that it prints; the others are shown by tests of their own.
+SHOWN = {
+    "plot_arm_poses": (1, ""),
+    "plot_grid_search": (1, "predictions in the other process: equal"),
+    "plot_how_many_poses": (1, "chosen"),
+    "plot_learn_correction": (1, "It helps at new positions"),
+    "plot_newrb": (1, "neurons, criterion"),
+    "plot_ols_path": (1, "posterior"),
+    "plot_paper_figures": (3, ""),
+    "plot_periodicity": (1, "periodic"),
+    "plot_rbf_network": (1, "2-D"),
+    "plot_simulated_arm": (1, "noise floor"),
+}
+
+
+@pytest.fixture
+def run_alone(monkeypatch, tmp_path):
+    """Return ``run_alone(name)``: run a copy of a script in an empty folder, as downloaded."""
+
+    def small(n_positions=10, n_poses=100, **options):
+        return make_single_point(n_positions, min(n_poses, 20), **options)
+
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("Agg")
+    pictures = []
+
+    def show():
+        for number in plt.get_fignums():
+            plt.figure(number).canvas.draw()
+        pictures.append(len(plt.get_fignums()))
+
+    monkeypatch.setattr(plt, "show", show)
+    monkeypatch.setattr(datasets, "make_single_point", small)
+
+    def run(name):
+        pictures.clear()
+        script = shutil.copy(EXAMPLES / f"{name}.py", tmp_path)
+        return runpy.run_path(script, run_name="__main__"), pictures
+
+    yield run
+    plt.close("all")
 
 
 @pytest.fixture
@@ -32,77 +72,55 @@ def example(monkeypatch, tmp_path):
     matplotlib.use("Agg")
     yield importlib.import_module
     plt.close("all")
-    for name in [name for name in sys.modules if name.startswith(("plot_", "_comparison"))]:
+    for name in [name for name in sys.modules if name.startswith("plot_")]:
         del sys.modules[name]
 
 
-def cells(output, *start):
-    """Numbers of the first line of a table that starts with these words."""
-    for line in output.splitlines():
-        texts = [text for text in line.split("  ") if text]
-        if tuple(text.strip() for text in texts[: len(start)]) == start:
-            return [float(text.strip().rstrip("%")) for text in texts[len(start) :]]
-    raise AssertionError(f"no line starts with {start}:\n{output}")
-
-
-def test_simulated_arm(example, capsys):
-    example("plot_simulated_arm").main(["--positions", "4", "--poses", "12", "--jobs", "1"])
-    output = capsys.readouterr().out
-
-    data = make_single_point(4, 12)
-    before = single_point_repeatability(data.points, data.groups, aggregate=None)
-    uncorrected = cells(output, "-", "uncorrected")
-    assert uncorrected[:2] == pytest.approx([before.mean(), before.max()], abs=1e-4)
-    floor = cells(output, "-", "perfect model")
-    assert floor[0] < 0.5 * before.mean()
-    assert floor[3:] == [100, *floor[4:]]
-    assert [cells(output, str(i + 1))[1] for i in range(4)] == pytest.approx(before, abs=1e-4)
-    for inputs in ("pose angles", "all joints, cos and sin"):
-        for regressor in ("polynomial ridge", "Gaussian process", "RBF network"):
-            mean, _, less, share, *_ = cells(output, inputs, regressor)
-            assert less == pytest.approx(100 * (1 - mean / before.mean()), abs=1)
-            gain = (before.mean() - mean) / (before.mean() - floor[0])
-            assert share == pytest.approx(100 * gain, abs=1)
-    assert Path("simulated_arm.png").read_bytes().startswith(PNG)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("--positions 2", "at least 3 to hold one out, got 2"),
-        ("--poses 1", "n_poses must be a whole number of at least 2, got 1"),
-        ("--output nowhere/figure.png", "no such folder"),
-        ("--output figure.pngg", "figure.pngg must end in one of"),
-    ],
-)
-def test_simulated_arm_refuses_before_the_work(example, capsys, arguments, message):
-    with pytest.raises(SystemExit, match="2"):
-        example("plot_simulated_arm").main(arguments.split())
-    assert message in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("plot_newrb", "neurons, criterion"),
-        ("plot_rbf_network", "2-D"),
-        ("plot_ols_path", "posterior"),
-        ("plot_arm_poses", ""),
-    ],
-)
-def test_scripts_end_in_a_picture(example, monkeypatch, capsys, name, said):
-    """The gallery's pages run from top to bottom; the two slowest only where it is built."""
-    pictures = []
-    monkeypatch.setattr(plt, "show", lambda: pictures.append(len(plt.get_fignums())))
-    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
-    assert pictures == [1]
-    plt.gcf().canvas.draw()
+@pytest.mark.parametrize("name", sorted(SHOWN))
+def test_a_script_runs_alone_and_ends_in_its_pictures(run_alone, capsys, name):
+    n_pictures, said = SHOWN[name]
+    _, pictures = run_alone(name)
+    assert len(pictures) == n_pictures
     assert said in capsys.readouterr().out
 
 
-def test_own_csv_is_corrected(example, monkeypatch, capsys):
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_is_one_file_in_cells_that_says_its_size(name):
+    text = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
+    assert not re.search(r"^(from|import) _", text, flags=re.MULTILINE)
+    if name != "plot_live_arm":  # takes arguments: it goes on for as long as one likes
+        assert "argparse" not in text
+    head = text.split('"""')[1]
+    assert re.search(r"^=+$", head, flags=re.MULTILINE)
+    if "make_single_point" in text or "fetch_" in text:
+        assert re.search(r"simulated|real", head), "says which kind of data"
+
+
+def test_the_search_finds_the_best_of_its_own_table(run_alone):
+    page, _ = run_alone("plot_grid_search")
+    search, best = page["search"], page["best"]
+    assert min(best.values()) == pytest.approx(-search.best_score_)
+    test = page["test"]
+    corrected = page["points"] - search.predict(page["data"].data[test])
+    after = single_point_repeatability(corrected, page["positions"])
+    assert page["after"] == pytest.approx(after)
+    assert not set(page["positions"]) & set(page["groups"])
+
+
+def test_real_arm(run_alone, monkeypatch, data_folder, capsys):
+    """The number of the uncorrected arm is what the data's own page says."""
+    monkeypatch.setenv("SCIKIT_LEARN_DATA", str(data_folder("panda_ball_socket").parent))
+    page, pictures = run_alone("plot_real_arm")
+    assert len(pictures) == 1
+    assert "calibrated, uncorrected      mean 0.197 mm" in capsys.readouterr().out
+    means = {name: values.mean() for name, values in page["spread"].items()}
+    assert means["JointHarmonicRegressor"] < 0.9 * means["calibrated, uncorrected"]
+
+
+def test_own_csv_is_corrected(monkeypatch, capsys):
     """What the page prints of its file is what the arrays, never written, give."""
     monkeypatch.setattr(plt, "show", lambda: None)
+    matplotlib.use("Agg")
     page = runpy.run_path(str(EXAMPLES / "plot_own_csv.py"))
     data = make_single_point(10, 30, random_state=0)
     np.testing.assert_allclose(np.deg2rad(page["angles"]), data.data, atol=1e-8)
@@ -113,115 +131,6 @@ def test_own_csv_is_corrected(example, monkeypatch, capsys):
     assert after < 0.75 * single_point_repeatability(expected, data.groups)
     assert f"{after:.4f}" in capsys.readouterr().out
     assert len(plt.get_fignums()) == 1
-
-
-def test_grid_search(example, capsys):
-    module = example("plot_grid_search")
-    module.main(["--positions", "6", "--poses", "10", "--jobs", "1"])
-    output = capsys.readouterr().out
-    assert "Saved, loaded in a new process: predictions equal." in output
-    assert Path("grid_search.png").read_bytes().startswith(PNG)
-
-    # One line of the table, fold by fold.
-    data = make_single_point(6, 10)
-    train, _ = next(
-        GroupShuffleSplit(1, test_size=0.25, random_state=0).split(data.data, groups=data.groups)
-    )
-    X, y, groups = data.data[train], data.target[train], data.groups[train]
-    scores = []
-    for fit, test in GroupKFold(4).split(X, groups=groups):
-        residual = KNeighborsRegressor()
-        model = module.build_chain(data.arm).set_params(residual__regressor__regressor=residual)
-        left = []
-        for n_neighbors in (5, 20):
-            residual.n_neighbors = n_neighbors
-            corrected = y[test] - model.fit(X[fit], y[fit]).predict(X[test])
-            left.append(single_point_repeatability(corrected, groups[test]))
-        scores.append(left)
-    expected = np.mean(scores, axis=0).min()
-    (printed,) = cells(output, "pose, angle", "nearest neighbours")
-    assert printed == pytest.approx(expected, abs=1e-4)
-
-
-@pytest.mark.parametrize("name", ["plot_real_arm", "plot_real_tracker"])
-def test_without_data_says_where_to_get_them(example, tmp_path, name, monkeypatch):
-    module = example(name)
-    fetch = "fetch_panda_ball_socket" if name == "plot_real_arm" else "fetch_ur10_tracker"
-    offline = functools.partial(getattr(module, fetch), download_if_missing=False)
-    monkeypatch.setattr(module, fetch, offline)
-    with pytest.raises(SystemExit, match=r"(?s)elsewhere.*is not there.*github"):
-        module.main(["--data-home", str(tmp_path / "elsewhere")])
-
-
-@pytest.mark.parametrize(
-    "name", ["plot_simulated_arm", "plot_real_arm", "plot_real_tracker", "plot_grid_search"]
-)
-def test_no_processes_are_refused(example, capsys, name):
-    with pytest.raises(SystemExit, match="2"):
-        example(name).main(["--jobs", "0"])
-    assert "--jobs: 0 processes cannot work" in capsys.readouterr().err
-
-
-@pytest.fixture
-def few_rows(panda):
-    """Three placements of panda_3, the first twelve rows of every socket, as fetched."""
-    data = panda("panda_3")
-    some = []
-    for placement in ("backleft", "frontcenter", "frontright"):
-        for hole in (0, 1):
-            some.append(np.flatnonzero(data.groups == f"{placement}/{hole}")[:12])
-    some = np.concatenate(some)
-    placements = data.placements[some]
-    return Bunch(
-        data=data.angles[some],
-        groups=data.groups[some],
-        placements=placements,
-        lengths=[(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(placements)],
-        nominal_arm=Arm.from_name("panda", probe=(0, 0, 241)),
-    )
-
-
-def test_real_arm(example, capsys, few_rows, monkeypatch):
-    module = example("plot_real_arm")
-    data = few_rows
-    monkeypatch.setattr(module, "fetch_panda_ball_socket", lambda arm, data_home: data)
-    module.main(["--jobs", "1"])
-    output = capsys.readouterr().out
-    left_out = []
-    for placement in np.unique(data.placements):
-        train = data.placements != placement
-        known = [(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(data.placements[train])]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, data.data[train], data.groups[train], lengths=known).arm
-        y = position_residuals(arm.forward(data.data[~train]), data.groups[~train])
-        left_out.append(np.linalg.norm(y, axis=1))
-        assert cells(output, placement)[2] == pytest.approx(left_out[-1].mean(), abs=1e-3)
-    everything = np.concatenate(left_out)
-    mean, largest, *_ = cells(output, "-", "uncorrected")
-    assert (mean, largest) == pytest.approx((everything.mean(), everything.max()), abs=1e-3)
-    for inputs in ("pose angles", "all joints, cos and sin"):
-        assert len(cells(output, inputs, "RBF network")) == 7
-    assert Path("real_arm.png").read_bytes().startswith(PNG)
-
-
-def test_real_tracker(example, capsys, ur10, monkeypatch):
-    module = example("plot_real_tracker")
-    some = np.isin(ur10.groups, np.arange(0, 619, 40))
-    data = Bunch(
-        data=ur10.angles[some],
-        tracker_points=ur10.points[some],
-        groups=np.unique(ur10.groups[some], return_inverse=True)[1],
-        nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
-    )
-    monkeypatch.setattr(module, "fetch_ur10_tracker", lambda data_home: data)
-    module.main(["--gp-rows", "60", "--folds", "2", "--jobs", "1"])
-    output = capsys.readouterr().out
-    assert f"{some.sum()} poses at 16 goal positions" in output
-    mean, high, largest, *_ = cells(output, "-", "uncorrected")
-    assert 0.2 < mean < high < largest < 3
-    for inputs in ("pose angles", "all joints, cos and sin"):
-        assert len(cells(output, inputs, "RBF network")) == 7
-    assert Path("real_tracker.png").read_bytes().startswith(PNG)
 
 
 def test_live_arm(example, capsys, monkeypatch):
@@ -248,15 +157,3 @@ def test_live_arm_refuses_before_the_work(example, capsys, seconds):
     with pytest.raises(SystemExit, match="2"):
         example("plot_live_arm").main(["--seconds", seconds])
     assert "--seconds must be between 0.01 and 3600" in capsys.readouterr().err
-
-
-def test_how_many_poses(example, capsys, monkeypatch):
-    module = example("plot_how_many_poses")
-    for name, value in {"POSITIONS": [3, 5], "POSES": [5, 8], "FIRST": 3, "ROUNDS": 1}.items():
-        monkeypatch.setattr(module, name, value)
-    module.main(["--machines", "1", "--figure", "poses.png"])
-    output = capsys.readouterr().out
-    assert len(cells(output, "chosen")) == len(cells(output, "random")) == 2
-    # Both start from the same positions.
-    assert cells(output, "chosen")[0] == cells(output, "random")[0]
-    assert Path("poses.png").read_bytes().startswith(PNG)

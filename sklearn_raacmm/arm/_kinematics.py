@@ -5,15 +5,12 @@
 
 import numpy as np
 
+from sklearn_raacmm.utils import chunks
+
 # Fields of `Arm` that are its static parameters, in the order of `parameter_jacobian`.
 FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 # Rows computed at once: the working set of a chunk (about 30 rows of float64) stays in the cache.
-_CHUNK_ROWS = 4096
-
-
-def chunks(n_samples):
-    """Slices of at most `_CHUNK_ROWS` rows."""
-    return (slice(i, i + _CHUNK_ROWS) for i in range(0, n_samples, _CHUNK_ROWS))
+CHUNK_ROWS = 4096
 
 
 def dh_theta(arm, angles):
@@ -70,7 +67,7 @@ def probe_points(arm, theta):
 def points_of(arm, angles):
     """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time."""
     points = np.empty((len(angles), 3))
-    for rows in chunks(len(angles)):
+    for rows in chunks(len(angles), CHUNK_ROWS):
         points[rows] = probe_points(arm, dh_theta(arm, angles[rows])).T
     return points
 
@@ -127,7 +124,7 @@ def parameter_jacobian(arm, angles):
     n = arm.n_joints
     points = np.empty((len(angles), 3))
     jac = np.empty((len(angles), 3, 4 * n + 3))
-    for rows in chunks(len(angles)):
+    for rows in chunks(len(angles), CHUNK_ROWS):
         frames = frame_columns(arm, dh_theta(arm, angles[rows]))
         probe = probe_of(arm, frames)
         points[rows] = probe.T

@@ -3,53 +3,39 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from copy import copy
+from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import MultiOutputMixin, RegressorMixin, clone
-from sklearn.cluster import KMeans
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_angles, points_of
-from sklearn_raacmm.error_model import JointHarmonicRegressor, Smooth, check_fit, quantile
-from sklearn_raacmm.network import KERNELS, RBFNetRegressor, kernel_matrix, psd_inverse_root
-from sklearn_raacmm.residuals import (
-    direction_of,
-    pose_columns,
-    std_to_cartesian,
-    to_cartesian,
-    to_cylindrical,
+from sklearn_raacmm.correction._check import (
+    FADES,
+    blocks_of_positions,
+    errors_left_out,
+    verdict,
 )
+from sklearn_raacmm.correction._guards import Guard
+from sklearn_raacmm.correction._stages import Stages, TrainingData, fit_stages, network_input
+from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearOptions, check_fit, quantile
+from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
-    centred,
     check_features,
     encode_groups,
     fit_context,
-    group_means,
     one_blas_thread,
 )
 
+# By the number of their stages.
 MODELS = ("none", "harmonics", "harmonics+network")
-# What fade="auto" chooses from.
-_FADES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-# How much larger the mean deviation of a stronger fading may be. Where positions have offsets,
-# fading also shrinks their part of the correction, by another factor at every pose: there it has to
-# cost next to nothing.
-_FADE_COST, _FADE_COST_OF_OFFSETS = 1.05, 1.01
 # Offsets of new positions differ from those of the training positions, which the fit centred.
 _CAP_OF_OFFSETS = 3.0
-_CHECK_DTYPE = np.dtype(
-    [
-        ("model", "U17"),
-        ("fade", "f8"),
-        ("mean_mm", "f8"),
-        ("gain_mm", "f8"),
-        ("gain_se_mm", "f8"),
-    ]
-)
 
 
 class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -77,13 +63,6 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     features : {"pose", "all"}, default="all"
         What the network sees: the pose of :class:`PoseFeatures`, or the angles of all joints.
 
-    joint : bool, default=False
-        Fit the first stage a second time with the smooth error that the network found as part of
-        the noise (generalised least squares), and the network again on what is then left. False:
-        the network on what is left, and no more. With thousands of poses on a UR10 the joint fit
-        was 2 % better at unseen goals; with hundreds on a Panda it was 19 % worse, for the network
-        then takes noise for structure, and the first stage believes it.
-
     use : {"auto", "none", "harmonics", "harmonics+network"}, default="auto"
         How much of the model is used. "auto" lets the check decide where `groups` are given to
         `fit`, and takes all of it otherwise.
@@ -109,8 +88,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     Attributes
     ----------
-    harmonics_ : JointHarmonicRegressor
-        The first stage.
+    linear_model_ : LinearModel
+        The first stage as one value: columns, coefficients and their covariance.
+
+    harmonics_, terms_ : structured ndarray
+        The first stage's harmonics and other causes, as in :class:`JointHarmonicRegressor`.
 
     network_ : RBFNetRegressor or None
         The second, on radial, tangential and axial components in mm; None if it is not in use.
@@ -133,6 +115,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     cap_mm_ : float
         Longest correction.
+
+    pose_weight_ : ndarray of shape (n_samples,)
+        What the loss of the first stage left of the weight of each training pose: 0 for outliers,
+        and for rows of weight 0.
 
     arm_ : Arm
         The arm in use.
@@ -169,7 +155,6 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         "harmonics": [JointHarmonicRegressor, None],
         "network": [RBFNetRegressor, None],
         "features": [StrOptions({"pose", "all"})],
-        "joint": ["boolean"],
         "use": [StrOptions({"auto", *MODELS})],
         "n_folds": [Interval(Integral, 2, None, closed="left")],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
@@ -183,7 +168,6 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         harmonics=None,
         network=None,
         features="all",
-        joint=False,
         use="auto",
         n_folds=10,
         fade="auto",
@@ -193,7 +177,6 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         self.harmonics = harmonics
         self.network = network
         self.features = features
-        self.joint = joint
         self.use = use
         self.n_folds = n_folds
         self.fade = fade
@@ -233,140 +216,101 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         ValueError
             As :class:`JointHarmonicRegressor`.
         """
+        fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
-        self.arm_, X, y, weights, codes, lengths = check_fit(
-            self, X, y, sample_weight, groups, lengths, linear=first
+        arm, X, y, weights, codes, lengths = check_fit(
+            fitted, X, y, sample_weight, groups, lengths, linear=first
         )
-        kept = weights > 0
-        X, y, weights = X[kept], y[kept], weights[kept]
-        codes = None if codes is None else codes[kept]
-        self.check_ = None
-        self.use_ = MODELS[-1] if self.use == "auto" else self.use
-        self.fade_ = 1.0 if self.fade == "auto" else float(self.fade)
-        richest = self.use_
-        self._fit(X, y, weights, codes, lengths, richest)
-        if groups is not None and self.use != "none" and "auto" in (self.use, self.fade):
-            positions = np.unique(encode_groups(groups)[1][kept], return_inverse=True)[1].ravel()
-            if positions.max() > 1:
-                self._check(X, y, weights, positions, codes, lengths)
-        if self.use_ != richest:
-            self._fit(X, y, weights, codes, lengths, self.use_)
+        inputs = network_input(arm, X, self.features)
+        data = TrainingData(X, y, weights, codes, inputs).rows(weights > 0)
+        n_stages = 2 if self.use == "auto" else MODELS.index(self.use)
+        fit = partial(fit_stages, arm, lengths=lengths, options=LinearOptions.of(first))
+        fit = partial(fit, features=self.features)
+        stages = fit(data, network=self._new_network(n_stages))
+        fade = 1.0 if self.fade == "auto" else float(self.fade)
+        fitted.check_ = None
+        if groups is not None and n_stages and "auto" in (self.use, self.fade):
+            positions = encode_groups(groups)[1][weights > 0]
+            positions = np.unique(positions, return_inverse=True)[1].ravel()
+            checked = self._check(fit, data, positions, stages, n_stages)
+            if checked is not None:
+                fitted.check_, n_stages, fade = checked
+        if n_stages < 2:
+            stages = stages.without_network()
+        fitted.use_ = MODELS[n_stages]
+        fitted.linear_model_, fitted.network_ = stages.linear, stages.network
+        fitted.pose_weight_ = np.zeros(len(X))
+        fitted.pose_weight_[weights > 0] = stages.pose_weight
+        guard = self._guard(stages, data, n_stages)(fade)
+        fitted.residual_rms_mm_, fitted.fade_, fitted.cap_mm_ = (
+            guard.size_mm,
+            guard.fade,
+            guard.cap_mm,
+        )
+        self.__dict__ = fitted.__dict__
         return self
 
-    def _fit(self, X, y, weights, codes, lengths, use, tuned=None):
-        """Fit the stages in use; the network with the widths of one that is `tuned`."""
-        first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
-        self.harmonics_ = clone(first).set_params(arm=self.arm_)
-        self.harmonics_.n_features_in_, self.harmonics_.arm_ = X.shape[1], self.arm_
-        self.harmonics_._fit(X, y, weights, codes, lengths, None)
-        # Outliers teach neither the network nor how long a correction may be.
-        weights = weights * self.harmonics_.pose_weight_
-        self.network_ = None
-        if use == MODELS[-1]:
-            self._fit_network(X, y, weights, codes, lengths, tuned)
-        size = np.linalg.norm(y, axis=1)
-        self.residual_rms_mm_ = float(np.sqrt(np.average(np.square(size), weights=weights)))
-        self.cap_mm_ = np.inf
-        if self.cap is not None:
-            self.cap_mm_ = quantile(size, self.cap, weights)
-            if codes is not None:
-                own = np.linalg.norm(sum(v for v, _ in self._parts(X, use, False)), axis=1)
-                own = _CAP_OF_OFFSETS * quantile(own, self.cap, weights)
-                self.cap_mm_ = max(self.cap_mm_, own)
-
-    def _fit_network(self, X, y, weights, codes, lengths, tuned):
-        network = RBFNetRegressor(degree=-1, random_state=0) if self.network is None else None
-        network = clone(self.network) if network is None else network
+    def _new_network(self, n_stages, tuned=None):
+        """Network to be fitted, or None; with the widths of one that is `tuned`."""
+        if n_stages < 2:
+            return None
+        network = self.network
+        if network is None:
+            network = RBFNetRegressor(degree=-1, random_state=0)
         if tuned is not None:
-            network.set_params(length_scale=tuned.length_scale_)
-        F, direction = self._features(X)
-        left = y - centred(self.harmonics_._predict(X)[0], codes, weights)
-        self.network_ = network.fit(F, to_cylindrical(left, direction), weights)
-        if not self.joint or not len(network.centers_):
-            return
-        if np.any(network.linear_coef_) or not KERNELS[network.kernel].positive_definite:
-            return  # not a smooth error with a covariance
-        self.harmonics_._fit(X, y, weights, codes, lengths, self._smooth())
-        left = y - centred(self.harmonics_._predict(X)[0], codes, weights)
-        if codes is not None:
-            # What the network says of each position's mean, which the residuals have lost.
-            mean = to_cartesian(network.predict(F), direction)
-            left = left + mean - centred(mean, codes, weights)
-        alpha = network.alpha_ if np.ndim(network.alpha_) == 0 else "auto"
-        again = clone(network).set_params(length_scale=network.length_scale_, alpha=alpha)
-        self.network_ = again.fit(F, to_cylindrical(left, direction), weights)
+            network = clone(network).set_params(
+                kernel=tuned.kernel_, length_scale=tuned.length_scale_
+            )
+        return network
 
-    def _smooth(self):
-        """The network's prior, as a smooth error for the first stage's normal equations."""
-        network = self.network_
-        centers = network.centers_ / network.length_scale_
-        inverse = psd_inverse_root(kernel_matrix(centers, centers, network.kernel)).T
+    def _check(self, fit, data, positions, stages, n_stages):
+        """Table of the check, number of stages to use, and fading; None where none can be made."""
+        if positions.max() < 2:
+            return None
+        points = points_of(stages.linear.arm, data.angles)
+        blocks = blocks_of_positions(points, positions, data.weights, self.n_folds)
+        if blocks is None:
+            return None
+        counts = [0, 1, 2] if self.use == "auto" else [0, n_stages]
+        fades = FADES if self.fade == "auto" else (float(self.fade),)
+        # Most of the time of a network is the search for its widths: that is done once.
+        network = self._new_network(n_stages, stages.network)
 
-        def basis(angles):
-            F = self._features(angles)[0] / network.length_scale_
-            return kernel_matrix(F, centers, network.kernel) @ inverse
+        def fit_rest(rest):
+            part = fit(rest, network=network)
+            return part, self._guard(part, rest, n_stages)
 
-        alpha = np.broadcast_to(np.asarray(network.alpha_, dtype=float), 3).copy()
-        alpha[alpha <= 0] = 1e-12
-        return Smooth(basis, alpha)
+        errors = errors_left_out(fit_rest, data, positions, blocks, counts, fades)
+        models = [MODELS[n] for n in counts]
+        offsets = data.codes is not None
+        table, chosen = verdict(errors, models, fades, offsets, choose=self.use == "auto")
+        return table, counts[chosen], float(table["fade"][chosen])
 
-    def _features(self, X):
-        if self.features == "all":
-            F, (x, y, _) = X, points_of(self.arm_, X).T
-        else:
-            columns, (x, y, _) = pose_columns(self.arm_, X)
-            F = np.stack(columns, axis=1)
-        return F, direction_of(x, y)
+    def _guard(self, stages, data, n_stages):
+        """Guard by the size of the residuals, as a function of the fading."""
+        weights = data.weights * stages.pose_weight  # outliers do not say how long one may be
+        size = np.linalg.norm(data.y, axis=1)
+        rms = float(np.sqrt(np.average(np.square(size), weights=weights)))
+        cap = np.inf
+        if self.cap is not None:
+            cap = quantile(size, self.cap, weights)
+            if data.codes is not None and n_stages:
+                parts = stages.parts(data.angles, False, data.network)[:n_stages]
+                own = np.linalg.norm(sum(value for value, _ in parts), axis=1)
+                cap = max(cap, _CAP_OF_OFFSETS * quantile(own, self.cap, weights))
+        return partial(Guard, rms, cap_mm=cap)
 
-    def _check(self, X, y, weights, positions, codes, lengths):
-        """Mean deviations at positions left out in blocks, by every model and fading."""
-        points = points_of(self.arm_, X)
-        means = group_means(points, positions, weights)
-        n_folds = min(self.n_folds, len(np.unique(means, axis=0)))
-        if n_folds < 2:
-            return  # all at one place: nothing to leave out
-        blocks = KMeans(n_folds, n_init=4, random_state=0).fit_predict(means)[positions]
-        fades = _FADES if self.fade == "auto" else (self.fade_,)
-        models = MODELS if self.use == "auto" else ("none", self.use)
-        left = np.tile(y, (len(models), len(fades), 1, 1))
-        for block in np.unique(blocks):
-            test = blocks == block
-            fold = clone(self)
-            fold.arm_ = self.arm_
-            own = None if codes is None else codes[~test]
-            rest = X[~test], y[~test], weights[~test], own, lengths
-            # Most of the time of a network is the search for its widths: that is done once.
-            fold._fit(*rest, models[-1], self.network_)
-            for i, name in enumerate(models):
-                parts = fold._parts(X[test], name)
-                for j, fade in enumerate(fades):
-                    left[i, j, test] -= fold._guarded(parts, fade)
-        errors = np.empty((len(models), len(fades), len(means)))
-        for i, j in np.ndindex(errors.shape[:2]):
-            deviation = np.linalg.norm(centred(left[i, j], codes, weights), axis=1)
-            errors[i, j] = group_means(deviation, positions, weights)
-        # Of fadings nearly as good as the best the strongest: a premium on what the check, inside
-        # the training region, cannot see.
-        allowed = _FADE_COST if codes is None else _FADE_COST_OF_OFFSETS
-        means = errors.mean(axis=2)
-        cheap = means <= allowed * means.min(axis=1, keepdims=True)
-        fading = [int(np.flatnonzero(row).max()) for row in cheap]
-        errors = errors[np.arange(len(models)), fading]
-        table = np.empty(len(models), dtype=_CHECK_DTYPE)
-        table["model"], table["mean_mm"] = models, errors.mean(axis=1)
-        table["fade"] = np.take(fades, fading)
-        gains = errors[0] - errors
-        table["gain_mm"] = gains.mean(axis=1)
-        table["gain_se_mm"] = gains.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
-        self.check_ = table
-        chosen = 0
-        if self.use != "auto":
-            chosen = len(models) - 1
-        else:
-            for i in range(1, len(models)):
-                if _clearly_better(errors[i], errors[chosen]):
-                    chosen = i
-        self.use_, self.fade_ = models[chosen], float(table["fade"][chosen])
+    @property
+    def harmonics_(self):
+        return self.linear_model_.harmonic_table()
+
+    @property
+    def terms_(self):
+        return self.linear_model_.term_table()
+
+    @property
+    def arm_(self):
+        return self.linear_model_.arm
 
     def predict(self, X, return_std=False):
         """Predict residuals.
@@ -391,51 +335,17 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
         check_angles(X, X.shape[1], "rad")  # warns of degrees
-        parts = self._parts(X, self.use_, return_std or self.fade_ > 0)
-        mean = self._guarded(parts, self.fade_)
-        return (mean, np.sqrt(sum(np.square(std) for _, std in parts))) if return_std else mean
-
-    def _guarded(self, parts, fade):
-        """Sum of the stages, faded and capped."""
-        total = 0.0
-        for value, std in parts:
-            if not fade > 0:
-                total = total + value
-                continue
-            doubt = np.square(fade * std).sum(axis=1, keepdims=True)
-            # Wiener's factor for errors of this size known to this uncertainty. With the length of
-            # the correction for their size it would not vanish far away, where both grow.
-            size = self.residual_rms_mm_**2
-            total = total + value * (size / np.maximum(size + doubt, 1e-300))
-        length = np.linalg.norm(total, axis=1, keepdims=True)
-        return total * np.minimum(1.0, self.cap_mm_ / np.maximum(length, 1e-300))
-
-    def _parts(self, X, use, return_std=True):
-        """Mean of each stage in use, and its standard deviation or None."""
-        if use == "none":
-            return [(np.zeros((len(X), 3)), np.zeros((len(X), 3)))]
-        mean, std = self.harmonics_._predict(X, return_std)
-        parts = [(mean, std if return_std else None)]
-        if use == MODELS[-1]:
-            F, direction = self._features(X)
-            if return_std:
-                value, std = self.network_.predict(F, return_std=True, with_noise=False)
-                parts.append((to_cartesian(value, direction), std_to_cartesian(std, direction)))
-            else:
-                parts.append((to_cartesian(self.network_.predict(F), direction), None))
-        return parts
+        stages = Stages(self.linear_model_, None, self.network_, self.features)
+        fades = self.fade_ > 0
+        parts = stages.parts(X, return_std or fades)[: MODELS.index(self.use_)]
+        guard = Guard(self.residual_rms_mm_, self.fade_, self.cap_mm_)
+        mean = guard.apply(parts, len(X))
+        if not return_std:
+            return mean
+        return mean, np.sqrt(sum((np.square(std) for _, std in parts), np.zeros(mean.shape)))
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = False
         tags.regressor_tags.poor_score = True
         return tags
-
-
-def _clearly_better(errors, others):
-    """Whether errors (n_positions,) are smaller by more than the standard error of the gain.
-
-    And by a thousandth, for a network that does next to nothing is not worth its centres.
-    """
-    gain = others - errors
-    return gain.mean() > max(gain.std(ddof=1) / np.sqrt(len(gain)), 1e-3 * others.mean())

@@ -3,15 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from numbers import Integral
-
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model import term_columns
-from sklearn_raacmm.utils import check_features, encode_groups
+from sklearn_raacmm.utils import check_features, check_whole_number, encode_groups
 
 
 def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
@@ -84,8 +80,8 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
     (3, True)
     """
     check_is_fitted(model)
-    model = model.harmonics_ if isinstance(model, ArmResidualRegressor) else model
-    if not hasattr(model, "column_harmonics_"):
+    linear = getattr(model, "linear_model_", None)
+    if linear is None:
         raise TypeError(
             "next_poses needs a JointHarmonicRegressor or an ArmResidualRegressor, got "
             f"{type(model).__name__}."
@@ -94,7 +90,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         raise ValueError(f'criterion must be "I" or "D", got {criterion!r}.')
     X = _check_poses(model, X)
     if groups is None:
-        if model.offsets_:
+        if linear.offsets:
             raise ValueError(
                 "The model has an unknown offset at every position: give groups, the position of "
                 "each candidate."
@@ -102,23 +98,21 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         labels, codes = np.arange(len(X)), np.arange(len(X))
     else:
         labels, codes = encode_groups(groups, len(X))
-    whole = isinstance(n_poses, Integral) and not isinstance(n_poses, bool)
-    if not (whole and 1 <= n_poses <= len(labels)):
-        raise ValueError(f"n_poses must be 1 to {len(labels)}, the candidates, got {n_poses!r}.")
+    check_whole_number("n_poses", n_poses, 1, len(labels))  # no more than there are candidates
 
     def whitened(angles):
         """What one standard deviation of each of the posterior's axes does, (n, 3, k)."""
-        return term_columns(model.arm_, angles, model._terms()) @ model._half
+        return linear.columns(angles) @ linear.half
 
     rows = whitened(X)
     aim = rows if targets is None else whitened(_check_poses(model, targets))
     aim = aim.reshape(-1, aim.shape[2])
     gram = aim.T @ aim / (len(aim) / 3)
-    if model.offsets_:
+    if linear.offsets:
         mean = np.stack([rows[codes == i].mean(axis=0) for i in range(len(labels))])
         rows = rows - mean[codes]
     order = np.argsort(codes, kind="stable")
-    rows = (rows[order] / model.noise_sd_).reshape(-1, rows.shape[2])
+    rows = (rows[order] / linear.noise_sd).reshape(-1, rows.shape[2])
     ends = np.cumsum(3 * np.bincount(codes))
     # The posterior in its own axes: the unit matrix now, M after some choices.
     M = np.eye(rows.shape[1])

@@ -93,9 +93,7 @@ class HarmonicDisplay:
             If it is a model of another kind.
         """
         check_is_fitted(estimator)
-        # The whole correction keeps its first stage where that keeps its table.
         table = getattr(estimator, "harmonics_", None)
-        table = getattr(table, "harmonics_", table)
         names = getattr(getattr(table, "dtype", None), "names", None) or ()
         if "amplitude_arcsec" not in names:
             raise TypeError(

@@ -3,19 +3,20 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.error_model._columns import ARCSEC, Terms, loads, term_columns, wobbles
+from sklearn_raacmm.error_model._columns import Terms, column_table, term_columns
 from sklearn_raacmm.error_model._fit_checks import check_fit
-from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor, quantile
-from sklearn_raacmm.error_model._normal_equations import Smooth
+from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
+from sklearn_raacmm.error_model._linear_model import LinearModel
 
 __all__ = [
-    "ARCSEC",
     "JointHarmonicRegressor",
-    "Smooth",
+    "LinearModel",
+    "LinearOptions",
     "Terms",
     "check_fit",
-    "loads",
+    "column_table",
+    "fit_linear_model",
     "quantile",
     "term_columns",
-    "wobbles",
 ]

@@ -1,8 +1,11 @@
 """Columns of the linear error model of an arm: what one arc second of each cause does to the probe.
 
 Every column is the displacement of the probe in mm that one unit of a coefficient causes. The unit
-is one arc second, or, for lengths, the length that one arc second spans at the arm's reach: so all
+is one arc second, or, for lengths, the length that one arc second spans at the arm's reach. So all
 coefficients of a family are of one size, whatever the size of the arm.
+
+One table says what each column is, see `Column`. `term_columns` computes the columns from it, and
+the export to C writes the same table into its source.
 """
 
 from functools import lru_cache
@@ -16,10 +19,16 @@ ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own.
 HARMONIC, GRAVITY, KINEMATICS, WOBBLE = range(4)
 FAMILIES = ("harmonics", "gravity", "kinematics", "wobble")
+# Kinds of columns: a small turn about an axis of a frame, a small shift along it, or a turn about
+# it in proportion to the torque of a load about that axis.
+TURN, SHIFT, LOAD = range(3)
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
 # What places the base and is not in its table: shifts along and turns about x and y.
 _BASE = ("base_x", "base_y", "base_alpha", "base_beta")
+# Consecutive waves of one joint about one axis from which on a product per joint is faster than
+# one selection of all axes: measured between 1 and 512 rows.
+_LONG_RUN = 24
 
 
 class Terms(NamedTuple):
@@ -35,67 +44,206 @@ class Terms(NamedTuple):
     wobble: bool
 
 
-def term_names(arm, terms):
-    """Names, families and units of the columns that are no harmonics."""
-    names, family = [], []
-    if terms.gravity:
-        for frame, axis, load in loads(arm.n_joints):
-            at = "probe" if load > arm.n_joints else f"frame {load}"
-            names.append(f"load at {at} bends frame {frame} about {'xyz'[axis]}")
-            family.append(GRAVITY)
-    if terms.kinematics:
-        names += [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
-        names += ["probe_x", "probe_y", "probe_z", *_BASE]
-        names += [f"beta{i + 1}" for i in range(arm.n_joints)]
-        family += [KINEMATICS] * (5 * arm.n_joints + 3 + len(_BASE))
-    if terms.wobble:
-        for joint, axis, order, part in wobbles(arm.n_joints):
-            names.append(f"joint {joint + 1} tilts about {'xy'[axis]}, {part}({order} theta)")
-            family.append(WOBBLE)
-    return names, np.array(family, dtype=int)
+class Column(NamedTuple):
+    """One column that is no harmonic of an encoder: its name, and how it moves the probe."""
+
+    name: str
+    family: int
+    kind: int  # TURN, SHIFT or LOAD
+    frame: int  # whose axis it is: 0 is the base
+    axis: int  # 0, 1, 2: x, y, z of the frame
+    unit: float  # rad or mm per unit coefficient; for LOAD per mm of lever, too
+    of: int = 0  # joint of the wave from 0; for LOAD the frame of the load, n_joints + 1: the probe
+    order: int = 0  # of the wave: cosine if positive, sine if negative, none if 0
 
 
-@lru_cache
-def loads(n):
-    """Frame, axis and load beyond, of n joints: n + 1 is the probe."""
-    return [(j, axis, i) for j in range(n + 1) for axis in range(3) for i in range(j + 1, n + 2)]
+class ColumnTable(NamedTuple):
+    """The fields of all columns, harmonics included, as arrays of shape (n_columns,)."""
+
+    kind: np.ndarray
+    frame: np.ndarray
+    axis: np.ndarray
+    unit: np.ndarray
+    of: np.ndarray
+    order: np.ndarray
 
 
-@lru_cache
-def wobbles(n):
-    """Joint from 0, axis, order and function of each column, of n joints."""
-    return [
-        (j, axis, order, part)
-        for j in range(n)
-        for axis in range(2)
-        for order in _WOBBLE_ORDERS
-        for part in ("cos", "sin")
-    ]
+def _first_frame(arm):
+    """Frame whose z axis the first joint turns about."""
+    return 0 if arm.convention == "standard" else 1
 
 
-class _Axes(NamedTuple):
-    """Axes of all frames at some poses: x, y and z of the base, of frame 1, and so on.
+def _gravity(arm):
+    """Turns of each frame about each of its axes, by the torque of each load beyond.
 
-    Whole families of columns are picked from these arrays at once: of one pose, loops over columns
-    would cost twenty times the arithmetic.
+    With gravity along -z of the base, the torque of unit weight about the axis u through o is
+    u . (r x -z) = -(u x r) . z, with r from o to the load: in units of the reach.
     """
+    n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
+    for frame in range(n + 1):
+        for axis in range(3):
+            for load in range(frame + 1, n + 2):
+                at = "probe" if load > n else f"frame {load}"
+                name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
+                yield Column(name, GRAVITY, LOAD, frame, axis, unit, load)
 
-    unit: np.ndarray  # (n, 3, 3 n_frames) the axes
-    turn: np.ndarray  # (n, 3, 3 n_frames) what a turn about each does to the probe, mm per rad
-    place: np.ndarray  # (n, 3, n_frames + 1) the frames' origins and the probe
 
-    @classmethod
-    def of(cls, arm, angles):
-        frames = frame_columns(arm, dh_theta(arm, angles))
-        probe = probe_of(arm, frames)
-        axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
-        lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
-        n_axes = 3 * len(frames)
-        unit, turn = (
-            np.moveaxis(part.reshape(3, n_axes, -1), 2, 0) for part in (axes, cross(axes, lever))
+def _kinematics(arm):
+    """Changes of the table, of where the base stands, and turns beta about y beside those about x.
+
+    A length moves the probe along the axis that carries it; an angle turns it about that axis. A
+    tracker shows where the base stands; whoever fitted it did so with the other errors there. A
+    table has no beta, for most axes do without; parallel ones do not (Hayati).
+    """
+    n, first, length = arm.n_joints, _first_frame(arm), ARCSEC * reach_mm(arm)
+    # Row i goes along and about z of one of its two frames, and x of the other.
+    of_x, of_z = 1 - first, first
+    moves = ((SHIFT, of_x, 0), (TURN, of_x, 0), (SHIFT, of_z, 2), (TURN, of_z, 2))
+    changes = [
+        (f"{field}{i + 1}", kind, i + of, axis)
+        for field, (kind, of, axis) in zip(FIELDS[:-1], moves, strict=True)
+        for i in range(n)
+    ]
+    changes += [(f"probe_{'xyz'[axis]}", SHIFT, n, axis) for axis in range(3)]
+    moves = ((SHIFT, 0), (SHIFT, 1), (TURN, 0), (TURN, 1))
+    changes += [(name, kind, 0, axis) for name, (kind, axis) in zip(_BASE, moves, strict=True)]
+    changes += [(f"beta{i + 1}", TURN, i + of_x, 1) for i in range(n)]
+    for name, kind, frame, axis in changes:
+        yield Column(name, KINEMATICS, kind, frame, axis, length if kind == SHIFT else ARCSEC)
+
+
+def _wobble(arm):
+    """Tilts of each joint's axis about the two directions across it."""
+    first = _first_frame(arm)
+    for j in range(arm.n_joints):
+        for axis in range(2):
+            for order in _WOBBLE_ORDERS:
+                for part, signed in (("cos", order), ("sin", -order)):
+                    name = f"joint {j + 1} tilts about {'xy'[axis]}, {part}({order} theta)"
+                    yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, signed)
+
+
+@lru_cache(maxsize=64)
+def _others(arm, gravity, kinematics, wobble):
+    """Columns that are no harmonics, in their order."""
+    columns = [*_gravity(arm)] if gravity else []
+    columns += _kinematics(arm) if kinematics else []
+    columns += _wobble(arm) if wobble else []
+    return tuple(columns)
+
+
+def other_columns(arm, terms):
+    """Columns that are no harmonics, as a tuple of `Column`."""
+    return _others(arm, terms.gravity, terms.kinematics, terms.wobble)
+
+
+def term_names(arm, terms):
+    """Names and families of the columns that are no harmonics."""
+    others = other_columns(arm, terms)
+    return [c.name for c in others], np.array([c.family for c in others], dtype=int)
+
+
+def column_table(arm, terms):
+    """What each column of the model is, in the order of `term_columns`.
+
+    Parameters
+    ----------
+    arm : Arm
+    terms : Terms
+
+    Returns
+    -------
+    ColumnTable
+        A cosine and a sine turn about its joint's axis for each harmonic, then the others.
+    """
+    joint, order = np.repeat(terms.harmonics.T, 2, axis=1)
+    others = other_columns(arm, terms)
+    fields = {name: [getattr(c, name) for c in others] for name in ColumnTable._fields}
+    waves = {
+        "kind": np.full(len(joint), TURN),
+        "frame": joint + _first_frame(arm),
+        "axis": np.full(len(joint), 2),
+        "unit": arm.joint_signs[joint] * ARCSEC,
+        "of": joint,
+        "order": order * np.resize([1, -1], len(order)),
+    }
+    return ColumnTable(
+        *(
+            np.concatenate([waves[name], fields[name]]).astype(float if name == "unit" else int)
+            for name in ColumnTable._fields
         )
-        place = np.concatenate([frames[:, 3], probe[None]]).transpose(2, 1, 0)
-        return cls(np.ascontiguousarray(unit), np.ascontiguousarray(turn), place)
+    )
+
+
+class _Plan(NamedTuple):
+    """A column table, arranged for whole arrays: all that does not depend on the pose."""
+
+    which: np.ndarray  # (n_columns,) into the vectors of `_vectors`
+    unit: np.ndarray  # (n_columns,)
+    runs: tuple  # of (first, last column, vector, unit) where many waves share one vector
+    rest: int  # columns from here on are selected by `which`
+    waves: np.ndarray  # (n_waves,) columns that are cosines and sines by turns
+    wave_joint: np.ndarray  # (n_pairs,) of all waves: those of the runs, then the others
+    wave_order: np.ndarray
+    loads: np.ndarray  # (n_loads,) columns
+    load_x: np.ndarray  # (n_loads,) into the vectors: axis u of the torque
+    load_of: np.ndarray  # (n_loads,) place of the load
+    load_frame: np.ndarray  # (n_loads,) place of the axis
+
+
+@lru_cache(maxsize=64)
+def _planned(arm, pairs, gravity, kinematics, wobble):
+    """`_Plan` of an arm and terms; `pairs` are the bytes of the harmonics."""
+    harmonics = np.frombuffer(pairs, dtype=int).reshape(-1, 2)
+    table = column_table(arm, Terms(harmonics, gravity, kinematics, wobble))
+    n_axes = 3 * (arm.n_joints + 1)
+    axis = 3 * table.frame + table.axis
+    which = np.where(table.kind == SHIFT, n_axes, 0) + axis
+    cosines = np.flatnonzero(table.order > 0)
+    runs, rest = [], 0
+    n_waves = 2 * len(harmonics)
+    if n_waves and n_waves >= _LONG_RUN * len(np.unique(harmonics[:, 0])):
+        ends = np.flatnonzero(np.diff(which[:n_waves], append=-1)) + 1
+        for start, end in zip([0, *ends[:-1]], ends, strict=True):
+            runs.append((int(start), int(end), int(which[start]), float(table.unit[start])))
+        rest = n_waves
+    loads = np.flatnonzero(table.kind == LOAD)
+    return _Plan(
+        which[rest:],
+        table.unit[rest:],
+        tuple(runs),
+        rest,
+        np.flatnonzero(table.order[rest:]),
+        table.of[cosines],
+        table.order[cosines],
+        loads - rest,
+        n_axes + axis[loads],
+        table.of[loads],
+        table.frame[loads],
+    )
+
+
+def _vectors(arm, angles):
+    """Turns and shifts by every axis of every frame at some poses, and where things are.
+
+    Returns
+    -------
+    vectors : ndarray of shape (n, 3, 6 n_frames)
+        What a turn about each axis does to the probe, mm per rad; then the axes themselves. x, y
+        and z of the base, of frame 1, and so on.
+    places : ndarray of shape (n, 2, n_frames + 1)
+        x and y of the frames' origins and of the probe, mm.
+    """
+    frames = frame_columns(arm, dh_theta(arm, angles))
+    probe = probe_of(arm, frames)
+    axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
+    lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
+    n_axes = 3 * len(frames)
+    vectors = np.empty((len(angles), 3, 2 * n_axes))
+    vectors[:, :, :n_axes] = np.moveaxis(cross(axes, lever).reshape(3, n_axes, -1), 2, 0)
+    vectors[:, :, n_axes:] = np.moveaxis(axes.reshape(3, n_axes, -1), 2, 0)
+    places = np.concatenate([frames[:, 3, :2], probe[None, :2]]).transpose(2, 1, 0)
+    return vectors, places
 
 
 def term_columns(arm, angles, terms):
@@ -113,89 +261,30 @@ def term_columns(arm, angles, terms):
     ndarray of shape (n, 3, n_columns)
         mm per unit coefficient.
     """
-    axes = _Axes.of(arm, angles)
-    rest = [_gravity(arm, axes)] if terms.gravity else []
-    rest += [_kinematics(arm, axes)] if terms.kinematics else []
-    rest += [_wobble(arm, angles, axes)] if terms.wobble else []
-    n_waves = 2 * len(terms.harmonics)
-    out = np.empty((len(angles), 3, n_waves + sum(part.shape[2] for part in rest)))
-    _harmonics(arm, angles, axes, terms.harmonics, out[:, :, :n_waves])
-    if rest:
-        np.concatenate(rest, axis=2, out=out[:, :, n_waves:])
+    pairs = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
+    plan = _planned(arm, pairs, terms.gravity, terms.kinematics, terms.wobble)
+    vectors, places = _vectors(arm, angles)
+    phase = angles[:, plan.wave_joint] * plan.wave_order
+    wave = np.empty((len(angles), 2 * phase.shape[1]))
+    np.cos(phase, out=wave[:, 0::2])
+    np.sin(phase, out=wave[:, 1::2])
+    out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
+    for start, end, which, unit in plan.runs:
+        turn = vectors[:, :, which, None] * unit
+        np.multiply(turn, wave[:, None, start:end], out=out[:, :, start:end])
+    factor = np.tile(plan.unit, (len(angles), 1))
+    if len(plan.loads):
+        x, y = (places[:, i, plan.load_of] - places[:, i, plan.load_frame] for i in (0, 1))
+        ux, uy = (vectors[:, i, plan.load_x] for i in (0, 1))
+        factor[:, plan.loads] *= uy * x - ux * y
+    factor[:, plan.waves] *= wave[:, plan.rest :]
+    np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out[:, :, plan.rest :])
     return out
-
-
-def _first_frame(arm):
-    """Frame whose z axis the first joint turns about."""
-    return 0 if arm.convention == "standard" else 1
-
-
-def _harmonics(arm, angles, axes, pairs, out):
-    """Written to `out`, a joint at a time: with all orders offered they are most of the model."""
-    joint, order = pairs.T
-    turn = axes.turn[:, :, 3 * (np.arange(arm.n_joints) + _first_frame(arm)) + 2]
-    turn *= arm.joint_signs * ARCSEC
-    ends = np.append(np.flatnonzero(np.diff(joint)) + 1, len(pairs)) if len(pairs) else []
-    start = 0
-    for end in ends:
-        j = joint[start]
-        phase = order[start:end] * angles[:, j, None]
-        wave = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(angles), 1, -1)
-        np.multiply(turn[:, :, j, None], wave, out=out[:, :, 2 * start : 2 * end])
-        start = end
-
-
-def _gravity(arm, axes):
-    """Turns of each frame about each of its axes, by the torque of a load about that axis.
-
-    With gravity along -z of the base, the torque of unit weight about the axis u through o is
-    u . (r x -z) = -(u x r) . z, with r from o to the load: in units of the reach.
-    """
-    frame, axis, load = np.array(loads(arm.n_joints)).T
-    which = 3 * frame + axis
-    ux, uy = axes.unit[:, :2, which].transpose(1, 0, 2)
-    x, y = (axes.place[:, :2, load] - axes.place[:, :2, frame]).transpose(1, 0, 2)
-    torque = (ARCSEC / reach_mm(arm)) * (uy * x - ux * y)
-    return axes.turn[:, :, which] * torque[:, None]
-
-
-def _kinematics(arm, axes):
-    """Changes of the table, of where the base stands, and turns beta about y beside those about x.
-
-    A length moves the probe along the axis that carries it; an angle turns it about that axis. A
-    tracker shows where the base stands; whoever fitted it did so with the other errors there. A
-    table has no beta, for most axes do without; parallel ones do not (Hayati).
-    """
-    n, first = arm.n_joints, _first_frame(arm)
-    length = ARCSEC * reach_mm(arm)
-    # Row i goes along and about z of one of its two frames, and x of the other.
-    of_z = 3 * (np.arange(n) + first) + 2
-    of_x = 3 * (np.arange(n) + 1 - first)
-    along_x, along_z, along_probe, along_base = (
-        length * axes.unit[:, :, which] for which in (of_x, of_z, slice(3 * n, None), slice(2))
-    )
-    about_x, about_z, about_base, about_y = (
-        ARCSEC * axes.turn[:, :, which] for which in (of_x, of_z, slice(2), of_x + 1)
-    )
-    columns = [along_x, about_x, along_z, about_z, along_probe, along_base, about_base, about_y]
-    return np.concatenate(columns, axis=2)
 
 
 def scale_direction(arm, terms):
     """Coefficients that make the whole arm larger: the column of the probe's position itself."""
-    n = 2 * len(terms.harmonics)
-    n += len(loads(arm.n_joints)) if terms.gravity else 0
-    zero = np.zeros(arm.n_joints)
-    sizes = np.concatenate([arm.a, zero, arm.d, zero, arm.probe]) / (ARCSEC * reach_mm(arm))
-    tail = len(_BASE) + arm.n_joints + (len(wobbles(arm.n_joints)) if terms.wobble else 0)
-    return np.concatenate([np.zeros(n), sizes, np.zeros(tail)])
-
-
-def _wobble(arm, angles, axes):
-    joint, axis, order, _ = zip(*wobbles(arm.n_joints), strict=True)
-    joint = np.array(joint)
-    phase = np.array(order) * angles[:, joint]
-    # Cosines and sines take turns.
-    wave = np.where(np.arange(len(joint)) % 2, np.sin(phase), np.cos(phase))
-    turn = axes.turn[:, :, 3 * (joint + _first_frame(arm)) + np.array(axis)]
-    return turn * (ARCSEC * wave)[:, None]
+    lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
+    lengths |= dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
+    sizes = [lengths.get(c.name, 0.0) / c.unit for c in other_columns(arm, terms)]
+    return np.concatenate([np.zeros(2 * len(terms.harmonics)), sizes])

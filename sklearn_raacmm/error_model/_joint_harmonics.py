@@ -3,61 +3,23 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from copy import copy
 from numbers import Integral, Real
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_angles, points_of
-from sklearn_raacmm.error_model._block_selection import select_blocks
-from sklearn_raacmm.error_model._columns import (
-    FAMILIES,
-    HARMONIC,
-    Terms,
-    scale_direction,
-    term_columns,
-    term_names,
-)
+from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.error_model._fit_checks import check_fit
-from sklearn_raacmm.error_model._normal_equations import (
-    length_equations,
-    mean_columns,
-    normal_equations,
-)
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
-    centred,
     check_features,
     fit_context,
-    group_means,
     one_blas_thread,
-)
-
-# Poses predicted at a time.
-_CHUNK = 2048
-# Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
-# errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
-_OUTLIER = 5.5
-_MEDIAN_OF_CHI3 = 1.5382
-_ROBUST_ROUNDS = 4
-_SETTLED_WEIGHT = 0.05
-
-_HARMONIC_DTYPE = np.dtype(
-    [
-        ("joint", "i4"),
-        ("order", "i4"),
-        ("amplitude_arcsec", "f8"),
-        ("phase_deg", "f8"),
-        ("cos_arcsec", "f8"),
-        ("sin_arcsec", "f8"),
-        ("cos_sd_arcsec", "f8"),
-        ("sin_sd_arcsec", "f8"),
-        ("log_bayes_factor", "f8"),
-    ]
 )
 
 
@@ -109,6 +71,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     Attributes
     ----------
+    linear_model_ : LinearModel
+        The fitted numbers as one value: columns, coefficients and their covariance. The attributes
+        below show what is in it.
+
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
@@ -282,136 +248,54 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             If angles are larger than two turns: most likely degrees; if ``kinematics=False`` and
             positions have offsets, but no `lengths` are given.
         """
-        self.arm_, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
-        self._fit(*data, None)
+        fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
+        arm, *data = check_fit(fitted, X, y, sample_weight, groups, lengths, linear=self)
+        options = LinearOptions.of(self)
+        fitted.linear_model_, fitted.pose_weight_ = fit_linear_model(arm, *data, options)
+        self.__dict__ = fitted.__dict__
         return self
 
-    def _fit(self, X, y, weights, codes, lengths, smooth):
-        """Fit, and fit again without what is too far off."""
-        factor = np.ones(len(y))
-        for rounds_left in range(_ROBUST_ROUNDS, -1, -1):
-            self._fit_weighted(X, y, weights * factor, codes, lengths, smooth)
-            if self.loss == "squared" or not rounds_left:
-                break
-            left = y - self._predict(X)[0]
-            distance = np.linalg.norm(centred(left, codes, weights * factor), axis=1)
-            scale = quantile(distance, 0.5, weights) / _MEDIAN_OF_CHI3
-            share = np.square(distance / max(_OUTLIER * scale, 1e-300))
-            new = np.square(np.maximum(1 - share, 0.0))
-            far = np.any((share >= 1) & (weights > 0))
-            settled = np.abs(new - factor).max() < _SETTLED_WEIGHT
-            if not scale > 0 or settled or (rounds_left == _ROBUST_ROUNDS and not far):
-                break
-            factor = new
-        self.pose_weight_ = factor
+    # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
-    def _fit_weighted(self, X, y, weights, codes, lengths, smooth):
-        kept = weights > 0
-        X, y, weights = X[kept], y[kept], weights[kept]
-        self.offsets_ = codes is not None
-        if codes is not None:
-            present, codes = np.unique(codes[kept], return_inverse=True)
-            codes = codes.ravel()
-            place = {code: i for i, code in enumerate(present.tolist())}
-            lengths = [
-                (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
-            ]
-        n_joints = self.arm_.n_joints
-        offered = np.array(
-            [(j, k) for j in range(n_joints) for k in range(1, self.n_harmonics + 1)], dtype=int
-        ).reshape(-1, 2)
-        terms = Terms(offered, self.gravity, self.kinematics, self.wobble)
-        names, of_term = term_names(self.arm_, terms)
-        if not len(offered) and not names:
-            raise ValueError(
-                "The model has no columns: n_harmonics is 0 and gravity, kinematics and wobble are "
-                "all False."
-            )
-        equations = normal_equations(self.arm_, X, y, weights, codes, terms, smooth)
-        n_pairs = len(offered)
-        blocks = [np.array([2 * i, 2 * i + 1]) for i in range(n_pairs)]
-        families = np.unique(of_term)
-        blocks += [2 * n_pairs + np.flatnonzero(of_term == f) for f in families]
-        family = np.r_[np.full(n_pairs, HARMONIC), families]
-        prior_variance = np.full(len(FAMILIES), np.nan)
-        if not isinstance(self.prior_sd, str):
-            prior_variance[HARMONIC] = self.prior_sd**2
-        found = select_blocks(
-            equations.gram,
-            equations.moment,
-            equations.square,
-            equations.n_observations,
-            blocks,
-            family,
-            np.arange(len(blocks)) >= n_pairs,
-            prior_variance,
-            length_equations(self.arm_, X, weights, codes, terms, lengths) if lengths else None,
-        )
-        self._unpack(found, offered)
-        if self.offsets_ and self.kinematics and not lengths:
-            self._keep_scale(X, weights, codes)
-        self._tabulate(found, offered, names, of_term)
+    @property
+    def harmonics_(self):
+        return self.linear_model_.harmonic_table()
 
-    def _keep_scale(self, X, weights, codes):
-        """Leave the distances between positions as the calibration has them, on the average.
+    @property
+    def terms_(self):
+        return self.linear_model_.term_table()
 
-        Positions with offsets do not show a common scale of all lengths, and whatever the prior
-        makes of it would be an error in proportion to every length.
-        """
-        points = group_means(points_of(self.arm_, X), codes, weights)
-        spread = points - points.mean(axis=0)
-        size = np.square(spread).sum()
-        if not size > 0:
-            return
-        columns = mean_columns(self.arm_, X, weights, codes, self._terms())
-        scale_of = np.einsum("gc,gcp->p", spread, columns) / size
-        unit = scale_direction(self.arm_, self._terms())
-        self.coef_ = self.coef_ - unit * (scale_of @ self.coef_)
-        self._half = self._half - np.outer(unit, scale_of @ self._half)
+    @property
+    def column_harmonics_(self):
+        return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
-    def _unpack(self, found, offered):
-        """Posterior with columns in the order harmonics, other terms."""
-        order = np.argsort(found.columns, kind="stable")
-        chosen = np.sort(np.array(found.blocks, dtype=int))
-        self.column_harmonics_ = offered[chosen[chosen < len(offered)]] + [1, 0]
-        self.coef_ = found.coef[order]
-        identity = np.eye(len(order))
-        # covariance = half @ half.T, rows in the order of coef_
-        self._half = solve_triangular(found.root, identity, check_finite=False)[order]
+    @property
+    def coef_(self):
+        return self.linear_model_.coef
 
-    def _tabulate(self, found, offered, names, of_term):
-        """Give the posterior its readable form."""
-        chosen = np.array(found.blocks, dtype=int)
-        chosen = chosen[chosen < len(offered)]
-        sorted_pairs = np.sort(chosen)
-        self.covariance_sd_ = np.sqrt(np.square(self._half).sum(axis=1))
-        self.noise_sd_ = float(np.sqrt(found.noise_variance))
-        self.n_determined_ = float(found.n_determined)
-        present = {HARMONIC, *of_term.tolist()} if len(offered) else set(of_term.tolist())
-        self.prior_sd_ = {
-            FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(present)
-        }
-        n = 2 * len(chosen)
-        pairs, sds = self.coef_[:n].reshape(-1, 2), self.covariance_sd_[:n].reshape(-1, 2)
-        gain_of = dict(zip(chosen.tolist(), found.gains, strict=True))
-        table = np.empty(len(chosen), dtype=_HARMONIC_DTYPE)
-        table["joint"], table["order"] = self.column_harmonics_.T
-        table["amplitude_arcsec"] = np.hypot(pairs[:, 0], pairs[:, 1])
-        table["phase_deg"] = np.rad2deg(np.arctan2(pairs[:, 1], pairs[:, 0]))
-        table["cos_arcsec"], table["sin_arcsec"] = pairs.T
-        table["cos_sd_arcsec"], table["sin_sd_arcsec"] = sds.T
-        table["log_bayes_factor"] = [gain_of[b] for b in sorted_pairs.tolist()]
-        self.harmonics_ = table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
-        width = max([len(name) for name in names], default=1)
-        others = [("family", "U10"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
-        self.terms_ = np.empty(len(names), dtype=others)
-        self.terms_["family"] = [FAMILIES[f] for f in of_term]
-        self.terms_["name"] = names
-        self.terms_["value"], self.terms_["sd"] = self.coef_[n:], self.covariance_sd_[n:]
+    @property
+    def coef_sd_(self):
+        return self.linear_model_.coef_sd
 
-    def _terms(self):
-        pairs = self.column_harmonics_ - [1, 0]
-        return Terms(pairs, self.gravity, self.kinematics, self.wobble)
+    @property
+    def prior_sd_(self):
+        return self.linear_model_.prior_sd
+
+    @property
+    def noise_sd_(self):
+        return self.linear_model_.noise_sd
+
+    @property
+    def n_determined_(self):
+        return self.linear_model_.n_determined
+
+    @property
+    def offsets_(self):
+        return self.linear_model_.offsets
+
+    @property
+    def arm_(self):
+        return self.linear_model_.arm
 
     def predict(self, X, return_std=False):
         """Predict residuals.
@@ -448,29 +332,11 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
         check_angles(X, X.shape[1], "rad")  # warns of degrees
-        mean, std = self._predict(X, return_std)
+        mean, std = self.linear_model_.predict(X, return_std)
         return (mean, std) if return_std else mean
-
-    def _predict(self, X, return_std=False):
-        terms = self._terms()
-        mean, std = np.empty((len(X), 3)), np.empty((len(X), 3))
-        for start in range(0, len(X), _CHUNK):
-            rows = slice(start, start + _CHUNK)
-            columns = term_columns(self.arm_, X[rows], terms)
-            mean[rows] = columns @ self.coef_
-            if return_std:
-                std[rows] = np.sqrt(np.square(columns @ self._half).sum(axis=2))
-        return mean, std
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = False
         tags.regressor_tags.poor_score = True
         return tags
-
-
-def quantile(values, share, weights):
-    """Least of the values below or at which lies this share of the weights."""
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(below, share * below[-1] * (1 - 1e-12))]])

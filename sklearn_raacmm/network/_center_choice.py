@@ -85,13 +85,10 @@ def choose_centers(problem, alpha, shift, length_scale, settings, rng):
     stop_reason : str
         Why there are no more.
 
-    Raises
-    ------
-    ValueError
-        If more centres are asked for than there are candidates.
-
     Warns
     -----
+    UserWarning
+        If more centres are asked for than there are candidates: all are taken then.
     ConvergenceWarning
         If a limit that the user has not set decided on the number of centres.
     """
@@ -140,11 +137,12 @@ def _most_steps(settings, criterion, n_candidates):
         limit = _MAX_CENTERS[criterion] if settings.max_centers is None else settings.max_centers
         return min(limit, n_candidates)
     if settings.n_centers > n_candidates:
-        raise ValueError(
+        warnings.warn(
             f"n_centers={settings.n_centers}, but there are only {n_candidates} distinct "
-            "candidate rows."
+            "candidate rows: all of them are taken.",
+            stacklevel=5,
         )
-    return settings.n_centers
+    return min(settings.n_centers, n_candidates)
 
 
 def _posterior_goal(problem, view, candidates, members, tol):

@@ -12,11 +12,10 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
-from sklearn_raacmm.residuals._pose_features import MIN_LENGTH_MM, PoseFeatures, pose_columns
+from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
 
 __all__ = [
-    "MIN_LENGTH_MM",
     "NORM_TOLERANCE",
     "CylindricalResidualTarget",
     "PoseFeatures",

@@ -8,13 +8,14 @@ here are reconstructions, checked numerically.
 import numpy as np
 from sklearn.base import TransformerMixin
 
-from sklearn_raacmm.arm import Arm, carried, check_angles, dh_theta, probe_points
+from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, carried, check_angles, dh_theta, probe_points
 from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     check_feature_names_in,
     check_features,
     check_fitted,
+    chunks,
     fit_context,
     whole_fit,
 )
@@ -23,8 +24,6 @@ from sklearn_raacmm.utils import (
 # core's cache.
 _BATCH_ROWS = 4096
 _ORIGIN = (0.0, 0.0, 0.0)
-# A nanometre: below it a direction is made of rounding, on any arm.
-MIN_LENGTH_MM = 1e-6
 
 
 class PoseFeatures(TransformerMixin, VersionedEstimator):
@@ -168,18 +167,15 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         check_fitted(self, "arm_")
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
-        # Not `sklearn.utils.gen_batches`: its checks take as long as the pose of one row.
-        for start in range(0, len(X), _BATCH_ROWS):
-            rows = slice(start, start + _BATCH_ROWS)
-            angles = X[rows].astype(np.float64, copy=False)
-            for i, column in enumerate(self._columns(angles, start)):
+        # All rows at once: a unit cannot be told from some of them.
+        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=4)
+        for rows in chunks(len(X), _BATCH_ROWS):
+            for i, column in enumerate(self._columns(angles[rows], rows.start)):
                 features[rows, i] = column
         return features
 
-    def _columns(self, X, first_row):
-        """Features of some rows, one array (n,) for each."""
-        # The angles as they are: degrees taken for radians are warned of.
-        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=5)
+    def _columns(self, angles, first_row):
+        """Features of some rows of angles in rad, one array (n,) for each."""
         columns, probe = list(angles.T), None
         if self.joints == "pose":
             columns, probe = pose_columns(self.arm_, angles, first_row)

@@ -10,6 +10,8 @@ doi 10.1177/1729881420925638. The printed equations are lost in every copy at ha
 here are reconstructions, checked numerically.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import issparse
 from sklearn import get_config
@@ -19,7 +21,7 @@ from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     std_to_cartesian,
@@ -137,12 +139,13 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         "azimuth": [StrOptions({"appended"}), callable, None],
     }
 
-    def __init__(self, regressor=None, *, azimuth="appended"):
+    def __init__(self, regressor=None, *, azimuth: str | Callable | None = "appended"):
         self.regressor = regressor
         self.azimuth = azimuth
 
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
+    @one_warning()
     def fit(self, X, y, **fit_params):
         """Fit the regressor on the residuals in the cylindrical frame.
 
@@ -195,9 +198,20 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             y = to_cylindrical(y, direction)
         if get_config()["enable_metadata_routing"]:
             fit_params = process_routing(self, "fit", **fit_params).regressor.fit
-        self.regressor_ = clone(self._get_regressor()).fit(features, y, **fit_params)
+        self.regressor_ = clone(self._get_regressor())
+        try:
+            self.regressor_.fit(features, y, **fit_params)
+        except ValueError as error:
+            if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
+                raise
+            raise ValueError(
+                f"{type(self.regressor_).__name__} learns one target at a time, but y has "
+                f"{y.shape[1]} columns: wrap the last estimator of it in "
+                f"sklearn.multioutput.MultiOutputRegressor. ({error})"
+            ) from error
         return self
 
+    @one_warning()
     def predict(self, X, **predict_params):
         """Predict Cartesian residuals, to be subtracted from the measured points.
 

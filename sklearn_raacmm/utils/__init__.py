@@ -11,6 +11,7 @@ from sklearn_raacmm.utils._checks import (
     check_option,
     check_points,
     check_weights,
+    check_whole_number,
     floats,
     is_plain,
     refuse_disguised,
@@ -18,6 +19,7 @@ from sklearn_raacmm.utils._checks import (
     refuse_masked,
     show,
 )
+from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import write_whole
 from sklearn_raacmm.utils._groups import (
     centred,
@@ -28,6 +30,8 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     group_weights,
 )
+from sklearn_raacmm.utils._html import html_table
+from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
     Interval,
@@ -61,6 +65,9 @@ __all__ = [
     "check_option",
     "check_points",
     "check_weights",
+    "check_whole_number",
+    "chunk_size",
+    "chunks",
     "deviations_by_group",
     "encode_groups",
     "fit_context",
@@ -68,6 +75,7 @@ __all__ = [
     "group_means",
     "group_sums",
     "group_weights",
+    "html_table",
     "is_plain",
     "one_blas_thread",
     "refuse_disguised",
@@ -75,6 +83,7 @@ __all__ = [
     "refuse_masked",
     "safe_indexing",
     "show",
+    "stage",
     "validate_params",
     "whole_fit",
     "write_whole",

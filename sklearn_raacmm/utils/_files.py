@@ -4,13 +4,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import os
+import secrets
+import shutil
 from pathlib import Path
 
 
 def write_whole(contents):
-    """Write files beside their places and rename them when all are complete.
+    """Write files beside their places, and rename them when all are complete.
 
     What goes wrong while writing, such as a full disk, leaves files of these names as they were.
+    Threads and processes may write one name at the same time: whoever reads gets the whole of one
+    of their files.
 
     Parameters
     ----------
@@ -20,19 +24,30 @@ def write_whole(contents):
     Raises
     ------
     OSError
-        If a folder is missing or a file cannot be written.
+        If a folder is missing, a path is a folder, or a file cannot be written.
     """
-    for path in contents:
-        if not Path(path).resolve().parent.is_dir():
-            raise FileNotFoundError(f"No such folder: {Path(path).resolve().parent}.")
-    places = {}
+    places = [Path(path).resolve() for path in contents]  # a link stays a link
+    for place in places:
+        if not place.parent.is_dir():
+            raise FileNotFoundError(f"No such folder: {place.parent}.")
+        if place.is_dir():
+            raise IsADirectoryError(f"A file is to be written, but this is a folder: {place}.")
+    complete = []
     try:
-        for path, content in contents.items():
-            path = Path(path).resolve()  # a link stays a link
-            beside = places[path] = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-            beside.write_bytes(content.encode() if isinstance(content, str) else content)
-        for path, beside in places.items():
-            beside.replace(path)
+        for place, content in zip(places, contents.values(), strict=True):
+            # A name that no other thread or process takes; "x" refuses one that is there.
+            beside = place.with_name(f"{place.name}.{secrets.token_hex(8)}.tmp")
+            with open(beside, "xb") as file:
+                complete.append(beside)
+                file.write(content.encode() if isinstance(content, str) else content)
+                file.flush()
+                # The content goes to the disk before the name does. After a power failure the file
+                # would be empty otherwise.
+                os.fsync(file.fileno())
+            if place.exists():
+                shutil.copymode(place, beside)
+        for place, beside in zip(places, complete, strict=True):
+            beside.replace(place)
     finally:
-        for beside in places.values():
+        for beside in complete:
             beside.unlink(missing_ok=True)

@@ -51,7 +51,7 @@ def cones():
 def test_the_stages_add_up(cones):
     theta, y, _, truth = cones
     model = small(use="harmonics+network", fade=0, cap=None).fit(theta, y)
-    first = model.harmonics_.predict(theta)
+    first = model.linear_model_.predict(theta)[0]
     azimuth = ARM.azimuth(theta)
     radial, tangential, axial = model.network_.predict(theta).T
     second = np.stack(
@@ -132,19 +132,6 @@ def test_corrections_fade_away_from_the_data(cones):
     assert share[1] < share[0]
 
 
-def test_joint_fit_lets_the_network_keep_what_is_its_own(cones):
-    """The first stage's coefficients are nearer the truth when it knows of the smooth error."""
-    theta, y, _, _ = cones
-    errors = []
-    for joint in (False, True):
-        model = small(use="harmonics+network", joint=joint).fit(theta, y)
-        table = model.harmonics_.harmonics_
-        third = table[(table["joint"] == 4) & (table["order"] == 3)]
-        errors.append(np.hypot(third["cos_arcsec"] - 12, third["sin_arcsec"])[0])
-    assert errors[1] < errors[0] + 0.1
-    assert errors[1] < 1.5
-
-
 CORNERS = {
     "one side of its base": lambda x, y, z: np.abs(np.arctan2(y, x)),
     "near": lambda x, y, z: x**2 + y**2 + z**2,
@@ -174,7 +161,7 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
                 day.arm, harmonics=JointHarmonicRegressor(n_harmonics=8), network=network, n_folds=3
             )
             model.fit(day.data[trained], y[trained], groups=day.groups[trained])
-            assert model.harmonics_.offsets_ != absolute
+            assert model.linear_model_.offsets != absolute
             elsewhere = ~trained
             left = other_day.points - model.predict(other_day.data)
             left = position_residuals(left[elsewhere], other_day.groups[elsewhere])
@@ -191,7 +178,7 @@ def test_known_lengths_reach_the_first_stage():
     model = ArmResidualRegressor(gauge.arm, harmonics=first, use="harmonics", fade=0)
     model.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
     first.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
-    assert_array_equal(model.harmonics_.coef_, first.coef_)
+    assert_array_equal(model.linear_model_.coef, first.coef_)
     # In the check, lengths of left-out positions are left out with them.
     model.set_params(fade="auto").fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
     assert model.check_["gain_mm"][1] > 0
@@ -200,7 +187,7 @@ def test_known_lengths_reach_the_first_stage():
 def test_fading_is_that_of_the_formula(cones):
     theta, y, _, _ = cones
     model = small(use="harmonics", fade=3.0, cap=None).fit(theta, y)
-    value, std = model.harmonics_.predict(theta, return_std=True)
+    value, std = model.linear_model_.predict(theta, return_std=True)
     size, doubt = np.square(y).sum(axis=1).mean(), np.square(std).sum(axis=1)
     assert model.fade_ == 3.0
     assert_allclose(model.predict(theta), value * (size / (size + 9 * doubt))[:, None], atol=1e-12)

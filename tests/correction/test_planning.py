@@ -28,9 +28,9 @@ def test_choice_is_that_of_the_posterior_computed_afresh(planned, criterion):
     model, X, groups = planned
     chosen, std = next_poses(model, X, 3, groups=groups, criterion=criterion)
     codes = np.arange(len(X)) if groups is None else groups
-    columns = term_columns(ARM, X, model._terms())
+    columns = term_columns(ARM, X, model.linear_model_.terms)
     aim = columns.reshape(-1, columns.shape[2])
-    covariance = model._half @ model._half.T
+    covariance = model.linear_model_.covariance
     # With offsets the scale is held: no variance at all along it.
     precision = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
     taken = []
@@ -72,7 +72,7 @@ def test_poses_near_the_targets_are_chosen():
 
 def test_bad_input_is_refused(planned):
     model, X, groups = planned
-    with pytest.raises(ValueError, match="n_poses must be 1 to"):
+    with pytest.raises(ValueError, match="n_poses must be a whole number from 1 to"):
         next_poses(model, X, 41, groups=groups)
     with pytest.raises(ValueError, match='"I" or "D"'):
         next_poses(model, X, 2, groups=groups, criterion="A")

@@ -185,7 +185,8 @@ def n_parameters(model):
         case JointHarmonicRegressor():
             return model.coef_.size
         case ArmResidualRegressor():
-            parts = {"harmonics": [model.harmonics_], "none": []}
-            parts["harmonics+network"] = [model.harmonics_, model.network_]
-            return sum(n_parameters(part) for part in parts[model.use_])
+            if model.use_ == "none":
+                return 0
+            network = 0 if model.network_ is None else n_parameters(model.network_)
+            return model.linear_model_.coef.size + network
     raise TypeError(f"Unknown kind of model: {model!r}.")

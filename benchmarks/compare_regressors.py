@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import plot_real_arm
-import plot_real_tracker
+import real_arm
+import real_tracker
 from _comparison import UNCORRECTED, Table, fetched, in_parallel, processes
 from _regressors import MODELS, Fold, run
 from sklearn.metrics import r2_score
@@ -87,7 +87,7 @@ def panda(arm, data_home):
     names = np.unique(data.placements)
     folds, measured = [], []
     for name in names:
-        without = plot_real_arm.without(data, name)
+        without = real_arm.without(data, name)
         residuals = np.zeros((len(data.data), 3))
         residuals[without.learn] = position_residuals(
             without.points[without.learn], data.groups[without.learn]
@@ -104,10 +104,10 @@ def panda(arm, data_home):
 def ur10(n_rows, data_home):
     """Three folds of goal positions; residuals against the tracker."""
     data = fetched(fetch_ur10_tracker, data_home=data_home)
-    data = plot_real_tracker.some_goals(data, n_rows)
+    data = real_tracker.some_goals(data, n_rows)
     folds, measured = [], []
     for train, test in GroupKFold(3).split(data.data, groups=data.groups):
-        fold = plot_real_tracker.calibrated(data, train, test)
+        fold = real_tracker.calibrated(data, train, test)
         labels = (data.groups, data.groups)
         folds.append(Fold(fold.arm, data.data, fold.residuals, *labels, train, test, absolute=True))
         measured.append(fold.residuals[test])

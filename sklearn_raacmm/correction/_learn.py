@@ -1,0 +1,296 @@
+"""The one call: calibrate, learn the rest, and say whether it helps."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import json
+import warnings
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from sklearn.base import BaseEstimator
+
+from sklearn_raacmm._version import __version__
+from sklearn_raacmm.arm import Arm, check_angles, reach_mm
+from sklearn_raacmm.calibration import CalibrationResult
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._scores import CorrectionScores, scores_of
+from sklearn_raacmm.correction._table_search import search_table
+from sklearn_raacmm.utils import write_whole
+
+# Points of a calibrated arm that scatter by a larger share of its reach belong to another table:
+# the limit at which `calibrate` warns.
+_SHARE_OF_REACH = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCorrection:
+    """A calibrated arm, a model of what calibration leaves, and what both are worth.
+
+    Attributes
+    ----------
+    arm : Arm
+        The calibrated arm.
+    model : estimator
+        Fitted on all rows but the outliers: ``model.predict(angles)``, in rad, is to be subtracted
+        from ``arm.forward(angles)``.
+    scores : CorrectionScores
+        Positions left out, before and after.
+    calibration : CalibrationResult
+        Parameters with their standard deviations, and what could not be identified.
+    outliers : structured ndarray of shape (n_outliers,)
+        ``row``, ``position`` and ``distance`` in mm of the rows left out as outliers, the farthest
+        first, see :class:`CorrectionScores`.
+    noise : float
+        Root mean square of a coordinate that the model leaves of its training rows, mm.
+    angles, positions, points, lengths
+        The data, angles in rad and within a turn.
+
+    See Also
+    --------
+    learn_correction : Makes one.
+    """
+
+    arm: Arm
+    model: BaseEstimator
+    scores: CorrectionScores
+    calibration: CalibrationResult = field(repr=False)
+    outliers: np.ndarray = field(repr=False)
+    noise: float
+    angles: np.ndarray = field(repr=False)
+    positions: np.ndarray = field(repr=False)
+    points: np.ndarray | None = field(repr=False)
+    lengths: list = field(repr=False)
+
+    @property
+    def helps(self):
+        """Whether the correction is worth using at new positions."""
+        return self.scores.helps
+
+    @property
+    def verdict(self):
+        """The same in one sentence."""
+        return self.scores.verdict
+
+    def correct(self, angles, *, angle_unit="rad"):
+        """Corrected points, and how far to trust them.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            Corrected points in the arm's base frame, mm.
+        std : ndarray of shape (n_samples, 3)
+            Standard deviation of each coordinate of one reading, mm, such that 95 % of the
+            coordinates left out lay within 1.96 of them. In a single-point test that is the
+            deviation within a position; a constant error at a position cannot be seen.
+
+        Raises
+        ------
+        ValueError
+            If `angles` do not fit the arm.
+        """
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        correction, std = predict_with_std(self.model, angles, self.noise)
+        return self.arm.forward(angles) - correction, self.scores.std_factor * std
+
+    def save(self, folder):
+        """Write the arm, the model and the scores into a folder.
+
+        ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
+        should load.
+
+        Parameters
+        ----------
+        folder : str or path-like
+            Made if it does not exist.
+
+        Returns
+        -------
+        list of pathlib.Path
+            ``arm.json``, the model, and ``correction.json`` with scores, verdict and versions.
+        """
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            import skops.io
+
+            name, content = "model.skops", skops.io.dumps(self.model)
+        except ImportError:
+            import io
+
+            import joblib
+
+            file = io.BytesIO()
+            joblib.dump(self.model, file)
+            name, content = "model.joblib", file.getvalue()
+        facts = json.dumps(self.facts(), indent=1, ensure_ascii=False) + "\n"
+        paths = [folder / part for part in ("arm.json", name, "correction.json")]
+        write_whole(dict(zip(paths, (self.arm.to_json(), content, facts), strict=True)))
+        return paths
+
+    def facts(self):
+        """Scores and verdict as plain values, fit for JSON."""
+        scores = self.scores
+        return {
+            "written_by": f"sklearn_raacmm {__version__}",
+            "verdict": scores.verdict,
+            "helps": scores.helps,
+            "measure": scores.measure,
+            "noise_mm": self.noise,
+            "std_factor": scores.std_factor,
+            "coverage": scores.coverage,
+            "n_rows": len(self.angles),
+            "n_folds": scores.n_folds,
+            "summary": {name: list(values) for name, values in scores.summary.items()},
+            "positions": {name: column.tolist() for name, column in scores.table.items()},
+            "outliers": [list(row) for row in self.outliers.tolist()],
+        }
+
+    def __str__(self):
+        lines = [
+            f"{self.arm!r}, {len(self.angles)} rows",
+            f"calibration: mean scatter {self.calibration.scatter_before_mm:.3f} -> "
+            f"{self.calibration.scatter_after_mm:.3f} mm",
+            str(self.scores),
+        ]
+        for row, label, distance in self.outliers[:10].tolist():
+            lines.append(f"  outlier: row {row} ({label}), {distance:.3g} mm")
+        if len(self.outliers) > 10:
+            lines.append(f"  and {len(self.outliers) - 10} more")
+        return "\n".join(lines)
+
+    def _repr_html_(self):
+        return f"<p><b>{escape(self.verdict)}</b></p><pre>{escape(str(self))}</pre>"
+
+
+def learn_correction(
+    arm,
+    angles,
+    positions,
+    points=None,
+    lengths=(),
+    *,
+    angle_unit="rad",
+    model=None,
+    cv=None,
+    n_jobs=None,
+    progress=None,
+):
+    """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm, or one calibrated on other data.
+    angles : array-like of shape (n_samples, n_joints)
+        Joint angles.
+    positions : array-like of shape (n_samples,)
+        Label of the position at which the probe was held.
+    points : array-like of shape (n_samples, 3), default=None
+        Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
+    lengths : iterable of (label, label, length, standard deviation), default=()
+        Known distances between two positions, mm.
+    angle_unit : {"rad", "deg"}, default="rad"
+        Unit of `angles`.
+    model : estimator, default=None
+        See :func:`cross_validate_correction`. None: ``ArmResidualRegressor(arm)``.
+    cv : int, splitter or iterable of (train, test), default=None
+        See :func:`cross_validate_correction`.
+    n_jobs : int, default=None
+        Folds computed at the same time, as in scikit-learn.
+    progress : callable, default=None
+        Called as ``progress(done, n_folds)`` when a fold is done.
+
+    Returns
+    -------
+    LearnedCorrection
+        The calibrated arm, the fitted model, the scores and the verdict.
+
+    Raises
+    ------
+    ValueError
+        As :func:`cross_validate_correction`; and if the points of the calibrated arm scatter by
+        more than 2 % of its reach: labels, table or unit are then wrong, and the sentence says
+        what :func:`search_table` has found.
+
+    See Also
+    --------
+    cross_validate_correction : The judgement alone.
+
+    Notes
+    -----
+    Outliers are rows that :func:`calibrate` names and that :class:`JointHarmonicRegressor` cannot
+    explain either. They are not learnt from, nor counted in the scores, neither before nor after.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import JointHarmonicRegressor, learn_correction
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
+    >>> learned = learn_correction(
+    ...     test.nominal_arm, test.data, test.groups,
+    ...     model=JointHarmonicRegressor(n_harmonics=4), cv=3,
+    ... )
+    >>> learned.helps
+    True
+    >>> points, std = learned.correct(test.data[:5])
+    >>> points.shape, std.shape
+    ((5, 3), (5, 3))
+    """
+    data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
+    calibration = _calibrated(data, angles, angle_unit)
+    scores = scores_of(data, calibration, model, cv, n_jobs, progress)
+    kept = np.delete(np.arange(len(data.angles)), scores.outliers)
+    kept = data.without_lonely(kept)[0]
+    fitted, noise = data.fit(model, calibration, kept)
+    return LearnedCorrection(
+        arm=calibration.arm,
+        model=fitted,
+        scores=scores,
+        calibration=calibration,
+        outliers=_outliers(calibration, data.positions, scores.outliers),
+        noise=noise,
+        angles=data.angles,
+        positions=data.positions,
+        points=data.points,
+        lengths=data.lengths,
+    )
+
+
+def _calibrated(data, angles, angle_unit):
+    """Calibration of all rows; refuses points that cannot be those of this arm."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", UserWarning)
+        calibration = data.calibrate(np.arange(len(data.angles)))
+    reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
+    if scatter > _SHARE_OF_REACH * reach:
+        positions = data.positions if data.points is None else None
+        change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
+        raise ValueError(
+            f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
+            f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
+            f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
+        )
+    for warning in said:
+        warnings.warn(warning.message, stacklevel=3)
+    return calibration
+
+
+def _outliers(calibration, positions, rows):
+    """Rows of outliers with their labels and distances, the farthest first."""
+    distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
+    order = np.argsort(-distance, kind="stable")
+    fields = [("row", "i8"), ("position", positions.dtype), ("distance", "f8")]
+    table = np.empty(len(rows), dtype=fields)
+    table["row"], table["position"] = rows[order], positions[rows[order]]
+    table["distance"] = distance[order]
+    return table

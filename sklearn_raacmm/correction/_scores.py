@@ -1,0 +1,366 @@
+"""A correction judged at positions left out: calibration and model fitted anew in every fold."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+from sklearn.model_selection import GroupKFold, check_cv
+from sklearn.utils.parallel import Parallel, delayed
+
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
+from sklearn_raacmm.utils import centred, encode_groups, group_means
+
+# Folds of the default split: each takes a calibration and a fit of the model.
+_N_FOLDS = 5
+# Draws of the bootstrap over positions: the ends of a 95 % interval then vary by about 2 % of its
+# length from seed to seed.
+_N_DRAWS = 4000
+# That all positions improve by chance has a probability of 1/16 with four, 1/32 with five.
+_FEWEST_POSITIONS = 5
+_Z95 = 1.959964  # the standard normal quantile of 97.5 %
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionScores:
+    """What a correction is worth at positions that neither calibration nor model had seen.
+
+    ``pandas.DataFrame(scores.table)`` is the table of positions.
+
+    Attributes
+    ----------
+    measure : {"2S", "mean deviation"}
+        "2S", the single-point repeatability, where positions were only labelled; the mean distance
+        from the tracker's points where these were given.
+    table : dict of str to ndarray of shape (n_positions,)
+        ``position``, ``n_points``, and in mm ``before``, ``after`` (the measure), ``before_max``
+        and ``after_max`` (the largest deviation of a point).
+    summary : dict of str to tuple (mean, low, high)
+        For ``before`` and ``after`` the mean over positions in mm, for ``ratio`` that of after over
+        that of before, each with its 95 % interval (bootstrap over positions, those joined by known
+        lengths together).
+    lengths : list of (label, label, length, standard deviation)
+        The known lengths whose two ends were left out together.
+    length_errors_before, length_errors_after : ndarray of shape (n_lengths,)
+        Their errors, mm.
+    coverage : float
+        Share of the left-out coordinates inside their 95 % intervals, whose one factor comes from
+        the other folds.
+    std_factor : float
+        What the model's standard deviations have to be multiplied by.
+    n_folds : int
+        How many times calibration and model were fitted.
+    outliers : ndarray of shape (n_outliers,)
+        Rows that the calibration of all rows names as outliers and that the arm's linear error
+        model (:class:`JointHarmonicRegressor`) gives no weight either: slipped probes. They are
+        neither learnt from nor counted here, before or after.
+    rows_by_position : list of ndarray
+        Rows counted at each position of the table.
+    left_before, left_after : ndarray of shape (n_samples, 3)
+        Deviation of each point when it was left out, mm; NaN for outliers.
+    helps : bool
+        Whether the correction is worth using at new positions.
+    verdict : str
+        The same in one sentence, with the numbers.
+
+    See Also
+    --------
+    cross_validate_correction : Makes one.
+    """
+
+    measure: str
+    table: dict = field(repr=False)
+    summary: dict
+    lengths: list = field(repr=False)
+    length_errors_before: np.ndarray = field(repr=False)
+    length_errors_after: np.ndarray = field(repr=False)
+    coverage: float
+    std_factor: float
+    n_folds: int
+    outliers: np.ndarray = field(repr=False)
+    rows_by_position: list = field(repr=False)
+    left_before: np.ndarray = field(repr=False)
+    left_after: np.ndarray = field(repr=False)
+    helps: bool
+    verdict: str
+
+    def __str__(self):
+        width = max(8, *(len(str(label)) for label in self.table["position"]))
+        lines = [
+            self.verdict,
+            f"{'position':<{width}}{'points':>8}{self.measure + ' before':>24}{'after, mm':>12}"
+            f"{'maximum before':>17}{'after, mm':>12}",
+        ]
+        for row in zip(*self.table.values(), strict=True):
+            lines.append(
+                f"{row[0]!s:<{width}}{row[1]:8d}{row[2]:24.4f}{row[3]:12.4f}{row[4]:17.4f}"
+                f"{row[5]:12.4f}"
+            )
+        for name in ("before", "after"):
+            mean, low, high = self.summary[name]
+            lines.append(
+                f"mean {self.measure} {name}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})"
+            )
+        lines += self._length_lines()
+        lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
+        if len(self.outliers):
+            lines.append(f"left out of all this as outliers: {len(self.outliers)} rows")
+        return "\n".join(lines)
+
+    def _length_lines(self):
+        if not self.lengths:
+            return []
+        before, after = np.abs(self.length_errors_before), np.abs(self.length_errors_after)
+        return [
+            f"{len(self.lengths)} lengths, mean error: {before.mean():.4f} mm before, "
+            f"{after.mean():.4f} mm after (largest {before.max():.4f}, {after.max():.4f})"
+        ]
+
+    def _repr_html_(self):
+        return f"<pre>{escape(str(self))}</pre>"
+
+
+def cross_validate_correction(
+    arm,
+    angles,
+    positions,
+    points=None,
+    lengths=(),
+    *,
+    angle_unit="rad",
+    model=None,
+    cv=None,
+    n_jobs=None,
+    progress=None,
+):
+    """Judge a correction at positions left out, with calibration and model fitted anew each time.
+
+    Give the regressor of your choice as `model`, and it is judged as the package's own is.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm, or one calibrated on other data.
+    angles : array-like of shape (n_samples, n_joints)
+        Joint angles.
+    positions : array-like of shape (n_samples,)
+        Label of the position at which the probe was held.
+    points : array-like of shape (n_samples, 3), default=None
+        Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
+    lengths : iterable of (label, label, length, standard deviation), default=()
+        Known distances between two positions, mm. Positions joined by a known length are left out
+        together, as long as at least three blocks remain.
+    angle_unit : {"rad", "deg"}, default="rad"
+        Unit of `angles`.
+    model : estimator, default=None
+        Takes joint angles in rad and predicts residuals (n_samples, 3) in mm. Its parameters called
+        `arm` are set to the arm calibrated in each fold, those called `angle_unit` to "rad";
+        `groups` and `lengths` are given to its `fit` where it takes them. None:
+        ``ArmResidualRegressor(arm)``.
+    cv : int, splitter or iterable of (train, test), default=None
+        Folds of whole positions; each row is left out once. None: five.
+    n_jobs : int, default=None
+        Folds computed at the same time, as in scikit-learn.
+    progress : callable, default=None
+        Called as ``progress(done, n_folds)`` when a fold is done.
+
+    Returns
+    -------
+    CorrectionScores
+        Positions, lengths and intervals before and after, and the verdict.
+
+    Raises
+    ------
+    ValueError
+        If shapes, labels or numbers do not fit together, a position has one row, there are fewer
+        than three blocks of positions, or `cv` puts one position on both sides.
+
+    Notes
+    -----
+    A correction helps if the upper end of the 95 % interval of mean after over mean before is
+    below 1, and at least five positions say so. The interval is that of a bootstrap over positions;
+    with few positions such intervals are too short.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import JointHarmonicRegressor, cross_validate_correction
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
+    >>> scores = cross_validate_correction(
+    ...     test.nominal_arm, test.data, test.groups,
+    ...     model=JointHarmonicRegressor(n_harmonics=4), cv=3,
+    ... )
+    >>> scores.helps, scores.measure
+    (True, '2S')
+    """
+    data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
+    calibration = data.calibrate(np.arange(len(data.angles)))
+    return scores_of(data, calibration, model, cv, n_jobs, progress)
+
+
+# -- the folds ------------------------------------------------------------------------------------
+
+
+def scores_of(data, calibration, model, cv, n_jobs, progress):
+    """Scores of checked data with the calibration of all of them."""
+    outliers = data.outliers(calibration)
+    kept = np.delete(np.arange(len(data.angles)), outliers)
+    folds = _folds(data, kept, cv)
+    work = Parallel(n_jobs=n_jobs, return_as="generator")(
+        delayed(_one_fold)(data, model, train, test) for train, test in folds
+    )
+    before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(3))
+    length_errors = []
+    for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
+        before[test], after[test], std[test] = result[:3]
+        length_errors += result[3]
+        if progress is not None:
+            progress(i + 1, len(folds))
+    table, measure, rows_by_position = _table(data, before, after)
+    block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
+    summary = _summary(table["before"], table["after"], block_of)
+    coverage, factor = _coverage(after, std, [test for _, test in folds])
+    helps, verdict = _verdict(table, summary, measure, len(np.unique(block_of)))
+    errors = np.array([entry[1:] for entry in length_errors]).reshape(-1, 2)
+    return CorrectionScores(
+        measure=measure,
+        table=table,
+        summary=summary,
+        lengths=[entry[0] for entry in length_errors],
+        length_errors_before=errors[:, 0],
+        length_errors_after=errors[:, 1],
+        coverage=coverage,
+        std_factor=factor,
+        n_folds=len(folds),
+        outliers=outliers,
+        rows_by_position=rows_by_position,
+        left_before=before,
+        left_after=after,
+        helps=helps,
+        verdict=verdict,
+    )
+
+
+def _folds(data, kept, cv):
+    """Rows to fit on and rows to leave out, outliers in neither."""
+    labels, codes = np.unique(data.positions, return_inverse=True)
+    blocks = data.blocks()
+    n_blocks = len(np.unique(blocks))
+    if n_blocks < 3:
+        raise ValueError(
+            f"at least 3 positions are needed to leave some out, got {n_blocks}; ten are a fair "
+            "start."
+        )
+    if cv is None or isinstance(cv, int | np.integer):
+        cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
+    splits = list(check_cv(cv).split(data.angles, groups=blocks))
+    times = np.zeros(len(codes), dtype=int)
+    for train, test in splits:
+        both = np.intersect1d(codes[train], codes[test])
+        if len(both):
+            raise ValueError(
+                f"cv puts position {labels[both[0]].item()!r} on both sides: rows of one position "
+                "resemble each other, so split by position."
+            )
+        times[test] += 1
+    if np.any(times != 1):
+        raise ValueError("cv must leave out each row exactly once.")
+    return [(np.intersect1d(train, kept), np.intersect1d(test, kept)) for train, test in splits]
+
+
+def _one_fold(data, model, train, test):
+    """Deviations before and after and their standard deviations at the rows left out; lengths."""
+    train, lonely = data.without_lonely(train)
+    with warnings.catch_warnings():
+        # Whatever there is to say has been said of all rows.
+        warnings.simplefilter("ignore", UserWarning)
+        calibration = data.calibrate(np.sort(np.r_[train, lonely]))
+        fitted, noise = data.fit(model, calibration, train)
+        correction, std = predict_with_std(fitted, data.angles[test], noise)
+    points = calibration.arm.forward(data.angles[test])
+    labels = data.positions[test]
+    lengths = []
+    for entry in data.lengths_among(test):
+        sizes = (gauge_lengths(p, labels, [entry[:2]]) for p in (points, points - correction))
+        lengths.append((entry, *(length_error(size, entry[2])[0] for size in sizes)))
+    if data.points is None:
+        codes = encode_groups(labels)[1]
+        return centred(points, codes), centred(points - correction, codes), std, lengths
+    before = data.residuals(calibration, test)
+    return before, before - correction, std, lengths
+
+
+def _table(data, before, after):
+    """Measure of every position with at least two counted rows."""
+    rows = np.flatnonzero(np.isfinite(before).all(axis=1))
+    rows = data.without_lonely(rows)[0]
+    labels, codes, counts = np.unique(data.positions[rows], return_inverse=True, return_counts=True)
+    table = {"position": labels, "n_points": counts}
+    maxima = {}
+    for name, left in (("before", before[rows]), ("after", after[rows])):
+        size = np.linalg.norm(left, axis=1)
+        table[name] = (
+            single_point_repeatability(left, codes, aggregate=None)
+            if data.points is None
+            else group_means(size, codes)
+        )
+        maxima[f"{name}_max"] = np.zeros(len(labels))
+        np.maximum.at(maxima[f"{name}_max"], codes, size)
+    by_position = np.split(rows[np.argsort(codes, kind="stable")], np.cumsum(counts)[:-1])
+    return table | maxima, "2S" if data.points is None else "mean deviation", by_position
+
+
+def _summary(before, after, blocks):
+    """Means over positions and their ratio, with 95 % intervals by drawing whole blocks."""
+    blocks = np.unique(blocks, return_inverse=True)[1]
+    sums = np.stack([np.bincount(blocks, weights) for weights in (before, after)])
+    counts = np.bincount(blocks)
+    draws = np.random.default_rng(0).integers(len(counts), size=(_N_DRAWS, len(counts)))
+    means = sums[:, draws].sum(axis=2) / counts[draws].sum(axis=1)
+    ratio = means[1] / np.maximum(means[0], 1e-300)
+    values = {"before": (before.mean(), means[0]), "after": (after.mean(), means[1])}
+    values["ratio"] = (after.mean() / max(before.mean(), 1e-300), ratio)
+    return {
+        name: (float(value), *map(float, np.quantile(drawn, [0.025, 0.975])))
+        for name, (value, drawn) in values.items()
+    }
+
+
+def _coverage(left, std, tests):
+    """Share of coordinates inside 95 % intervals, and the factor that makes it 95 % of all."""
+    # No deviation without a standard deviation, such as exact data: those are inside.
+    ratio = np.abs(left) / np.maximum(std, 1e-300)
+    inside, total = 0, 0
+    for i, test in enumerate(tests):
+        others = np.concatenate([other for j, other in enumerate(tests) if j != i])
+        factor = np.quantile(ratio[others], 0.95) / _Z95
+        inside += np.sum(ratio[test] <= _Z95 * factor)
+        total += ratio[test].size
+    return float(inside / total), float(np.quantile(ratio[np.concatenate(tests)], 0.95) / _Z95)
+
+
+def _verdict(table, summary, measure, n_blocks):
+    before, after = table["before"], table["after"]
+    n, better = len(before), int(np.sum(after < before))
+    ratio, low, high = summary["ratio"]
+    change = f"{measure} {before.mean():.3f} -> {after.mean():.3f} mm"
+    what = "positions" if n_blocks == n else "placements of known lengths"
+    if n_blocks < _FEWEST_POSITIONS:
+        return False, (
+            f"Do not use it yet: at new positions {change}, but {n_blocks} {what} are too few to "
+            f"tell; measure at least {_FEWEST_POSITIONS}."
+        )
+    worst = float(np.max(after / np.maximum(before, 1e-300)))
+    if high < 1:
+        return True, (
+            f"It helps at new positions: {change}, {better} of {n} positions better, worst "
+            f"{worst:.2f} x."
+        )
+    return False, (
+        f"Do not use it: at new positions {change}, {better} of {n} positions better; after is "
+        f"{ratio:.2f} times before, and its 95 % interval, {low:.2f} to {high:.2f}, reaches 1."
+    )

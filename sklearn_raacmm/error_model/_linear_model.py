@@ -1,0 +1,160 @@
+"""The fitted linear error model as a value: its columns, coefficients and their covariance."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model._columns import FAMILIES, Terms, term_columns, term_names
+from sklearn_raacmm.utils import chunks
+
+# Poses predicted at a time.
+_CHUNK = 2048
+
+_HARMONIC_DTYPE = np.dtype(
+    [
+        ("joint", "i4"),
+        ("order", "i4"),
+        ("amplitude_arcsec", "f8"),
+        ("phase_deg", "f8"),
+        ("cos_arcsec", "f8"),
+        ("sin_arcsec", "f8"),
+        ("cos_sd_arcsec", "f8"),
+        ("sin_sd_arcsec", "f8"),
+        ("log_bayes_factor", "f8"),
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Posterior of a linear error model: ``columns(angles) @ coef`` is the correction in mm.
+
+    Estimators hold it, planners and exporters read it, and files keep it. It is made by
+    :func:`fit_linear_model` and does not change; ``dataclasses.replace`` makes another one.
+
+    Attributes
+    ----------
+    arm : Arm
+        The calibrated arm.
+
+    terms : Terms
+        Which columns there are.
+
+    coef : ndarray of shape (n_columns,)
+        Posterior mean of the coefficients.
+
+    half : ndarray of shape (n_columns, r)
+        Root of their covariance, which is ``half @ half.T``.
+
+    noise_variance : float
+        Variance of a coordinate about the model, mm^2.
+
+    prior_sd : dict
+        Standard deviation before any data of the coefficients of each family.
+
+    offsets : bool
+        Whether each position had an unknown offset.
+
+    n_determined : float
+        Effective number of coefficients that the data determine.
+
+    log_bayes_factor : ndarray of shape (n_harmonics,)
+        By how much each harmonic of `terms` raised the log evidence when it joined.
+    """
+
+    arm: Arm
+    terms: Terms
+    coef: np.ndarray
+    half: np.ndarray
+    noise_variance: float
+    prior_sd: dict
+    offsets: bool
+    n_determined: float
+    log_bayes_factor: np.ndarray
+
+    @property
+    def covariance(self):
+        """Covariance of the coefficients, (n_columns, n_columns)."""
+        return self.half @ self.half.T
+
+    @property
+    def coef_sd(self):
+        """Standard deviations of the coefficients, (n_columns,)."""
+        return np.sqrt(np.square(self.half).sum(axis=1))
+
+    @property
+    def noise_sd(self):
+        """Standard deviation of a coordinate about the model, mm."""
+        return float(np.sqrt(self.noise_variance))
+
+    def columns(self, angles):
+        """Columns of the model at some poses.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n, n_joints)
+            In rad.
+
+        Returns
+        -------
+        ndarray of shape (n, 3, n_columns)
+            mm per unit coefficient.
+        """
+        return term_columns(self.arm, angles, self.terms)
+
+    def predict(self, angles, return_std=False):
+        """Posterior of the correction at some poses.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n, n_joints)
+            In rad.
+
+        return_std : bool, default=False
+            Also return standard deviations.
+
+        Returns
+        -------
+        mean : ndarray of shape (n, 3)
+            In mm.
+
+        std : ndarray of shape (n, 3) or None
+            In mm, without noise; None where it is not asked for.
+        """
+        mean = np.empty((len(angles), 3))
+        std = np.empty((len(angles), 3)) if return_std else None
+        for rows in chunks(len(angles), _CHUNK):
+            columns = self.columns(angles[rows])
+            mean[rows] = columns @ self.coef
+            if return_std:
+                std[rows] = np.sqrt(np.square(columns @ self.half).sum(axis=2))
+        return mean, std
+
+    def harmonic_table(self):
+        """Harmonics as a structured array, the largest first: see `JointHarmonicRegressor`."""
+        n = 2 * len(self.terms.harmonics)
+        pairs, sds = self.coef[:n].reshape(-1, 2), self.coef_sd[:n].reshape(-1, 2)
+        table = np.empty(len(pairs), dtype=_HARMONIC_DTYPE)
+        table["joint"], table["order"] = np.add(self.terms.harmonics, (1, 0)).T
+        table["amplitude_arcsec"] = np.hypot(pairs[:, 0], pairs[:, 1])
+        table["phase_deg"] = np.rad2deg(np.arctan2(pairs[:, 1], pairs[:, 0]))
+        table["cos_arcsec"], table["sin_arcsec"] = pairs.T
+        table["cos_sd_arcsec"], table["sin_sd_arcsec"] = sds.T
+        table["log_bayes_factor"] = self.log_bayes_factor
+        return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
+
+    def term_table(self):
+        """The other causes as a structured array: see `JointHarmonicRegressor`."""
+        names, family = term_names(self.arm, self.terms)
+        n = 2 * len(self.terms.harmonics)
+        width = max([len(name) for name in names], default=1)
+        dtype = [("family", "U10"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
+        table = np.empty(len(names), dtype=dtype)
+        table["family"] = [FAMILIES[f] for f in family]
+        table["name"] = names
+        table["value"], table["sd"] = self.coef[n:], self.coef_sd[n:]
+        return table

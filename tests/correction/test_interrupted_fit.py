@@ -1,0 +1,74 @@
+"""A refit that is interrupted anywhere leaves the old model whole."""
+
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from sklearn.base import clone
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, RBFNetRegressor
+
+ARM = Arm.from_name("aacmm6")
+
+
+class InterruptError(Exception):
+    """Stands for Ctrl-C, at a call of our choice."""
+
+
+class Interrupt:
+    """Raise at the n-th call of a function of the package; count the calls."""
+
+    def __init__(self, at):
+        self.at, self.count = at, 0
+
+    def __call__(self, frame, event, arg):
+        if event == "call" and "sklearn_raacmm" in frame.f_code.co_filename:
+            self.count += 1
+            if self.count == self.at:
+                raise InterruptError
+
+
+def calls(fit, at):
+    """Number of calls of a fit, interrupted at one of them; 0 for a fit that came to its end."""
+    tracer = Interrupt(at)
+    sys.setprofile(tracer)
+    try:
+        fit()
+    except InterruptError:
+        return 0
+    finally:
+        sys.setprofile(None)
+    return tracer.count
+
+
+@pytest.mark.parametrize("kind", ["linear", "whole"])
+def test_interrupted_at_every_stage(kind):
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-1, 1, (60, 6))
+    groups = np.repeat(np.arange(6), 10)
+    first = JointHarmonicRegressor(ARM, n_harmonics=1, gravity=False, wobble=False)
+    if kind == "linear":
+        model = first
+    else:
+        network = RBFNetRegressor(4, length_scale=1.0, alpha=0.1, degree=-1)
+        model = ArmResidualRegressor(ARM, harmonics=first, network=network, n_folds=2)
+    model.fit(theta, rng.normal(0, 0.05, (60, 3)), groups=groups)
+    before, expected = dict(vars(model)), model.predict(theta)
+    new = np.cos(theta[:, [1, 2, 3]]) * 0.05 + rng.normal(0, 0.002, (60, 3))
+
+    def refit():
+        model.fit(theta + 0.1, new, groups=groups)
+
+    n_calls = 40 if kind == "linear" else 120
+    # The second time, when all that is kept between fits is there: fewer calls than the first.
+    total = min(calls(lambda: clone(model).fit(theta + 0.1, new, groups=groups), -1) for _ in "ab")
+    # Every call of the first ones, and an even choice of the others.
+    for at in {*range(1, 20), *np.linspace(20, 0.9 * total, n_calls, dtype=int).tolist()}:
+        if calls(refit, at):
+            pytest.fail(f"call {at} of {total} was never made")
+        assert vars(model).keys() == before.keys()
+        assert all(vars(model)[name] is before[name] for name in before)
+    assert_array_equal(model.predict(theta), expected)
+    refit()
+    assert np.abs(model.predict(theta) - expected).max() > 1e-3

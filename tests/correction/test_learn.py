@@ -1,0 +1,287 @@
+"""The one call against the same steps written out, planted slips, and arms it cannot help."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from scipy.stats import bootstrap
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF
+from sklearn.model_selection import GroupKFold, KFold
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+    calibrate,
+    cross_validate_correction,
+    learn_correction,
+    position_residuals,
+)
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
+
+QUICK = JointHarmonicRegressor(n_harmonics=4)
+
+
+@pytest.fixture(scope="module")
+def test_data():
+    return make_single_point(n_positions=7, n_poses=20, random_state=1)
+
+
+@pytest.fixture(scope="module")
+def learned(test_data):
+    labels = np.array(list("ABCDEFG"))[test_data.groups]
+    return learn_correction(test_data.nominal_arm, test_data.data, labels, model=QUICK)
+
+
+def test_scores_are_those_of_the_steps_written_out(test_data, learned):
+    """Calibration and model know nothing of the positions that they are judged at."""
+    X, groups = test_data.data, test_data.groups
+    before, after = np.empty(7), np.empty(7)
+    for train, test in GroupKFold(5).split(X, groups=groups):
+        arm = calibrate(test_data.nominal_arm, X[train], groups[train]).arm
+        y = position_residuals(arm.forward(X[train]), groups[train])
+        model = JointHarmonicRegressor(arm, n_harmonics=4).fit(X[train], y, groups=groups[train])
+        points = arm.forward(X[test])
+        for values, left in ((before, points), (after, points - model.predict(X[test]))):
+            values[np.unique(groups[test])] = single_point_repeatability(
+                left, groups[test], aggregate=None
+            )
+    assert len(learned.outliers) == 0
+    np.testing.assert_array_equal(learned.scores.table["position"], list("ABCDEFG"))
+    np.testing.assert_allclose(learned.scores.table["before"], before, rtol=1e-9)
+    np.testing.assert_allclose(learned.scores.table["after"], after, rtol=1e-9)
+    assert learned.scores.summary["before"][0] == pytest.approx(before.mean())
+    assert learned.helps
+    better = np.sum(after < before)
+    assert f"2S {before.mean():.3f} -> {after.mean():.3f} mm, {better} of 7" in learned.verdict
+    assert f"worst {np.max(after / before):.2f} x" in learned.verdict
+
+
+def test_intervals_are_those_of_a_bootstrap_over_positions(learned):
+    table = learned.scores.table
+    expected = bootstrap(
+        (table["before"], table["after"]),
+        lambda b, a, axis=-1: a.mean(axis=axis) / b.mean(axis=axis),
+        paired=True,
+        method="percentile",
+        n_resamples=9999,
+        rng=3,
+    ).confidence_interval
+    value, low, high = learned.scores.summary["ratio"]
+    width = expected.high - expected.low
+    assert (low, high) == pytest.approx((expected.low, expected.high), abs=0.1 * width)
+    assert low < value < high < 1
+
+
+def test_corrected_points_are_nearer_to_the_truth(test_data, learned):
+    """A new test of the same arm: the correction and its intervals hold at other places."""
+    other = make_single_point(
+        n_positions=5, n_poses=30, machine=test_data.simulation.machine, random_state=77
+    )
+    points, std = learned.correct(np.rad2deg(other.data), angle_unit="deg")
+    before = single_point_repeatability(learned.arm.forward(other.data), other.groups)
+    assert single_point_repeatability(points, other.groups) < 0.6 * before
+    left = position_residuals(points, other.groups)
+    assert 0.85 < np.mean(np.abs(left) < 1.96 * std) <= 1
+    np.testing.assert_allclose(
+        points, learned.arm.forward(other.data) - learned.model.predict(other.data), atol=1e-12
+    )
+
+
+def test_slipped_probes_are_found_and_nothing_else(test_data):
+    X = test_data.data.copy()
+    X[[7, 100], [2, 4]] += [0.005, -0.01]
+    learned = learn_correction(test_data.nominal_arm, X, test_data.groups, model=QUICK)
+    assert learned.outliers["row"].tolist() == [7, 100]
+    assert learned.outliers["position"].tolist() == test_data.groups[[7, 100]].tolist()
+    assert np.all(learned.outliers["distance"] > 0.3)
+    assert np.flatnonzero(np.isnan(learned.scores.left_after[:, 0])).tolist() == [7, 100]
+    assert learned.scores.table["before"].max() < 0.2
+    assert "row 7 (0)" in str(learned)
+
+
+def test_lengths_are_judged_where_both_ends_were_left_out():
+    data = make_gauge(400, n_placements=6, n_poses=12, random_state=3)
+    lengths = [(int(a), int(b), 400.0, 0.01) for a, b in data.pairs]
+    scores = cross_validate_correction(
+        data.nominal_arm, data.data, data.groups, lengths=lengths, model=QUICK, cv=3
+    )
+    assert sorted(entry[:2] for entry in scores.lengths) == [tuple(p) for p in data.pairs.tolist()]
+    # By hand, for the placements of the first fold.
+    blocks = data.groups // 2
+    train, test = next(GroupKFold(3).split(data.data, groups=blocks))
+    known = [entry for entry in lengths if entry[0] // 2 in blocks[train]]
+    arm = calibrate(data.nominal_arm, data.data[train], data.groups[train], lengths=known).arm
+    first = data.groups[test][0] // 2 * 2
+    ends = [arm.forward(data.data[data.groups == first + i]).mean(axis=0) for i in (0, 1)]
+    error = np.linalg.norm(ends[0] - ends[1]) - 400
+    place = [entry[0] for entry in scores.lengths].index(first)
+    assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
+    assert "6 lengths, mean error" in str(scores)
+    # The two ends of a placement resemble each other: the bootstrap draws placements.
+    rng = np.random.default_rng(1)
+    draws = rng.integers(6, size=(20_000, 6))
+    pairs = scores.table["after"].reshape(6, 2).mean(axis=1)
+    low, high = np.quantile(pairs[draws].mean(axis=1), [0.025, 0.975])
+    assert scores.summary["after"][1:] == pytest.approx((low, high), abs=0.1 * (high - low))
+
+
+def test_a_plate_of_known_distances_still_leaves_positions_out(test_data):
+    """All positions joined by lengths make one block: they are then left out one by one."""
+    truth = test_data.simulation.positions
+    lengths = [(0, i, float(np.linalg.norm(truth[0] - truth[i])), 0.05) for i in range(1, 7)]
+    scores = cross_validate_correction(
+        test_data.nominal_arm, test_data.data, test_data.groups, lengths=lengths, model=QUICK
+    )
+    assert scores.n_folds == 5
+    assert scores.helps
+    assert len(scores.lengths) < 6
+
+
+def test_against_a_tracker(test_data):
+    """True points in a frame of their own: deviations from them, base fitted in every fold."""
+    truth = test_data.simulation.true_points
+    tracker = truth[:, [1, 2, 0]] + [1500, -20, 300]
+    learned = learn_correction(
+        test_data.nominal_arm, test_data.data, test_data.groups, tracker, model=QUICK
+    )
+    assert learned.scores.measure == "mean deviation"
+    assert learned.helps
+    result = learned.calibration
+    corrected = learned.correct(test_data.data)[0]
+    error = corrected @ result.base_rotation.T + result.base_translation - tracker
+    assert np.linalg.norm(error, axis=1).mean() < 0.02
+    left = np.linalg.norm(learned.scores.left_after, axis=1)
+    means = [left[test_data.groups == i].mean() for i in range(7)]
+    np.testing.assert_allclose(learned.scores.table["after"], means)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        make_pipeline(
+            PoseFeatures(angle_unit="deg", append_azimuth=True, joints="all", encoding="periodic"),
+            CylindricalResidualTarget(make_pipeline(StandardScaler(), RBFNetRegressor(20))),
+        ),
+        CylindricalResidualTarget(
+            make_pipeline(PoseFeatures(joints="all", encoding="periodic"), RBFNetRegressor(20)),
+            azimuth=Arm.from_name("ur10").azimuth,
+        ),
+        make_pipeline(
+            StandardScaler(), GaussianProcessRegressor(1e-3 * RBF(2), alpha=1e-4, optimizer=None)
+        ),
+    ],
+    ids=["pipeline", "target", "process"],
+)
+def test_any_regressor_is_judged_and_given_the_arm(test_data, model):
+    learned = learn_correction(
+        test_data.nominal_arm, test_data.data, test_data.groups, model=model, cv=3
+    )
+    params = learned.model.get_params(deep=True)
+    arms = [value for name, value in params.items() if name.endswith("__arm")]
+    assert arms == [learned.arm] * len(arms)
+    if "azimuth" in params:
+        assert params["azimuth"].__self__ == learned.arm
+    assert {params[name] for name in params if name.endswith("angle_unit")} <= {"rad"}
+    points, std = learned.correct(test_data.data[:3])
+    assert points.shape == std.shape == (3, 3)
+    assert np.all(std > 0)
+    assert learned.scores.table["after"].mean() < learned.scores.table["before"].mean()
+
+
+def test_the_default_is_the_guarded_model_and_says_when_it_does_not_help():
+    """An arm whose points scatter by noise alone: nothing to learn."""
+    rng = np.random.default_rng(5)
+    arm = Arm.from_name("ur10")
+    X, groups = rng.uniform(-2, 2, (60, 6)), np.repeat(np.arange(6), 10)
+    tracker = arm.forward(X) + rng.normal(scale=0.05, size=(60, 3))
+    model = ArmResidualRegressor(
+        harmonics=JointHarmonicRegressor(n_harmonics=2), network=RBFNetRegressor(5, degree=-1)
+    )
+    learned = learn_correction(arm, X, groups, tracker, model=model, cv=3)
+    assert not learned.helps
+    assert learned.verdict.startswith("Do not use it: at new positions mean deviation")
+    assert "reaches 1" in learned.verdict
+    few = learn_correction(arm, X[:40], groups[:40], tracker[:40], model=model, cv=3)
+    assert "4 positions are too few to tell; measure at least 5" in few.verdict
+
+
+def test_saved_and_loaded(tmp_path, learned, test_data):
+    skops_io = pytest.importorskip("skops.io")
+    from sklearn_raacmm.export import TRUSTED_TYPES
+
+    arm, model, facts = learned.save(tmp_path / "new")
+    assert Arm.from_json(arm) == learned.arm
+    loaded = skops_io.load(model, trusted=TRUSTED_TYPES)
+    expected = learned.model.predict(test_data.data)
+    np.testing.assert_array_equal(loaded.predict(test_data.data), expected)
+    content = json.loads(facts.read_text(encoding="utf-8"))
+    assert content["verdict"] == learned.verdict
+    assert content["positions"]["after"] == learned.scores.table["after"].tolist()
+    assert pickle.loads(pickle.dumps(learned)).verdict == learned.verdict
+
+
+def test_shows_itself(learned):
+    text = str(learned)
+    assert learned.verdict in text
+    assert "inside their 95 % intervals" in text
+    assert learned.verdict.replace(">", "&gt;") in learned._repr_html_()
+    assert "<pre>" in learned.scores._repr_html_()
+
+
+def test_progress_and_processes_change_nothing(test_data, learned):
+    seen = []
+    scores = cross_validate_correction(
+        test_data.nominal_arm,
+        np.rad2deg(test_data.data),
+        test_data.groups,
+        angle_unit="deg",
+        model=QUICK,
+        progress=lambda *done: seen.append(done),
+        n_jobs=2,
+    )
+    assert seen == [(i, 5) for i in range(1, 6)]
+    np.testing.assert_allclose(scores.table["after"], learned.scores.table["after"], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"positions": list(19 * "A" + "a" + 60 * "B" + 60 * "C")},
+            "'a' has a single row, row 19",
+        ),
+        ({"cv": list(KFold(3).split(np.zeros(140)))}, "on both sides"),
+        ({"cv": [(np.arange(20, 140), np.arange(20))]}, "leave out each row exactly once"),
+        ({"rows": slice(40)}, "at least 3 positions are needed to leave some out, got 2"),
+        ({"points": np.zeros((3, 3))}, r"points must have shape \(140, 3\)"),
+        ({"lengths": [(0, 99, 400, 0.1)]}, "lengths name position '99', which has no rows"),
+    ],
+)
+def test_bad_input_gets_one_sentence(test_data, change, message):
+    rows = change.pop("rows", slice(None))
+    given = {"angles": test_data.data[rows], "positions": test_data.groups[rows]}
+    with pytest.raises(ValueError, match=message):
+        learn_correction(test_data.nominal_arm, **{**given, "model": QUICK, **change})
+
+
+def test_an_arm_of_another_table_is_refused_and_told(test_data):
+    wrong = test_data.nominal_arm.replace(joint_signs=[1, 1, 1, -1, 1, 1])
+    message = (
+        r"mm after calibration.*With joint 4 reversed the points scatter by 0\.0\d+ mm instead"
+    )
+    with pytest.raises(ValueError, match=message):
+        learn_correction(wrong, test_data.data, test_data.groups, model=QUICK)
+
+
+def test_a_misplaced_arm_is_named():
+    with pytest.raises(TypeError, match="arm must be an Arm, got ndarray"):
+        cross_validate_correction(np.zeros((3, 6)), np.zeros(3), None)
