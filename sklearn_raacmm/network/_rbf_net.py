@@ -243,9 +243,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     widths then come from a sample, drawn by a hash of the rows' content, and repeated rows are
     merged in that sample only. `fit` takes dask arrays, too; each chunk is worked on where it is.
 
-    Outputs share widths and centres. Where one waves many times while another waves once, fit one
-    network for each: ``MultiOutputRegressor(RBFNetRegressor())``.
-
     To repeat MATLAB's ``newrb(P, T, goal, spread, MN)`` use ``RBFNetRegressor(MN,
     length_scale=spread / sqrt(2 * log(2)), alpha=0, selection="newrb")``, with
     ``n_centers="auto", max_centers=MN, criterion="mse", tol=goal`` where the goal is to stop it.
