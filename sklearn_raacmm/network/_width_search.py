@@ -15,9 +15,9 @@ n the number of observations, the penalty is
 
 .. math:: A\, q / (q + \kappa^2 / n) + \log(1 + (\rho / 0.3)^2), \qquad q = s^2 \rho^2,
 
-where :math:`A = 0.45 (\log(n) / 2 + \log d + 1)` and q is the variance of the function's slope. A slope whose square is far above
-:math:`\kappa^2 / n`, its error from n observations, costs A, however steep it is; one that
-cannot be told from 0 costs nothing.
+where :math:`A = 0.45 (\log(n) / 2 + \log d + 1)` and q is the variance of the function's slope. A
+slope whose square is far above :math:`\kappa^2 / n`, its error from n observations, costs A,
+however steep it is; one that cannot be told from 0 costs nothing.
 """
 
 from typing import NamedTuple
@@ -112,7 +112,7 @@ class Task:
     spread : ndarray of shape (d,)
     length_scale : ndarray of shape (d,) or None
     isotropic : bool
-    alpha : float or None
+    alpha : ndarray of shape (q,) or None
     used : ndarray of shape (d,), optional
         Mask of the features; the width of the others is infinite.
     """
@@ -136,8 +136,7 @@ class Task:
             log_width = np.log(self.length_scale)
         if self.n_alphas:
             return log_width, theta[self.n_widths :]
-        alpha = max(self.alpha, ALPHA_BOUNDS[0])
-        return log_width, np.full(self.data.Y.shape[1], np.log(alpha))
+        return log_width, np.log(np.maximum(self.alpha, ALPHA_BOUNDS[0]))
 
     def start(self, width, alpha):
         """Theta of one width, in units of sqrt(d) spreads, and one ridge for all."""
@@ -260,8 +259,8 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         Fixed widths; found where None.
     isotropic : bool
         One width, in units of each feature's spread.
-    alpha : float, optional
-        Fixed ridge; found where None.
+    alpha : ndarray of shape (q,), optional
+        Fixed ridge of every output; found where None.
     random_state : numpy.random.RandomState
         Draws the rows of a stage where there are more than it uses.
 
@@ -289,7 +288,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
     if not q or not d:
         # Nothing varies, nothing can be learnt.
         width = spread * np.sqrt(max(d, 1)) if length_scale is None else length_scale
-        ridge = np.full(q, 1.0 if alpha is None else alpha)
+        ridge = np.ones(q) if alpha is None else alpha
         return Found(kernels[0], width, ridge, 0.0, 0.0)
     center = np.average(X, axis=0, weights=weights)
     task = Task(data._replace(X=X - center), spread, length_scale, isotropic, alpha)
@@ -391,9 +390,9 @@ def _accept(task, ends, rows):
     # Leave-one-out predictions are fooled where the kernel links a few pairs of rows only.
     worse = noise < score or noise_likelihood(data) < end.value + NOISE_MARGIN
     if task.n_alphas and task.n_widths and worse:
-        theta = task.start(1.0, ALPHA_BOUNDS[1])
+        log_width, log_alpha = task.unpack(task.start(1.0, ALPHA_BOUNDS[1]))
         task = task.variant(
-            length_scale=np.exp(task.unpack(theta)[0]), isotropic=False, alpha=ALPHA_BOUNDS[1]
+            length_scale=np.exp(log_width), isotropic=False, alpha=np.exp(log_alpha)
         )
         end = End(end.kernel, np.empty(0), noise_likelihood(data), end.start)
     return task, end
