@@ -5,6 +5,7 @@ from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
@@ -12,7 +13,7 @@ from sklearn.utils import check_random_state
 from sklearn_raacmm.network._candidates import Features
 from sklearn_raacmm.network._center_choice import (
     MAX_CANDIDATES,
-    Settings,
+    CenterSettings,
     choose_centers,
     choose_size,
 )
@@ -122,8 +123,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
           parameters of the network that has all candidates: leaving them out then costs about
           `tol` of the error that noise causes anyway. Needs `alpha` > 0.
         - "gcv": least generalised cross-validation score along the path, parameters counted
-          1.5-fold. "loo": least leave-one-out error (PRESS). "bic": least Bayesian information
-          criterion.
+          1.5-fold.
         - "error_reduction": stop when the unexplained share of the targets' variance is at most
           `tol` (Chen's criterion).
         - "mse": stop when the mean squared residual, in the squared units of y, is at most `tol`.
@@ -133,7 +133,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         See `criterion`.
 
     max_centers : int, default=None
-        Most centres that "auto" may take. None: 2000.
+        Most centres that "auto" may take. None: 2000 (500 for "gcv"), with a warning where they
+        did not suffice.
 
     max_candidates : int, default=None
         Most distinct training rows, drawn at random, that may become centres. None: all, or
@@ -206,8 +207,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         The criterion after 1, 2, ... centres. Empty where `n_centers` is given.
 
     stop_reason_ : str
-        Why no more centres were tried: "n_centers", "max_centers", "criterion" or "dependent"
-        (every other candidate is a combination of the chosen ones to working precision).
+        Why no more centres were tried: "n_centers", "max_centers", "criterion", "dependent" (every
+        other candidate is a combination of the chosen ones to working precision) or "rank" (the
+        same, but only as far as a factor of limited rank tells the candidates apart).
 
     row_weight_ : ndarray of shape (n_samples,)
         With ``loss="tukey"``: the factor of each row's weight, 0 for an outlier.
@@ -283,9 +285,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ],
         "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
         "degree": [Interval(Integral, -1, 1, closed="both")],
-        "criterion": [
-            StrOptions({"auto", "posterior", "gcv", "loo", "bic", "error_reduction", "mse"})
-        ],
+        "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
         "max_candidates": [Interval(Integral, 1, None, closed="left"), None],
@@ -297,11 +297,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def __init__(
         self,
-        n_centers="auto",
+        n_centers: int | str | None = "auto",
         *,
         kernel="auto",
-        length_scale="auto",
-        alpha="auto",
+        length_scale: ArrayLike | str = "auto",
+        alpha: float | str = "auto",
         degree=0,
         criterion="auto",
         tol=0.02,
@@ -353,6 +353,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             If X or y hold NaN, infinity, or numbers whose squares underflow; if a weight is
             negative or all are 0; if `length_scale` does not fit the features, or is so narrow or
             wide that double precision does not resolve the kernel.
+
+        Warns
+        -----
+        UserWarning
+            If more centres are asked for than there are distinct candidates: all are taken then.
+        ConvergenceWarning
+            If a limit that was not set by a parameter decided on the network: the default number of
+            centres, or the rank of the factor from whose span they are chosen.
         """
         fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
         for name in _SOMETIMES:
@@ -389,7 +397,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         kernel, length_scale, alpha = self._tune(problem, width, rng)
         shift = problem.X.mean(axis=0)
-        settings = Settings(
+        settings = CenterSettings(
             kernel,
             None if self.n_centers == "auto" else self.n_centers,
             self.criterion,
@@ -406,7 +414,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         p = problem.n_tail
         R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
-        k, scores, reached = choose_size(problem, alpha, columns, path, settings)
+        k, scores, reached = choose_size(problem, alpha, path, settings)
 
         vars(self).pop("_posterior_", None)
         self.kernel_, self.length_scale_, self.criterion_path_ = kernel, length_scale, scores

@@ -167,16 +167,15 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         check_fitted(self, "arm_")
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
+        # All rows at once: a unit cannot be told from some of them.
+        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=4)
         for rows in chunks(len(X), _BATCH_ROWS):
-            angles = X[rows].astype(np.float64, copy=False)
-            for i, column in enumerate(self._columns(angles, rows.start)):
+            for i, column in enumerate(self._columns(angles[rows], rows.start)):
                 features[rows, i] = column
         return features
 
-    def _columns(self, X, first_row):
-        """Features of some rows, one array (n,) for each."""
-        # The angles as they are: degrees taken for radians are warned of.
-        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=5)
+    def _columns(self, angles, first_row):
+        """Features of some rows of angles in rad, one array (n,) for each."""
         columns, probe = list(angles.T), None
         if self.joints == "pose":
             columns, probe = pose_columns(self.arm_, angles, first_row)

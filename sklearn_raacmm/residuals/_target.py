@@ -10,6 +10,8 @@ doi 10.1177/1729881420925638. The printed equations are lost in every copy at ha
 here are reconstructions, checked numerically.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import issparse
 from sklearn import get_config
@@ -19,7 +21,7 @@ from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     std_to_cartesian,
@@ -137,12 +139,13 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         "azimuth": [StrOptions({"appended"}), callable, None],
     }
 
-    def __init__(self, regressor=None, *, azimuth="appended"):
+    def __init__(self, regressor=None, *, azimuth: str | Callable | None = "appended"):
         self.regressor = regressor
         self.azimuth = azimuth
 
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
+    @one_warning()
     def fit(self, X, y, **fit_params):
         """Fit the regressor on the residuals in the cylindrical frame.
 
@@ -208,6 +211,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             ) from error
         return self
 
+    @one_warning()
     def predict(self, X, **predict_params):
         """Predict Cartesian residuals, to be subtracted from the measured points.
 

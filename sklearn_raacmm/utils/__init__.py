@@ -30,6 +30,8 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     group_weights,
 )
+from sklearn_raacmm.utils._html import html_table
+from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
     Interval,
@@ -73,6 +75,7 @@ __all__ = [
     "group_means",
     "group_sums",
     "group_weights",
+    "html_table",
     "is_plain",
     "one_blas_thread",
     "refuse_disguised",
@@ -80,6 +83,7 @@ __all__ = [
     "refuse_masked",
     "safe_indexing",
     "show",
+    "stage",
     "validate_params",
     "whole_fit",
     "write_whole",

@@ -35,6 +35,7 @@ def chunks(n_rows, size):
     >>> [(rows.start, rows.stop) for rows in chunks(10, 4)]
     [(0, 4), (4, 8), (8, 10)]
     """
+    # Not `sklearn.utils.gen_batches`: its checks take as long as the pose of one row.
     step = chunk_size(size)
     for start in range(0, n_rows, step):
         yield slice(start, min(start + step, n_rows))

@@ -66,13 +66,29 @@ def build(tmp_path):
 
         def call(name, rows, n_outputs, n_results=1):
             function = getattr(loaded, f"arm_{name}")
-            function.argtypes, function.restype = [array] * (1 + n_results), None
+            function.argtypes, function.restype = [array] * (1 + n_results), ctypes.c_int
             rows = np.ascontiguousarray(rows, dtype=real)
             out = np.full((n_results, len(rows), n_outputs), 7, dtype=real)
             for i, row in enumerate(rows):
-                function(row, *out[:, i])
+                status = function(row, *out[:, i])
+                assert status in ((0, 1) if np.isfinite(out[:, i]).all() else (2,))
+            if name in ("correct", "predict"):  # the same for many rows, to the last bit
+                many = getattr(loaded, f"arm_{name}_n")
+                many.argtypes, many.restype = [array, array, ctypes.c_size_t], ctypes.c_int
+                again = np.full((len(rows), n_outputs), 7, dtype=real)
+                assert many(rows, again, len(rows)) in ((0, 1) if np.isfinite(out).all() else (2,))
+                np.testing.assert_array_equal(again, out[0])
             return out[0] if n_results == 1 else tuple(out)
 
+        def trust(rows):
+            loaded.arm_trust.argtypes = [array]
+            loaded.arm_correct.argtypes = [array, array]
+            loaded.arm_trust.restype = {"double": ctypes.c_double, "float": ctypes.c_float}[dtype]
+            rows, out = np.ascontiguousarray(rows, dtype=real), np.empty(3, dtype=real)
+            found = [(loaded.arm_trust(row), loaded.arm_correct(row, out)) for row in rows]
+            return [np.array(part) for part in zip(*found, strict=True)]
+
+        call.trust = trust
         call.fingerprint = loaded.arm_fingerprint().decode()
         return call
 
@@ -380,6 +396,71 @@ def test_fingerprint_follows_what_is_computed(build, data, tmp_path):
     assert fingerprint(model) != digest
 
 
+def refused_by(compiler, source, *flags):
+    """What the compiler says of a file that it refuses."""
+    command = [compiler, "-std=c99", *flags, "-c", "-o", os.devnull, source]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    return done.stderr
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_files_of_two_exports_do_not_compile_together(data, small, tmp_path, compiler):
+    for name, model, params in (
+        ("same", small, {}),
+        ("other_model", form_b(data.arm).fit(data.data, data.target), {}),
+        ("other_type", small, {"dtype": "float"}),
+        ("other_name", small, {"name": "leg"}),
+        ("other_card", small, {"card": "note"}),
+    ):
+        source, header = export_c(small, tmp_path / "arm.c")
+        folder = tmp_path / name
+        folder.mkdir()
+        _, other = export_c(model, folder / "arm.c", **params)
+        header.write_bytes(other.read_bytes())  # the source stays: half of a copy
+        if name == "same":
+            command = [compiler, *C99, "-c", "-o", os.devnull, source]
+            subprocess.run(command, check=True)
+        else:
+            assert "arm.c and arm.h are of different exports" in refused_by(compiler, source)
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_fast_math_is_refused(small, tmp_path, compiler):
+    source, _ = export_c(small, tmp_path / "arm.c")
+    assert "-ffast-math takes away" in refused_by(compiler, source, "-ffast-math")
+
+
+def macros(header):
+    lines = [line.split(maxsplit=2) for line in header.read_text().splitlines()]
+    return {line[1]: line[2] for line in lines if line[:1] == ["#define"] and len(line) > 2}
+
+
+def test_what_the_header_defines(data, tmp_path):
+    model = form_b(data.arm).fit(data.data, data.target)
+    header = export_c(model, tmp_path / "arm.c")[1]
+    found = macros(header)
+    assert found["ARM_FINGERPRINT"] == f'"{fingerprint(model)}"'
+    assert (found["ARM_N_INPUTS"], found["ARM_N_OUTPUTS"]) == ("6", "3")
+    assert (found["ARM_INPUT_UNIT"], found["ARM_OUTPUT_UNIT"]) == ('"rad"', '"mm"')
+    assert (found["ARM_OK"], found["ARM_NOT_FINITE"]) == ("0", "2")
+    # 20 centres of 3 features and 3 weights, and less than 100 numbers beside them.
+    assert 0 <= int(found["ARM_TABLE_BYTES"]) - 8 * 20 * 6 < 800
+    half = macros(export_c(model, tmp_path / "arm.c", dtype="float")[1])
+    assert int(half["ARM_TABLE_BYTES"]) == int(found["ARM_TABLE_BYTES"]) / 2
+    assert (
+        "functions of math.h: atan2, cos, exp, fabs, hypot, isfinite, sin\n" in header.read_text()
+    )
+
+
+def test_long_facts_are_wrapped_between_words(small, tmp_path):
+    words = " ".join(f"word{i}" for i in range(60))
+    for path in export_c(small, tmp_path / "arm.c", card=words):
+        text = path.read_text()
+        assert set(re.findall(r"word\w*", text)) == set(words.split())
+        assert max(map(len, text.splitlines())) <= 110
+
+
 NASTY = '*/ int x; /* ??/ \\ \n#error é ü\r\0\u2028 "q" */'
 
 
@@ -396,7 +477,9 @@ def test_comments_hold_no_code(build, data, tmp_path):
         # Without comments, nothing of the name is left.
         code = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
         assert "int x" not in code
-        assert "#error" not in code
+        assert [line[:9] for line in code.splitlines() if "#error" in line] == (
+            ['#error "a', '#error "-'] if path is source else []  # our own
+        )
 
 
 @pytest.mark.parametrize(
@@ -455,7 +538,7 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     X, y = data.data, data.target
     arm = data.arm
 
-    def refused(model):
+    def refused(model, X=X):
         with pytest.raises(ValueError) as error:  # the message is what is tested
             export_c(model.fit(X, y), tmp_path / "arm.c")
         assert not list(tmp_path.iterdir())
@@ -474,7 +557,8 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     mixed = form_a(arm).set_params(azimuth=AACMM.azimuth)
     assert "different arms" in refused(mixed)
     mixed = form_a(arm, angle_unit="deg")
-    assert "different angle units" in refused(mixed)
+    with pytest.warns(UserWarning, match="if they are radians"):
+        assert "different angle units" in refused(mixed)
     ridge = form_b(arm, net=Ridge()).fit(X, y)
     with pytest.raises(ValueError, match="ridge is a Ridge, which has no standard deviation"):
         export_c(ridge, tmp_path / "arm.c", std=True)
@@ -564,6 +648,32 @@ def test_arm_residuals(build, data, params):
     bad = np.tile(data.data[:1], (6, 1))
     bad[np.arange(6), np.arange(6)] = np.nan
     assert np.isnan(build(model)("correct", bad, 3)).all()
+
+
+@pytest.mark.parametrize("std", [False, True])
+@pytest.mark.parametrize("use", ["harmonics", "harmonics+network"])
+def test_c_says_which_poses_the_model_does_not_know(build, data, use, std):
+    first = harmonics(data.arm, gravity=False, n_harmonics=2)
+    model = ArmResidualRegressor(
+        data.arm, harmonics=first, network=network(degree=-1), features="pose", use=use, fade=2.0
+    ).fit(data.data, data.target)
+    X = np.concatenate([data.data, angles_everywhere(6, 50), np.full((1, 6), np.nan)])
+    trust, status = build(model, std=std).trust(X)
+    # What is left of each stage, by the formula of the documentation and what Python has.
+    stages = [model.linear_model_.predict(X[:-1], return_std=True)[1]]
+    if use == "harmonics+network":
+        pose = PoseFeatures(data.arm).fit_transform(X[:-1])
+        azimuth = data.arm.azimuth(X[:-1])
+        u, v, w = model.network_.predict(pose, return_std=True, with_noise=False)[1].T ** 2
+        c, s = np.cos(azimuth) ** 2, np.sin(azimuth) ** 2
+        stages.append(np.sqrt(np.stack([u * c + v * s, u * s + v * c, w], axis=1)))
+    size = model.residual_rms_mm_**2
+    left = [size / (size + np.sum((2.0 * deviation) ** 2, axis=1)) for deviation in stages]
+    expected = np.min(left, axis=0)
+    np.testing.assert_allclose(trust[:-1], expected, rtol=1e-6)
+    assert np.isnan(trust[-1])
+    np.testing.assert_array_equal(status, [*np.where(expected < 0.5, 1, 0), 2])
+    assert 0 < np.mean(expected < 0.5) < 1
 
 
 def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):

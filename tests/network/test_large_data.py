@@ -30,7 +30,7 @@ SETTINGS = {
     "defaults": {},
     "linear tail": {"degree": 1},
     "no tail, plain": {"degree": -1, "n_centers": 20, "length_scale": 0.5, "alpha": 0.0},
-    "leave one out": {"criterion": "loo", "max_centers": 40},
+    "cross-validation": {"criterion": "gcv", "max_centers": 40},
     "newrb": {"selection": "newrb", "n_centers": 10, "length_scale": 0.5, "alpha": 0.0},
 }
 

@@ -108,7 +108,7 @@ def test_given_widths_and_ridge_are_respected():
     assert RBFNetRegressor(alpha=0.02).fit(X, y).alpha_ == 0.02
 
 
-@pytest.mark.parametrize("criterion", ["posterior", "gcv", "loo", "bic", "error_reduction", "mse"])
+@pytest.mark.parametrize("criterion", ["posterior", "gcv", "error_reduction", "mse"])
 def test_every_criterion_finds_a_size_between_under_and_overfit(criterion):
     X, y, f = smooth(300)
     model = RBFNetRegressor(criterion=criterion, random_state=0).fit(X, y)

@@ -534,6 +534,44 @@ def test_parameters_are_validated(isotropic):
             CylindricalResidualTarget(**bad).fit(X, y)
 
 
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_regressor_of_one_target_is_told_what_wraps_it(scaled):
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (30, 4)), rng.normal(size=(30, 3))
+    trees = HistGradientBoostingRegressor(max_iter=2)
+    inner = make_pipeline(StandardScaler(), trees) if scaled else trees
+    with pytest.raises(ValueError, match=r"y has 3 columns: wrap .* in sklearn.*MultiOutputRegr"):
+        CylindricalResidualTarget(inner, azimuth=first_column).fit(X, y)
+    wrapped = CylindricalResidualTarget(MultiOutputRegressor(trees), azimuth=first_column)
+    assert wrapped.fit(X, y).predict(X).shape == (30, 3)
+    # What else is wrong with the data is said by the regressor itself.
+    with pytest.raises(ValueError, match=r"^boom$"):
+        CylindricalResidualTarget(Broken(), azimuth=first_column).fit(X, y)
+
+
+class Broken(Ridge):
+    def fit(self, X, y):
+        raise ValueError("boom")
+
+
+@pytest.mark.parametrize("appended", [True, False])
+@pytest.mark.parametrize(("unit", "factor"), [("rad", 60.0), ("deg", 1.0)])
+def test_a_chain_warns_of_a_unit_once(unit, factor, appended):
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    X, y = factor * rng.uniform(-1, 1, (40, 6)), rng.normal(size=(40, 3))
+    pose = PoseFeatures(arm, angle_unit=unit, append_azimuth=appended)
+    if appended:
+        model = make_pipeline(pose, CylindricalResidualTarget(Ridge()))
+    else:
+        azimuth = functools.partial(arm.azimuth, angle_unit=unit) if unit == "deg" else arm.azimuth
+        model = CylindricalResidualTarget(make_pipeline(pose, Ridge()), azimuth=azimuth)
+    for use in (lambda: model.fit(X, y), lambda: model.predict(np.tile(X, (300, 1)))):
+        with pytest.warns(UserWarning, match="degrees") as caught:
+            use()
+        assert len(caught) == 1
+
+
 # -- speed without other results -----------------------------------------------------------------
 
 
@@ -563,23 +601,3 @@ def test_no_estimator_here_asks_for_its_own_tags_in_predict(monkeypatch):
     expected = model.fit(pose.transform(X), y).predict(pose.transform(X))[:1]
     monkeypatch.delattr("sklearn.base.BaseEstimator.__sklearn_tags__")
     assert_allclose(model.predict(pose.transform(X[:1])), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("scaled", [False, True])
-def test_a_regressor_of_one_target_is_told_what_wraps_it(scaled):
-    rng = np.random.default_rng(0)
-    X, y = rng.uniform(-1, 1, (30, 4)), rng.normal(size=(30, 3))
-    trees = HistGradientBoostingRegressor(max_iter=2)
-    inner = make_pipeline(StandardScaler(), trees) if scaled else trees
-    with pytest.raises(ValueError, match=r"y has 3 columns: wrap .* in sklearn.*MultiOutputRegr"):
-        CylindricalResidualTarget(inner, azimuth=first_column).fit(X, y)
-    wrapped = CylindricalResidualTarget(MultiOutputRegressor(trees), azimuth=first_column)
-    assert wrapped.fit(X, y).predict(X).shape == (30, 3)
-    # What else is wrong with the data is said by the regressor itself.
-    with pytest.raises(ValueError, match=r"^boom$"):
-        CylindricalResidualTarget(Broken(), azimuth=first_column).fit(X, y)
-
-
-class Broken(Ridge):
-    def fit(self, X, y):
-        raise ValueError("boom")
