@@ -27,6 +27,7 @@ from sklearn_raacmm.network._nested_fits import (
     triangular_factor,
 )
 from sklearn_raacmm.network._parameters import (
+    check_alpha,
     check_length_scale,
     check_resolved,
     leading_bits,
@@ -104,9 +105,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
         standard deviation.
 
-    alpha : float or "auto", default="auto"
-        Ridge, in units of the sum of sample weights. 0 is plain least squares. In terms of a
-        Gaussian process it is the noise variance over the signal variance.
+    alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
+        Ridge, of all outputs or of each, in units of the sum of sample weights. 0 is plain least
+        squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
     degree : {-1, 0, 1}, default=0
         Degree of the unpenalised polynomial: none, a constant, or linear in the features.
@@ -276,7 +277,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             StrOptions({"auto", "isotropic"}),
             "array-like",
         ],
-        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
         "degree": [Interval(Integral, -1, 1, closed="both")],
         "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
@@ -470,8 +471,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def _tune(self, problem, width, rng):
         """Kernel, widths and every output's ridge in the problem's units, found where not given."""
-        alpha = None if isinstance(self.alpha, str) else float(self.alpha) / problem.unit
-        alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
+        alpha = check_alpha(self.alpha, len(problem.spread))
+        alphas = np.ones(len(problem.spread)) if alpha is None else alpha / problem.unit
         # Given widths are those of one kernel.
         kernels = (self.kernel,) if self.kernel != "auto" else AUTO_KERNELS
         if width is not None:
@@ -487,7 +488,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             kernels,
             length_scale=width,
             isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
-            alpha=None if alpha is None else alpha * problem.unit / sample.unit,
+            alpha=None if alpha is None else alpha[view.outputs] / sample.unit,
             random_state=rng,
         )
         if alpha is None:
