@@ -557,19 +557,23 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     def _posterior(self, centers):
         """What variances are made of, kept from one call to the next but not in a file."""
         if "_posterior_" not in self.__dict__:
-            p, k = len(self._tail_map), len(centers)
+            p = len(self._tail_map)
             K = kernel_matrix(centers, centers, self.kernel_)
             root, outside = psd_root(K), psd_inverse_root(K)
-            # The packed triangle is trapezoidal where there were fewer rows than columns.
-            size = next(
-                m for m in range(p + k + 1) if m * (p + k) - m * (m - 1) // 2 == len(self._rows)
-            )
-            rows = np.zeros((size, p + k))
-            rows[np.triu_indices(size, m=p + k)] = self._rows
+            rows = self._design_triangle()
             alphas = np.atleast_1d(self.alpha_) / self._weight_unit
             triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(alphas)}
             self._posterior_ = outside, [triangles[a] for a in alphas]
         return self._posterior_
+
+    def _design_triangle(self):
+        """Triangular factor of the columns at the training rows, polynomial first."""
+        n = len(self._tail_map) + len(self.centers_)
+        # Packed, and trapezoidal where there were fewer rows than columns.
+        size = next(m for m in range(n + 1) if m * n - m * (m - 1) // 2 == len(self._rows))
+        rows = np.zeros((size, n))
+        rows[np.triu_indices(size, m=n)] = self._rows
+        return rows
 
     def __getstate__(self):
         state = super().__getstate__().copy()
