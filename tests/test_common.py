@@ -40,10 +40,10 @@ ESTIMATORS = [
     PoseFeatures(Arm.from_name("panda"), encoding="periodic", append_azimuth=True),
     PoseFeatures(Arm.from_name("ur10"), joints="all", angle_unit="deg"),
     CylindricalResidualTarget(),
-    JointHarmonicRegressor(n_harmonics=3),
+    JointHarmonicRegressor(max_order=3),
     # A given width and ridge: where the first stage leaves no noise, those found hang on rounding.
     ArmResidualRegressor(
-        harmonics=JointHarmonicRegressor(n_harmonics=2, gravity=False),
+        harmonics=JointHarmonicRegressor(max_order=2, gravity=False),
         network=RBFNetRegressor(max_centers=8, length_scale=1.0, alpha=1e-2, degree=-1),
     ),
 ]

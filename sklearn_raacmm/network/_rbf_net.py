@@ -44,6 +44,7 @@ from sklearn_raacmm.utils import (
     check_data,
     check_features,
     check_fitted,
+    check_shapes,
     check_weights,
     chunks,
     fit_context,
@@ -238,9 +239,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     their number and in memory that does not depend on it: centres and the rows that decide on the
     widths then come from a sample, drawn by a hash of the rows' content, and repeated rows are
     merged in that sample only. `fit` takes dask arrays, too; each chunk is worked on where it is.
-
-    Outputs share widths and centres. Where one waves many times while another waves once, fit one
-    network for each: ``MultiOutputRegressor(RBFNetRegressor())``.
 
     To repeat MATLAB's ``newrb(P, T, goal, spread, MN)`` use ``RBFNetRegressor(MN,
     length_scale=spread / sqrt(2 * log(2)), alpha=0, selection="newrb")``, with
@@ -576,6 +574,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         state = super().__getstate__().copy()
         state.pop("_posterior_", None)
         return state
+
+    def __setstate__(self, state):
+        super().__setstate__(state)
+        if "centers_" not in vars(self):
+            return
+        q = () if np.ndim(self.intercept_) == 0 else ("outputs",)
+        shapes = {"centers_": ("k", "d"), "length_scale_": ("d",), "center_indices_": ("k",)}
+        shapes |= {"coef_": (*q, "k"), "intercept_": q, "linear_coef_": (*q, "d")}
+        shapes |= {"noise_variance_": q, "signal_variance_": q, "_tail_map": ("p", "d1")}
+        sizes = {"d": self.n_features_in_, "d1": self.n_features_in_ + 1}
+        check_shapes(type(self).__name__, vars(self), shapes, sizes, ("length_scale_",))
 
     def _variance(self, X, K, posterior, with_noise):
         """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
