@@ -24,9 +24,10 @@ from sklearn_raacmm.network._nested_fits import (
     nested_least_squares,
     penalise,
     stack_triangles,
-    triangular_factor,
+    triangle_of_block,
 )
 from sklearn_raacmm.network._parameters import (
+    PER_OUTPUT,
     check_alpha,
     check_length_scale,
     check_resolved,
@@ -58,14 +59,6 @@ IN_MEMORY_ROWS = 100_000
 _CHUNK = 2**18
 # Attributes that not every fit has.
 _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_", "_posterior_")
-_PER_OUTPUT = (
-    "coef_",
-    "intercept_",
-    "linear_coef_",
-    "alpha_",
-    "noise_variance_",
-    "signal_variance_",
-)
 
 
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -406,7 +399,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         root = psd_root(kernel_matrix(Z, Z, kernel))
         columns = Features(Z, shift, length_scale, kernel)
         p = problem.n_tail
-        R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
+        R = problem.reduce(partial(triangle_of_block, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
         k, scores, reached = choose_size(problem, alpha, path, settings)
 
@@ -442,7 +435,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         size = min(len(path.rows), p + k)
         self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
         if self._flat:
-            for name in _PER_OUTPUT:
+            for name in PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
 
     def _problem(self, X, y, sample_weight, rng):
@@ -606,8 +599,3 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
             variance[:, i] += noise[i] * of_weights[id(R)]
         return variance
-
-
-def _triangle(columns, block):
-    """Triangular factor of the tail, the centres' columns and the targets on some rows."""
-    return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
