@@ -10,9 +10,12 @@ from sklearn_raacmm.correction import (
     ArmResidualRegressor,
     CorrectionScores,
     LearnedCorrection,
+    TableChange,
     cross_validate_correction,
     learn_correction,
     next_poses,
+    search_table,
+    update_correction,
 )
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.network import RBFNetRegressor
@@ -34,6 +37,7 @@ __all__ = [
     "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",
+    "TableChange",
     "__version__",
     "calibrate",
     "cartesian_to_cylindrical",
@@ -42,4 +46,6 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "position_residuals",
+    "search_table",
+    "update_correction",
 ]

@@ -66,7 +66,7 @@ def rbf(X_train, y, X_new=None, sample_weight=None, **params):
 
 
 def harmonics(**params):
-    return JointHarmonicRegressor(ARM, **{"n_harmonics": 2} | params)
+    return JointHarmonicRegressor(ARM, **{"max_order": 2} | params)
 
 
 def jhr(angles, y, sample_weight=None, **params):
@@ -296,9 +296,7 @@ SENTENCES = {
     ),
     "harmonics: two columns": (lambda: jhr(ANGLES, RESIDUALS[:, :2]), r"\(40, 2\)"),
     "harmonics: no columns": (
-        lambda: jhr(
-            ANGLES, RESIDUALS, n_harmonics=0, gravity=False, kinematics=False, wobble=False
-        ),
+        lambda: jhr(ANGLES, RESIDUALS, max_order=0, gravity=False, kinematics=False, wobble=False),
         "no columns",
     ),
     "harmonics: offsets": (lambda: jhr(ANGLES, RESIDUALS, offsets=True), "needs groups"),
@@ -324,17 +322,17 @@ SENTENCES = {
     "arm: field": (lambda: ARM.replace(theta=0), "no parameter theta"),
     "arm: a table in degrees": (lambda: ARM.replace(alpha=[-90] * 6), "from_degrees"),
     "calibrate: no rows": (lambda: calibrate(ARM, ANGLES[:0], []), "empty|0 sample"),
-    "calibrate: arm by name": (lambda: calibrate("aacmm6", ANGLES, GROUPS), "must be an Arm"),
+    "calibrate: arm by name": (lambda: calibrate("aacmm6", ANGLES, GROUPS), "must be an instance"),
     "calibrate: free": (lambda: calibrate(ARM, ANGLES, GROUPS, free=["as"]), "must name some"),
     "calibrate: free of numbers": (lambda: calibrate(ARM, ANGLES, GROUPS, free=3), "a list"),
-    "calibrate: loss": (lambda: calibrate(ARM, ANGLES, GROUPS, loss=["linear"]), "loss must be"),
+    "calibrate: loss": (lambda: calibrate(ARM, ANGLES, GROUPS, loss=["linear"]), "'loss' param"),
     "calibrate: prior": (
-        lambda: calibrate(ARM, ANGLES, GROUPS, prior_angle=1e-300),
-        "prior_angle must be a positive number from 1e-09",
+        lambda: calibrate(ARM, ANGLES, GROUPS, prior_angle_rad=1e-300),
+        "'prior_angle_rad' parameter",
     ),
     "calibrate: complex prior": (
-        lambda: calibrate(ARM, ANGLES, GROUPS, prior_probe=2 + 0j),
-        "prior_probe must be",
+        lambda: calibrate(ARM, ANGLES, GROUPS, prior_probe_mm=2 + 0j),
+        "'prior_probe_mm' parameter",
     ),
     "calibrate: lengths": (lambda: calibrate(ARM, ANGLES, GROUPS, lengths=300), "a list"),
     "calibrate: too long": (

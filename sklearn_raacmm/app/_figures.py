@@ -73,6 +73,8 @@ def _svg(make):
     figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     text = file.getvalue()
     text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    # Groups are named alike in every figure, and nothing refers to them.
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
     # The figure is as wide as the page, not as matplotlib's inches.
     for side in ("width", "height"):
         text = re.sub(rf'(<svg[^>]*?) {side}="[^"]*"', r"\1", text, count=1)
@@ -151,3 +153,46 @@ def _lengths(figure, scores):
     ax.axhline(0, color=_INK, linewidth=0.8)
     ax.set(xlabel="calibrated length, mm", ylabel="error, µm")
     ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
+
+
+def picture_of(arm):
+    """Picture of an arm with all angles at zero: links, axes of the joints and the probe, as SVG.
+
+    Parameters
+    ----------
+    arm : Arm
+
+    Returns
+    -------
+    str
+        A whole SVG file.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError("Pictures need matplotlib: pip install matplotlib.") from None
+    zero = np.zeros((1, arm.n_joints))
+    frames, probe = arm.frames(zero)[0], arm.forward(zero)
+    corners = np.concatenate([frames[:, :, 3], probe])
+    # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
+    first = 0 if arm.convention == "standard" else 1
+    length = 0.08 * max(np.ptp(corners, axis=0).max(), 1.0)
+    file = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "arm", "font.size": 9}):
+        figure = Figure(figsize=(8, 4), layout="constrained")
+        for ax, (across, title) in zip(
+            figure.subplots(1, 2), ((0, "x and z, mm"), (1, "y and z, mm")), strict=True
+        ):
+            ax.plot(corners[:, across], corners[:, 2], color="0.5", linewidth=3)
+            for i in range(arm.n_joints):
+                axis, origin = frames[i + first, :, 2], frames[i + first, :, 3]
+                ends = origin + length * np.outer([-1, 1], axis)
+                ax.plot(ends[:, across], ends[:, 2], color=_AFTER, linewidth=1)
+                # Seen along itself an axis is a point.
+                ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
+                ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
+            ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
+            ax.set(title=title, aspect="equal")
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue()

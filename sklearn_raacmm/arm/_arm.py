@@ -3,9 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
@@ -20,7 +24,7 @@ from sklearn_raacmm.arm._files import BUILT_IN, read_json, write_json
 from sklearn_raacmm.arm._kinematics import CHUNK_ROWS, cross, dh_theta, frame_columns, points_of
 from sklearn_raacmm.arm._layouts import from_lengths
 from sklearn_raacmm.arm._urdf import read_urdf, write_urdf
-from sklearn_raacmm.utils import chunks
+from sklearn_raacmm.utils import chunks, html_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,7 +55,7 @@ class Arm:
 
         with ``theta_i = joint_signs_i * angle_i + theta_offset_i``.
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
-        Sense in which each encoder counts.
+        Direction in which each encoder counts: -1 where it counts against the table's angle.
     pose_joints : tuple of two int, default=(3, 4)
         Numbers, from 1, of the joints that make the pose: swivel and elbow. Arms without a roll
         before the elbow name other joints.
@@ -59,7 +63,7 @@ class Arm:
         Numbers of the frames, from 0 (the base) to `n_joints`, whose origins are the shoulder and
         the wrist.
     name : str, default=""
-        For people.
+        Name of the arm, shown where the arm is printed.
 
     Attributes
     ----------
@@ -103,6 +107,23 @@ class Arm:
     pose_frames: tuple = (2, 5)
     name: str = ""
 
+    if TYPE_CHECKING:  # what may be given; the fields say what it has become
+
+        def __init__(
+            self,
+            a: ArrayLike,
+            alpha: ArrayLike,
+            d: ArrayLike,
+            theta_offset: ArrayLike = 0.0,
+            *,
+            probe: ArrayLike = (0.0, 0.0, 0.0),
+            convention: str = "standard",
+            joint_signs: ArrayLike = 1,
+            pose_joints: Sequence[int] = (3, 4),
+            pose_frames: Sequence[int] = (2, 5),
+            name: str = "",
+        ) -> None: ...
+
     def __post_init__(self):
         a = numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
         n = a.size
@@ -122,7 +143,7 @@ class Arm:
             raise ValueError(
                 f"convention must be 'standard' or 'modified', got {self.convention!r}."
             )
-        # Halves of characters, which only escapes in JSON can bring, cannot be written to a file.
+        # Unpaired surrogates, which only escapes in JSON can bring, cannot be written to a file.
         if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
             raise ValueError(f"name must be a string of whole characters, got {self.name!r}.")
         if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
@@ -176,12 +197,30 @@ class Arm:
             )
         return "\n".join([repr(self), *rows])
 
+    def _repr_html_(self):
+        """Table of the joints, for notebooks."""
+        columns = [
+            range(1, self.n_joints + 1),
+            [f"{sign:+.0f}" for sign in self.joint_signs],
+            *(
+                [f"{value:.4f}" for value in values]
+                for values in (
+                    self.a,
+                    np.rad2deg(self.alpha),
+                    self.d,
+                    np.rad2deg(self.theta_offset),
+                )
+            ),
+        ]
+        header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
+        return html_table(repr(self), header, zip(*columns, strict=True))
+
     @property
-    def n_joints(self):
+    def n_joints(self) -> int:
         """Number of joints."""
         return self.a.size
 
-    def replace(self, **changes):
+    def replace(self, **changes: Any) -> "Arm":
         """Return a new arm with some fields changed.
 
         Parameters
@@ -209,7 +248,14 @@ class Arm:
     # -- constructors -----------------------------------------------------------------------
 
     @classmethod
-    def from_degrees(cls, a, alpha, d, theta_offset=0.0, **params):
+    def from_degrees(
+        cls,
+        a: ArrayLike,
+        alpha: ArrayLike,
+        d: ArrayLike,
+        theta_offset: ArrayLike = 0.0,
+        **params: Any,
+    ) -> "Arm":
         """Build an arm from a table in mm and degrees.
 
         Parameters
@@ -233,7 +279,7 @@ class Arm:
         return cls(a, alpha, d, theta_offset, **params)
 
     @classmethod
-    def from_name(cls, name, /, **changes):
+    def from_name(cls, name: str, /, **changes: Any) -> "Arm":
         """Return one of the built-in arms.
 
         Parameters
@@ -270,8 +316,17 @@ class Arm:
 
     @classmethod
     def from_lengths(
-        cls, layout, shoulder, upper, fore, probe, *, elbow_offset=0.0, wrist_offset=0.0, **params
-    ):
+        cls,
+        layout: str,
+        shoulder: float,
+        upper: float,
+        fore: float,
+        probe: float,
+        *,
+        elbow_offset: float = 0.0,
+        wrist_offset: float = 0.0,
+        **params: Any,
+    ) -> "Arm":
         """Build an arm of a usual layout from the lengths of a maker's drawing.
 
         Neighbouring axes cross at right angles, or pass each other at the offsets. With all angles
@@ -318,7 +373,13 @@ class Arm:
         )
 
     @classmethod
-    def from_urdf(cls, source, *, base=None, tip=None):
+    def from_urdf(
+        cls,
+        source: str | PathLike[str],
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+    ) -> "Arm":
         """Read a chain of revolute joints from a URDF file.
 
         The table follows from the common normals of the axes. Fixed joints are folded in; angles
@@ -378,7 +439,7 @@ class Arm:
         return write_urdf(self, path)
 
     @classmethod
-    def from_json(cls, source):
+    def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> "Arm":
         """Read an arm from a JSON file.
 
         Parameters
@@ -404,7 +465,7 @@ class Arm:
         """
         return read_json(cls, source)
 
-    def to_json(self, path=None):
+    def to_json(self, path: str | PathLike[str] | None = None) -> str:
         """Write the arm as JSON, with the units in the names of the fields.
 
         Parameters
@@ -429,7 +490,7 @@ class Arm:
 
     # -- kinematics -------------------------------------------------------------------------
 
-    def forward(self, angles, *, angle_unit="rad"):
+    def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Position of the probe, equation (1).
 
         Parameters
@@ -459,7 +520,7 @@ class Arm:
         angles = check_angles(angles, self.n_joints, angle_unit)
         return points_of(self, angles)
 
-    def azimuth(self, angles, *, angle_unit="rad"):
+    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Azimuth of the probe about the base's z axis.
 
         Parameters
@@ -477,7 +538,7 @@ class Arm:
         points = self.forward(angles, angle_unit=angle_unit)
         return np.arctan2(points[:, 1], points[:, 0])
 
-    def frames(self, angles, *, angle_unit="rad"):
+    def frames(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Pose of every frame in the base frame.
 
         Parameters
@@ -498,7 +559,7 @@ class Arm:
             frames[rows] = frame_columns(self, dh_theta(self, angles[rows])).transpose(3, 0, 2, 1)
         return frames
 
-    def jacobian(self, angles, *, angle_unit="rad"):
+    def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Compute the derivative of the probe's position by each joint angle.
 
         Parameters

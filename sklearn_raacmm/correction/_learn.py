@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+import warnings
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -14,12 +15,9 @@ from sklearn.base import BaseEstimator
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult
-from sklearn_raacmm.correction._scores import (
-    CorrectionScores,
-    Data,
-    predict_with_std,
-    scores_of,
-)
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._scores import CorrectionScores, scores_of
+from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.utils import write_whole
 
 # Points of a calibrated arm that scatter by a larger share of its reach belong to another table:
@@ -195,8 +193,9 @@ def learn_correction(
         The nominal arm, or one calibrated on other data.
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
-    positions : array-like of shape (n_samples,)
-        Label of the position at which the probe was held.
+    positions : array-like of shape (n_samples,) or None
+        Label of the position at which the probe was held. None, with `points`: regions of
+        neighbouring points take their place.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -221,7 +220,8 @@ def learn_correction(
     ------
     ValueError
         As :func:`cross_validate_correction`; and if the points of the calibrated arm scatter by
-        more than 2 % of its reach: labels, table or unit are then wrong.
+        more than 2 % of its reach: labels, table or unit are then wrong, and the sentence says
+        what :func:`search_table` has found.
 
     See Also
     --------
@@ -239,7 +239,7 @@ def learn_correction(
     >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
     >>> learned = learn_correction(
     ...     test.nominal_arm, test.data, test.groups,
-    ...     model=JointHarmonicRegressor(n_harmonics=4), cv=3,
+    ...     model=JointHarmonicRegressor(max_order=4), cv=3,
     ... )
     >>> learned.helps
     True
@@ -248,8 +248,7 @@ def learn_correction(
     ((5, 3), (5, 3))
     """
     data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-    calibration = data.calibrate(np.arange(len(data.angles)))
-    _refuse_what_is_no_calibration(calibration)
+    calibration = _calibrated(data, angles, angle_unit)
     scores = scores_of(data, calibration, model, cv, n_jobs, progress)
     kept = np.delete(np.arange(len(data.angles)), scores.outliers)
     kept = data.without_lonely(kept)[0]
@@ -268,14 +267,23 @@ def learn_correction(
     )
 
 
-def _refuse_what_is_no_calibration(calibration):
-    reach = reach_mm(calibration.arm)
-    if calibration.scatter_after_mm > _SHARE_OF_REACH * reach:
+def _calibrated(data, angles, angle_unit):
+    """Calibration of all rows; refuses points that cannot be those of this arm."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", UserWarning)
+        calibration = data.calibrate(np.arange(len(data.angles)))
+    reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
+    if scatter > _SHARE_OF_REACH * reach:
+        positions = data.positions if data.points is None else None
+        change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
         raise ValueError(
-            f"the points scatter by {calibration.scatter_after_mm:.4g} mm after calibration, and "
-            f"the arm reaches {reach:.4g} mm: labels, the table of the arm, the order or sense of "
-            "its joints, or the unit of the angles are wrong."
+            f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
+            f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
+            f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
+    for warning in said:
+        warnings.warn(warning.message, stacklevel=3)
+    return calibration
 
 
 def _outliers(calibration, positions, rows):

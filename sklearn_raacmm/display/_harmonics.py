@@ -51,7 +51,7 @@ class HarmonicDisplay:
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> from sklearn_raacmm.display import HarmonicDisplay
     >>> test = make_single_point(n_positions=6, n_poses=30, machine="eccentricity")  # simulated
-    >>> model = JointHarmonicRegressor(test.arm, n_harmonics=8)
+    >>> model = JointHarmonicRegressor(test.arm, max_order=8)
     >>> _ = model.fit(test.data, test.target, groups=test.groups)
     >>> display = HarmonicDisplay.from_estimator(model)
     >>> display.axes_.shape

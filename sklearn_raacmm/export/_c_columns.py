@@ -107,72 +107,68 @@ def error_model(numbers, linear, std):
     )
 
 
+_FADED = """\
+/* Add a stage, shrunk by its variance against the size of the residuals, mm^2; returns the share of
+   it that is left. */
+static {real} add_faded(const {real} y1[3], const {real} v1[3], {real} y[3])
+{{
+    const {real} size = {square};
+    const {real} sum = size + {fade} * (v1[0] + v1[1] + v1[2]);
+    const {real} factor = size / (sum < {tiny} ? {tiny} : sum);
+    for (int k = 0; k < 3; ++k)
+        y[k] += y1[k] * factor;
+    return factor;
+}}
+
+"""
+_CAPPED = """\
+    {{
+        const {real} cap = {cap}; /* mm: no correction is longer */
+        const {real} length = sqrt{f}(y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);
+        if (length > cap)
+            for (int k = 0; k < 3; ++k)
+                y[k] *= cap / length;
+    }}
+"""
+
+
 def guarded_sum(numbers, step, std):
-    """``guarded_sum(arm, y, v)`` of an `ArmResidualRegressor`: its stages, faded and capped."""
-    real, f, literal = numbers.real, numbers.suffix, numbers.literal
-    networked = step.use_ == "harmonics+network"
-    harmonic = step.use_ != "none"
+    """``guarded_sum(arm, y, v)`` of an `ArmResidualRegressor`: its stages, faded and capped.
+
+    It returns the smallest share of a stage that the fading leaves.
+    """
+    real, literal = numbers.real, numbers.literal
+    head = f"static {real} guarded_sum(const struct arm_state *arm, {real} y[3]"
+    head += f", {real} *v)" if std else ")"
+    start = ["y[0] = y[1] = y[2] = 0;", *(["if (v)", "    v[0] = v[1] = v[2] = 0;"] * std)]
+    if step.use_ == "none":
+        lines = ["(void)arm;", *start, "return 1;"]
+        return "\n".join([head, "{", *(f"    {line}" for line in lines), "}\n"])
     doubted = std or step.fade_ > 0
-    size = "arm->angle" if step.features == "all" else "x"
-    features = step.n_features_in_ if step.features == "all" else 3
+    declared = [f"{real} y1[3] = {{0, 0, 0}};"]
+    declared += [f"{real} v1[3] = {{0, 0, 0}};", f"{real} trust = 1, factor;"] * doubted
     v = ", v1" if doubted else ""
-    lines = [f"{real} y1[3] = {{0, 0, 0}};"]
-    if doubted:
-        lines.append(f"{real} v1[3] = {{0, 0, 0}};")
-    if networked and step.features != "all":
-        lines.append(f"{real} x[{features}];")
-    if networked:
-        lines.append(f"{real} cs[2];")
-    lines.append("y[0] = y[1] = y[2] = 0;")
+    stages = [[f"error_model(arm, y1{v});"]]
+    if step.use_ == "harmonics+network":
+        declared += [f"{real} cs[2];", *([f"{real} x[3];"] if step.features != "all" else [])]
+        pose = ["pose_features(arm, x);"] if step.features != "all" else []
+        inputs = "x" if pose else "arm->angle"
+        network = [f"network({inputs}, y1{v});", f"to_cartesian(cs, y1{v});"]
+        stages.append(["azimuth_direction(arm, cs);", *pose, *network])
+    add = ["factor = add_faded(y1, v1, y);", "trust = factor < trust ? factor : trust;"]
+    if not doubted:
+        add = ["for (int k = 0; k < 3; ++k)", "    y[k] += y1[k];"]
     if std:
-        lines += ["if (v)", "    v[0] = v[1] = v[2] = 0;"]
-    stages = []
-    if harmonic:
-        stages.append([f"error_model(arm, y1{v});"])
-    if networked:
-        stage = ["azimuth_direction(arm, cs);"]
-        if step.features != "all":
-            stage.append("pose_features(arm, x);")
-        stages.append([*stage, f"network({size}, y1{v});", f"to_cartesian(cs, y1{v});"])
-    for stage in stages:
-        lines += [*stage, f"add_faded(y1, {'v1, ' if doubted else ''}y);"]
-        if std:
-            lines += ["if (v)", "    for (int k = 0; k < 3; ++k)", "        v[k] += v1[k];"]
-    if not stages:
-        lines = ["(void)arm;", "y[0] = y[1] = y[2] = 0;"]
-        lines += ["if (v)", "    v[0] = v[1] = v[2] = 0;"] if std else []
-    if np.isfinite(step.cap_mm_) and stages:
-        lines += [
-            "{",
-            f"    const {real} cap = {literal(step.cap_mm_)}; /* mm: no correction is longer */",
-            f"    const {real} length = sqrt{f}(y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);",
-            "    if (length > cap)",
-            "        for (int k = 0; k < 3; ++k)",
-            "            y[k] *= cap / length;",
-            "}",
-        ]
-    body = "\n".join(f"    {line}" for line in lines)
-    faded = ""
-    if stages:
-        square = literal(step.residual_rms_mm_**2)
-        fade = literal(step.fade_**2)
-        tiny = literal(max(1e-300, np.finfo(numbers.literal_type).tiny))
-        faded = (
-            "/* Add a stage, shrunk by its variance against the size of the residuals, mm^2. */\n"
-            f"static void add_faded(const {real} y1[3], {f'const {real} v1[3], ' * doubted}"
-            f"{real} y[3])\n{{\n"
-        )
-        if doubted:
-            faded += (
-                f"    const {real} size = {square};\n"
-                f"    const {real} sum = size + {fade} * (v1[0] + v1[1] + v1[2]);\n"
-                f"    const {real} factor = size / (sum < {tiny} ? {tiny} : sum);\n"
-                "    for (int k = 0; k < 3; ++k)\n        y[k] += y1[k] * factor;\n}\n\n"
-            )
-        else:
-            faded += "    for (int k = 0; k < 3; ++k)\n        y[k] += y1[k];\n}\n\n"
-    parameter = f", {real} *v" if std else ""
-    return (
-        f"{faded}static void guarded_sum(const struct arm_state *arm, {real} y[3]{parameter})"
-        f"\n{{\n{body}\n}}\n"
+        add += ["if (v)", "    for (int k = 0; k < 3; ++k)", "        v[k] += v1[k];"]
+    lines = [*declared, *start, *(line for stage in stages for line in [*stage, *add])]
+    body = "".join(f"    {line}\n" for line in lines)
+    if np.isfinite(step.cap_mm_):
+        body += _CAPPED.format(real=real, f=numbers.suffix, cap=literal(step.cap_mm_))
+    body += f"    return {'trust' if doubted else '1'};\n"
+    faded = _FADED.format(
+        real=real,
+        square=literal(step.residual_rms_mm_**2),
+        fade=literal(step.fade_**2),
+        tiny=literal(max(1e-300, np.finfo(numbers.literal_type).tiny)),
     )
+    return f"{faded * doubted}{head}\n{{\n{body}}}\n"

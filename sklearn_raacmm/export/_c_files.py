@@ -24,7 +24,7 @@ class Function(NamedTuple):
     body: str
 
 
-def sources(model, name, stem, dtype, std, card):
+def sources(model, name, stem, dtype, std, card=None, notes=()):
     """Text of the C file and of the header.
 
     Parameters
@@ -37,6 +37,8 @@ def sources(model, name, stem, dtype, std, card):
     std : bool
     card : dict, str or None
         Facts about the model; fields of a dict become macros, too.
+    notes : list of str
+        More facts.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def sources(model, name, stem, dtype, std, card):
     if body.arm is not None:
         label = f" {body.arm.name}" if body.arm.name else ""
         facts.append(f"arm{label}: {body.n_inputs} joints, {body.arm.convention} DH, mm and rad")
-    facts += [*body.steps, f"functions of math.h: {', '.join(_math_functions(body, std))}"]
+    facts += [*body.steps, *notes, f"functions of math.h: {', '.join(_math_functions(body, std))}"]
     banner = comment(facts + ([] if card is None else ["", *str(card).splitlines()]))
     functions = _functions(body, name, dtype, std)
     functions.append(
@@ -75,7 +77,8 @@ def sources(model, name, stem, dtype, std, card):
         f"/* {stem}.c\n{banner} *\n"
         " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
         " * changes, so every function may be called from any thread.\n */\n"
-        f'#include "{stem}.h"\n\n#include <math.h>\n\n'
+        f'#include "{stem}.h"\n\n#include <float.h>\n#include <math.h>\n#include <stdint.h>\n'
+        "#include <string.h>\n\n"
         f"#ifndef {pair}\n"
         f'#error "{stem}.c and {stem}.h are of different exports: copy both files of one export."\n'
         "#endif\n#ifdef __FAST_MATH__\n"
@@ -87,7 +90,7 @@ def sources(model, name, stem, dtype, std, card):
 
 def _math_functions(body, std):
     """Names of what the source takes from math.h, for targets that have no such library."""
-    used = re.findall(r"\b(sin|cos|sqrt|hypot|atan2|exp|log|fabs|isfinite)f?\(", body.text)
+    used = re.findall(r"\b(sin|cos|sqrt|hypot|atan2|exp|fabs|isfinite)f?\(", body.text)
     return sorted({*used, *(["sqrt"] if std else [])})
 
 
@@ -102,7 +105,7 @@ def _macros(body, name, digest, card):
         "N_OUTPUTS": body.n_outputs,
         "TABLE_BYTES": body.table_bytes,
         "INPUT_UNIT": f'"{body.angle_unit}"' if body.arm is not None else None,
-        "OUTPUT_UNIT": '"mm"' if body.arm is not None and body.n_outputs == 3 else None,
+        "OUTPUT_UNIT": '"mm"' if body.corrects else None,
         "SERIAL_NUMBER": _quoted(card.get("serial_number")),
         "DATE": _quoted(card.get("date")),
         "DATA_FINGERPRINT": _quoted(training.get("data_fingerprint")),
@@ -118,16 +121,23 @@ def _quoted(text):
 def _functions(body, name, real, std):
     """Public functions that compute."""
     n, q, upper = body.n_inputs, body.n_outputs, name.upper()
-    corrects = body.arm is not None and q == 3
+    corrects = body.corrects
     argument = "joint_angles" if body.arm else "features"
     given = f"const {real} {argument}[{n}]"
     state, arm = ("    struct arm_state arm;\n", "&arm, ") if body.arm else ("", "")
-    none = ", 0" if std else ""
+    # Where a correction fades, evaluate() says how much of it is left.
+    none, trust = ", 0" if std else "", ", &trust" if body.fades else ""
+    state += f"    {real} trust;\n" if body.fades else ""
     verb, out = ("correct", "correction_mm") if corrects else ("predict", "prediction")
     status = (
         f"Returns {upper}_OK, or {upper}_NOT_FINITE where all are NaN: an input\n"
         "   is NaN or infinite, or the model is not defined there."
     )
+    if body.fades:
+        status += (
+            f" {upper}_FADED: the model\n   is less certain of this pose than the residuals that "
+            "it was fitted on are large."
+        )
     about = f"What the model predicts from {argument.replace('_', ' ')}.\n   {status}"
     if corrects:
         unit = "degrees" if body.angle_unit == "deg" else "rad"
@@ -139,7 +149,7 @@ def _functions(body, name, real, std):
         Function(
             f"int {name}_{verb}({given}, {real} {out}[{q}])",
             about,
-            f"{state}    return evaluate({argument}, {arm}{out}{none});\n",
+            f"{state}    return evaluate({argument}, {arm}{out}{none}{trust});\n",
         ),
         Function(
             f"int {name}_{verb}_n(const {real} *{argument}, {real} *{out}, size_t n)",
@@ -156,9 +166,19 @@ def _functions(body, name, real, std):
                 f"int {name}_point({given}, {real} point_mm[3])",
                 "The corrected centre of the probe in the base frame, mm; status and NaN as above.",
                 f"{state}    {real} y[3];\n"
-                f"    const int status = evaluate({argument}, {arm}y{none});\n"
+                f"    const int status = evaluate({argument}, {arm}y{none}{trust});\n"
                 "    for (int k = 0; k < 3; ++k)\n        point_mm[k] = arm.probe[k] - y[k];\n"
                 "    return status;\n",
+            )
+        )
+    if body.fades:
+        functions.append(
+            Function(
+                f"{real} {name}_trust({given})",
+                "The share of the correction that the fading leaves, of its stages the smallest: 1 "
+                "where\n   the model knows the pose, 0 far away, NaN as above.",
+                f"{state}    {real} y[{q}];\n    (void)evaluate({argument}, {arm}y{none}{trust});\n"
+                "    return trust;\n",
             )
         )
     if std:
@@ -169,7 +189,8 @@ def _functions(body, name, real, std):
                 f"int {name}_{verb}_std({given}, {real} {out}[{q}], {real} {spread}[{q}])",
                 "The same with its standard deviation, as predict(return_std=True) gives it: it "
                 "grows\n   away from the poses that the model was fitted on.",
-                f"{state}    const int status = evaluate({argument}, {arm}{out}, {spread});\n"
+                f"{state}    const int status = "
+                f"evaluate({argument}, {arm}{out}, {spread}{trust});\n"
                 f"    for (int j = 0; j < {q}; ++j)\n"
                 f"        {spread}[j] = {root}({spread}[j]);\n    return status;\n",
             )

@@ -10,11 +10,15 @@ import numpy as np
 
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
-from sklearn_raacmm.export import _c_columns, _c_steps
+from sklearn_raacmm.export import _c_columns, _c_network, _c_steps
 from sklearn_raacmm.export._c_text import Numbers
 from sklearn_raacmm.export._steps import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+
+# A pose is called faded where less than this share of a stage is left: its uncertainty is then
+# larger than the residuals that it was fitted on.
+_FADED_BELOW = 0.5
 
 
 class Body(NamedTuple):
@@ -27,6 +31,12 @@ class Body(NamedTuple):
     angle_unit: str
     steps: tuple  # of text, for people
     table_bytes: int
+    fades: bool
+
+    @property
+    def corrects(self):
+        """Whether the outputs are a correction of the arm's point."""
+        return self.arm is not None and self.n_outputs == 3
 
 
 class _Writer:
@@ -39,7 +49,7 @@ class _Writer:
         self.n_inputs = int(next(leaves(model)).estimator.n_features_in_)
         self.size = self.x_size = self.n_inputs
         self.loaded = False  # whether x holds something by now
-        self.n_scalers, self.n_outputs = 0, None
+        self.n_scalers, self.n_outputs, self.fades = 0, None, False
         if self.arm is not None:
             self.parts.append(_c_steps.kinematics(numbers, self.arm, self.angle_unit))
         self.parts.append(_c_steps.all_finite(numbers))
@@ -73,7 +83,7 @@ class _Writer:
             self._cylindrical(path, step)
         elif isinstance(step, RBFNetRegressor):
             self._load()
-            text, self.n_outputs = _c_steps.network(self.numbers, step, self.std)
+            text, self.n_outputs = _c_network.network(self.numbers, step, self.std)
             about = f"RBFNetRegressor: {step.kernel_}, {len(step.centers_)} centres"
             self._put(text, f"network(x, y{self._v});", about)
         elif isinstance(step, LINEAR):
@@ -115,10 +125,13 @@ class _Writer:
                 pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
                 self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
             self.parts.append(_c_steps.azimuth_direction(self.numbers))
-            self.parts.append(_c_steps.network(self.numbers, step.network_, doubted, False)[0])
+            self.parts.append(_c_network.network(self.numbers, step.network_, doubted, False)[0])
             self.parts.append(_c_steps.rotation(self.numbers, doubted))
         text = _c_columns.guarded_sum(self.numbers, step, self.std)
-        self._put(text, f"guarded_sum(arm, y{self._v});", f"ArmResidualRegressor: {step.use_}")
+        self.fades = stages > 0 and step.fade_ > 0
+        result = "*trust =" if self.fades else "(void)"
+        call = f"{result} guarded_sum(arm, y{self._v});"
+        self._put(text, call, f"ArmResidualRegressor: {step.use_}")
         # A pose without features has no correction at all.
         self.statements += [f"valid = all_finite(y, {self.n_outputs}) && valid;"]
 
@@ -176,13 +189,18 @@ class _Writer:
             f"        y[j] = ({real})NAN;",
             *no_std,
             "    }",
-            "return valid ? 0 : 2;",
         ]
+        status = "return valid ? 0 : 2;"
+        if self.fades:
+            lines += ["if (!valid)", f"    *trust = ({real})NAN;"]
+            status = f"return !valid ? 2 : *trust < {self.numbers.literal(_FADED_BELOW)} ? 1 : 0;"
+        lines.append(status)
         body = "\n".join(f"    {line}" for line in lines)
         return (
-            "/* 0: fine, 2: not finite. */\n"
+            "/* 0: fine, 1: faded, 2: not finite. */\n"
             f"static int evaluate(const {real} input[{self.n_inputs}], {arm}{real} y[{q}]"
-            f"{', ' + real + ' *v' if self.std else ''})\n"
+            f"{', ' + real + ' *v' if self.std else ''}"
+            f"{', ' + real + ' *trust' if self.fades else ''})\n"
             f"{{\n{body}\n}}\n"
         )
 
@@ -200,6 +218,7 @@ def body_of(model, dtype="double", std=False):
         writer.angle_unit,
         tuple(writer.steps),
         numbers.n_bytes,
+        writer.fades,
     )
 
 

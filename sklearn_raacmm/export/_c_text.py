@@ -88,25 +88,25 @@ class Numbers:
     def table(self, name, array, note=""):
         """A static constant array of one or two dimensions."""
         array = np.asarray(array, dtype=float)
-        shape = "".join(f"[{n}]" for n in array.shape)
         self.n_bytes += array.size * np.dtype(self.literal_type).itemsize
-        if array.ndim == 1:
-            body = _wrapped(array, self.literal, "    ")
-        else:
-            rows = []
-            for row in array:
-                text = _wrapped(row, self.literal, "     ")
-                rows.append("    {" + text[5:] + "}")
-            body = ",\n".join(rows)
-        head = f"/* {note} */\n" if note else ""
-        return f"{head}static const {self.real} {name}{shape} = {{\n{body}\n}};\n"
+        return _table(self.real, name, array, self.literal, note)
 
     def integers(self, name, array, note=""):
-        """A static constant array of integers."""
-        self.n_bytes += 4 * len(array)
-        body = _wrapped(array, lambda value: str(int(value)), "    ")
-        head = f"/* {note} */\n" if note else ""
-        return f"{head}static const int {name}[{len(array)}] = {{\n{body}\n}};\n"
+        """The same of integers."""
+        array = np.asarray(array, dtype=int)
+        self.n_bytes += 4 * array.size
+        return _table("int", name, array, str, note)
+
+
+def _table(kind, name, array, literal, note):
+    shape = "".join(f"[{n}]" for n in array.shape)
+    if array.ndim == 1:
+        body = _wrapped(array, literal, "    ")
+    else:
+        rows = [_wrapped(row, literal, "     ") for row in array]
+        body = ",\n".join("    {" + text[5:] + "}" for text in rows)
+    head = f"/* {note} */\n" if note else ""
+    return f"{head}static const {kind} {name}{shape} = {{\n{body}\n}};\n"
 
 
 def _wrapped(values, literal, indent, width=96):

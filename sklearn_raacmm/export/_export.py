@@ -11,9 +11,11 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._c_source import fingerprint_of
+from sklearn_raacmm.export._c_project import check_rows, project_files
+from sklearn_raacmm.export._c_source import body_of, fingerprint_of
 from sklearn_raacmm.export._c_text import check_name
-from sklearn_raacmm.export._load_c import compiled
+from sklearn_raacmm.export._json import model_of, text_of
+from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import RBFNetRegressor
@@ -38,7 +40,7 @@ TRUSTED_TYPES = [
 ]
 
 
-def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
+def export_c(model, path, *, name=None, dtype="double", std=False, card=None, poses=None):
     r"""Write a fitted model as one C99 file and its header.
 
     The file needs nothing but the mathematical library: no memory is allocated, nothing static
@@ -69,9 +71,12 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
           centre of the probe, through the arm's kinematics;
         - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
+        - ``double <name>_trust(const double joint_angles[N])``, of an :class:`ArmResidualRegressor`
+          that fades: the share of the correction that is left, of its stages the smallest;
         - ``const char *<name>_fingerprint(void)``.
 
-        They return 0, or 2 where the result is NaN. The header defines names for these numbers, and
+        The first four return 0; 1 where less than half of a stage is left; 2 where the result is
+        NaN. The header defines names for these numbers, and
         ``<NAME>_VERSION``, ``_FINGERPRINT``, ``_N_INPUTS``, ``_N_OUTPUTS``, ``_TABLE_BYTES``,
         ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
         and ``_DATA_FINGERPRINT``.
@@ -92,6 +97,13 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
         plain ones become underscores.
 
+    poses : array-like of shape (n, N), default=None
+        Rows that the model was fitted on, or others that it will see. With them come, beside the C
+        file, ``<stem>_test.c``, which compares 32 rows with what ``predict`` gives (20 of these, 8
+        corners of their ranges, 4 with NaN or infinity); ``CMakeLists.txt``, which builds and runs
+        it; and ``<stem>.hpp``, for C++17. In single precision the header then says how far
+        the functions are from ``predict`` at these rows, where a compiler is at hand.
+
     Returns
     -------
     source, header : pathlib.Path
@@ -102,7 +114,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
     ValueError
         If a step cannot be exported (the sentence names it), `name` is not a C identifier or a
         word of C or C++, `path` does not end in ".c" or holds unusual characters, or a number of
-        the model is not finite in this precision.
+        the model is not finite in this precision; if a CMakeLists.txt of somebody else is there.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -139,9 +151,14 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")
-    source, header = sources(model, name, path.stem, dtype, std, card)
-    header_path = path.with_suffix(".h")
-    write_whole({path: source, header_path: header})
+    header_path, extra, notes = path.with_suffix(".h"), {}, []
+    if poses is not None:
+        body = body_of(model, dtype, std)
+        rows = check_rows(poses, body.n_inputs)
+        extra = project_files(model, name, path, dtype, rows, body.corrects)
+        notes = single_precision(model, rows) if dtype == "float" else []
+    source, header = sources(model, name, path.stem, dtype, std, card, notes)
+    write_whole({path: source, header_path: header, **extra})
     return path, header_path
 
 
@@ -196,6 +213,79 @@ def load_c(model, *, std=False, compiler=None, cache_dir=None):
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")
     return compiled(model, std, compiler, cache_dir)
+
+
+def to_json(model, path=None):
+    """Write a fitted model as JSON: for other languages, and for an archive of twenty years.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted: of this package, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler,
+        RobustScaler, LinearRegression or Ridge, a pipeline of these, or a search that has found
+        one.
+
+    path : str or path-like, default=None
+        File to write, beside its place and renamed when complete. None only returns the text.
+
+    Returns
+    -------
+    str
+        JSON. All numbers are the shortest decimals that read back as the same float64. The page
+        "Deployment" describes the fields.
+
+    Raises
+    ------
+    ValueError
+        If something in the model cannot be written: the sentence says where it is.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm import RBFNetRegressor
+    >>> from sklearn_raacmm.export import from_json, to_json
+    >>> X = np.linspace(0, 6, 50)[:, None]
+    >>> model = RBFNetRegressor(5).fit(X, np.sin(X[:, 0]))
+    >>> again = from_json(to_json(model))
+    >>> bool((again.predict(X) == model.predict(X)).all())
+    True
+    """
+    text = text_of(model)
+    if path is not None:
+        write_whole({path: text})
+    return text
+
+
+def from_json(source):
+    """Read a model that :func:`to_json` wrote. Nothing in it is run.
+
+    Parameters
+    ----------
+    source : str or path-like
+        File, or the text itself.
+
+    Returns
+    -------
+    estimator
+        With the predictions of the model that was written.
+
+    Raises
+    ------
+    ValueError
+        If the text is not such a model, of another version of the format, or damaged: the checksum
+        is wrong, arrays do not fit together, or a number is missing or not finite.
+    OSError
+        If the file cannot be read.
+    """
+    if isinstance(source, str) and source.lstrip().startswith("{"):
+        return model_of(source)
+    content = Path(source).read_bytes()
+    try:
+        return model_of(content.decode("utf-8-sig"), str(source))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{source} is not valid JSON: {error}.") from None
 
 
 def fingerprint(model):

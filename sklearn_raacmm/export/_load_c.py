@@ -127,7 +127,7 @@ class CompiledModel:
         return self._row(angles, "point")[1]
 
     def status(self, angles):
-        """What the C function returns for one row: 0 fine, 2 not finite.
+        """What the C function returns for one row: 0 fine, 1 faded, 2 not finite.
 
         Parameters
         ----------
@@ -203,18 +203,58 @@ class CompiledModel:
 def compiled(model, std=False, compiler=None, cache_dir=None):
     """See `sklearn_raacmm.export.load_c`."""
     body = body_of(model, std=std)
-    text = sources(model, _NAME, _NAME, "double", std, None)
-    corrects = body.arm is not None and body.n_outputs == 3
+    text = sources(model, _NAME, _NAME, "double", std)
     facts = (
         fingerprint_of(model),
         body.n_inputs,
         body.n_outputs,
-        "correct" if corrects else "predict",
+        "correct" if body.corrects else "predict",
         body.n_outputs == 1 and _is_flat(model),
-        corrects,
+        body.corrects,
         std,
     )
     return CompiledModel(text, facts, compiler, cache_dir)
+
+
+def single_precision(model, rows):
+    """What single precision costs, measured: sentences for the header, none without a compiler.
+
+    Parameters
+    ----------
+    model : estimator
+    rows : ndarray of shape (n, n_inputs)
+        At most 1000 of them, evenly spread, are used.
+
+    Returns
+    -------
+    list of str
+    """
+    try:
+        compiler = _find_compiler(None)
+    except RuntimeError:
+        return []
+    body = body_of(model)
+    given = rows[np.unique(np.linspace(0, len(rows) - 1, 1000).astype(int))].astype(np.float32)
+    exact = given.astype(float)  # the inputs that single precision holds
+    got = np.empty((2, len(given), body.n_outputs), dtype=np.float32)
+    verb = "correct" if body.corrects else "predict"
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as build:
+        library = _compile(sources(model, _NAME, _NAME, "float", False), compiler, Path(build))
+        loaded = ctypes.CDLL(str(library))
+        names = [verb, *(["point"] if body.corrects else [])]
+        functions = [getattr(loaded, f"{_NAME}_{function}") for function in names]
+        for function, out in zip(functions, got, strict=False):
+            for row, place in zip(given, out, strict=True):
+                function(*(ctypes.c_void_p(array.ctypes.data) for array in (row, place)))
+    expected = np.reshape(model.predict(exact), (len(exact), -1))
+    gap, size = np.nanmax(np.abs(got[0] - expected)), np.abs(expected).max()
+    unit = " mm" if body.corrects else ""
+    text = f"single precision, at {len(exact)} rows: within {gap:.1e}{unit} of predict"
+    text += f", {gap / max(size, 1e-300):.1e} of the largest"
+    if body.corrects:
+        points = body.arm.forward(exact, angle_unit=body.angle_unit) - expected
+        text += f"; the point within {np.nanmax(np.abs(got[1] - points)):.1e} mm"
+    return [text]
 
 
 def _is_flat(model):

@@ -5,7 +5,10 @@ sources describe them ("after"): the standards themselves were not at hand, and 
 this module is no statement of conformance to any of them.
 """
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn import get_config
 from sklearn.metrics import make_scorer
 from sklearn.utils import Bunch, check_array
@@ -19,7 +22,13 @@ from sklearn_raacmm.utils import (
 )
 
 
-def single_point_repeatability(points, groups=None, *, statistic="2s", aggregate="mean"):
+def single_point_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: str | None = "mean",
+) -> Any:
     r"""Single-point articulation repeatability: how far points of one place lie apart.
 
     With :math:`\delta_i = |p_i - \bar p|` the distance of point i from the mean of the n points
@@ -71,7 +80,13 @@ def single_point_repeatability(points, groups=None, *, statistic="2s", aggregate
     return _aggregate(_distance_statistic(distances, position, counts, statistic), aggregate)
 
 
-def axis_repeatability(points, groups=None, *, statistic="half_range", aggregate="mean"):
+def axis_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "half_range",
+    aggregate: str | None = "mean",
+) -> np.ndarray:
     r"""Repeatability of each coordinate by itself.
 
     Parameters
@@ -109,7 +124,7 @@ def axis_repeatability(points, groups=None, *, statistic="half_range", aggregate
     return _aggregate(_axis_statistic(deviations, position, counts, statistic), aggregate)
 
 
-def repeatability_report(points, groups=None):
+def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> Any:
     """Every single-point measure of every position, as columns of a table.
 
     Parameters
@@ -156,7 +171,14 @@ def repeatability_report(points, groups=None):
     return Bunch(**columns)
 
 
-def within_position_scatter(y_true, y_pred, *, groups=None, statistic="2s", aggregate="mean"):
+def within_position_scatter(
+    y_true: ArrayLike,
+    y_pred: ArrayLike,
+    *,
+    groups: ArrayLike | None = None,
+    statistic: str = "2s",
+    aggregate: str | None = "mean",
+) -> Any:
     """Single-point repeatability left after a correction: that of ``y_true - y_pred``.
 
     A cone-hole test shows residuals only up to one unknown constant per position. This measure
@@ -205,7 +227,9 @@ def within_position_scatter(y_true, y_pred, *, groups=None, statistic="2s", aggr
     )
 
 
-def within_position_r2_score(y_true, y_pred, *, groups=None):
+def within_position_r2_score(
+    y_true: ArrayLike, y_pred: ArrayLike, *, groups: ArrayLike | None = None
+) -> float:
     """Share of the variance within positions that a correction takes away.
 
     One minus the sum of squared deviations of ``y_true - y_pred`` from its mean at each position,
@@ -243,7 +267,13 @@ def within_position_r2_score(y_true, y_pred, *, groups=None):
     return float(1 - after / before)
 
 
-def repeatability_scorer(X=None, groups=None, *, statistic="2s", aggregate="mean"):
+def repeatability_scorer(
+    X: ArrayLike | None = None,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: str = "mean",
+) -> Any:
     """Scorer for model selection: minus the scatter within positions after the correction.
 
     Parameters

@@ -30,6 +30,9 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     group_weights,
 )
+from sklearn_raacmm.utils._html import html_table
+from sklearn_raacmm.utils._progress import stage
+from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
     Interval,
@@ -62,6 +65,7 @@ __all__ = [
     "check_n_features",
     "check_option",
     "check_points",
+    "check_shapes",
     "check_weights",
     "check_whole_number",
     "chunk_size",
@@ -73,6 +77,7 @@ __all__ = [
     "group_means",
     "group_sums",
     "group_weights",
+    "html_table",
     "is_plain",
     "one_blas_thread",
     "refuse_disguised",
@@ -80,6 +85,7 @@ __all__ = [
     "refuse_masked",
     "safe_indexing",
     "show",
+    "stage",
     "validate_params",
     "whole_fit",
     "write_whole",

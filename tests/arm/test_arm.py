@@ -2,6 +2,7 @@ import copy
 import json
 import pickle
 import warnings
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -494,3 +495,13 @@ def test_small_degrees_are_degrees(angles):
     arm = Arm.from_name("ur10")
     expected = arm.forward(np.deg2rad(angles))
     np.testing.assert_array_equal(arm.forward(angles, angle_unit="deg"), expected)
+
+
+def test_html_of_an_arm_is_a_table_of_its_joints_in_which_nothing_runs():
+    arm = Arm.from_name("panda", name="<script>alert(1)</script>")
+    text, table = ElementTree.fromstring(arm._repr_html_())  # well-formed, and no other element
+    assert text.text == repr(arm)
+    cells = [[cell.text for cell in row] for row in table]
+    assert cells[0] == ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
+    expected = [np.arange(1, 8), arm.joint_signs, arm.a, np.rad2deg(arm.alpha), arm.d, np.zeros(7)]
+    assert_allclose(np.array(cells[1:], dtype=float), np.transpose(expected), atol=1e-4)

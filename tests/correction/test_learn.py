@@ -27,7 +27,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-QUICK = JointHarmonicRegressor(n_harmonics=4)
+QUICK = JointHarmonicRegressor(max_order=4)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_scores_are_those_of_the_steps_written_out(test_data, learned):
     for train, test in GroupKFold(5).split(X, groups=groups):
         arm = calibrate(test_data.nominal_arm, X[train], groups[train]).arm
         y = position_residuals(arm.forward(X[train]), groups[train])
-        model = JointHarmonicRegressor(arm, n_harmonics=4).fit(X[train], y, groups=groups[train])
+        model = JointHarmonicRegressor(arm, max_order=4).fit(X[train], y, groups=groups[train])
         points = arm.forward(X[test])
         for values, left in ((before, points), (after, points - model.predict(X[test]))):
             values[np.unique(groups[test])] = single_point_repeatability(
@@ -126,6 +126,12 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     place = [entry[0] for entry in scores.lengths].index(first)
     assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
     assert "6 lengths, mean error" in str(scores)
+    # The two ends of a placement resemble each other: the bootstrap draws placements.
+    rng = np.random.default_rng(1)
+    draws = rng.integers(6, size=(20_000, 6))
+    pairs = scores.table["after"].reshape(6, 2).mean(axis=1)
+    low, high = np.quantile(pairs[draws].mean(axis=1), [0.025, 0.975])
+    assert scores.summary["after"][1:] == pytest.approx((low, high), abs=0.1 * (high - low))
 
 
 def test_a_plate_of_known_distances_still_leaves_positions_out(test_data):
@@ -156,6 +162,23 @@ def test_against_a_tracker(test_data):
     left = np.linalg.norm(learned.scores.left_after, axis=1)
     means = [left[test_data.groups == i].mean() for i in range(7)]
     np.testing.assert_allclose(learned.scores.table["after"], means)
+
+
+def test_tracker_points_without_labels_are_left_out_by_region():
+    rng = np.random.default_rng(2)
+    arm = Arm.from_name("ur10")
+    X = rng.uniform(-2, 2, (200, 6))
+    tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
+    learned = learn_correction(arm, X, None, tracker, model=QUICK)
+    labels = learned.scores.table["position"].tolist()
+    assert labels == [f"region {i:02d}" for i in range(1, 11)]
+    # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
+    spread = [np.ptp(tracker[learned.positions == label], axis=0).max() for label in labels]
+    assert max(spread) < np.ptp(tracker, axis=0).max()
+    with pytest.raises(ValueError, match="at least 5 different points are needed"):
+        learn_correction(arm, X[:4], None, tracker[:4], model=QUICK)
+    with pytest.raises(ValueError, match="got None"):
+        learn_correction(arm, X, None, model=QUICK)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +221,7 @@ def test_the_default_is_the_guarded_model_and_says_when_it_does_not_help():
     X, groups = rng.uniform(-2, 2, (60, 6)), np.repeat(np.arange(6), 10)
     tracker = arm.forward(X) + rng.normal(scale=0.05, size=(60, 3))
     model = ArmResidualRegressor(
-        harmonics=JointHarmonicRegressor(n_harmonics=2), network=RBFNetRegressor(5, degree=-1)
+        harmonics=JointHarmonicRegressor(max_order=2), network=RBFNetRegressor(5, degree=-1)
     )
     learned = learn_correction(arm, X, groups, tracker, model=model, cv=3)
     assert not learned.helps
@@ -267,12 +290,12 @@ def test_bad_input_gets_one_sentence(test_data, change, message):
         learn_correction(test_data.nominal_arm, **{**given, "model": QUICK, **change})
 
 
-def test_an_arm_of_another_table_is_refused(test_data):
+def test_an_arm_of_another_table_is_refused_and_told(test_data):
     wrong = test_data.nominal_arm.replace(joint_signs=[1, 1, 1, -1, 1, 1])
-    with (
-        pytest.warns(UserWarning, match="still scatter"),
-        pytest.raises(ValueError, match="mm after calibration, and the arm reaches"),
-    ):
+    message = (
+        r"mm after calibration.*With joint 4 reversed the points scatter by 0\.0\d+ mm instead"
+    )
+    with pytest.raises(ValueError, match=message):
         learn_correction(wrong, test_data.data, test_data.groups, model=QUICK)
 
 

@@ -71,15 +71,24 @@ def build(tmp_path):
             out = np.full((n_results, len(rows), n_outputs), 7, dtype=real)
             for i, row in enumerate(rows):
                 status = function(row, *out[:, i])
-                assert status == (0 if np.isfinite(out[:, i]).all() else 2)
+                assert status in ((0, 1) if np.isfinite(out[:, i]).all() else (2,))
             if name in ("correct", "predict"):  # the same for many rows, to the last bit
                 many = getattr(loaded, f"arm_{name}_n")
                 many.argtypes, many.restype = [array, array, ctypes.c_size_t], ctypes.c_int
                 again = np.full((len(rows), n_outputs), 7, dtype=real)
-                assert many(rows, again, len(rows)) == (0 if np.isfinite(out).all() else 2)
+                assert many(rows, again, len(rows)) in ((0, 1) if np.isfinite(out).all() else (2,))
                 np.testing.assert_array_equal(again, out[0])
             return out[0] if n_results == 1 else tuple(out)
 
+        def trust(rows):
+            loaded.arm_trust.argtypes = [array]
+            loaded.arm_correct.argtypes = [array, array]
+            loaded.arm_trust.restype = {"double": ctypes.c_double, "float": ctypes.c_float}[dtype]
+            rows, out = np.ascontiguousarray(rows, dtype=real), np.empty(3, dtype=real)
+            found = [(loaded.arm_trust(row), loaded.arm_correct(row, out)) for row in rows]
+            return [np.array(part) for part in zip(*found, strict=True)]
+
+        call.trust = trust
         call.fingerprint = loaded.arm_fingerprint().decode()
         return call
 
@@ -315,7 +324,7 @@ def test_a_direction_that_is_given_is_checked(build):
 
 @pytest.mark.parametrize("compiler", COMPILERS or ["none"])
 def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
-    first = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False)
+    first = JointHarmonicRegressor(data.arm, max_order=2, gravity=False)
     both = ArmResidualRegressor(data.arm, harmonics=first, network=network(degree=-1))
     X = angles_everywhere(6, 100)
     # C++ has its own rules on constants and names; the functions keep their C names.
@@ -529,7 +538,7 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     X, y = data.data, data.target
     arm = data.arm
 
-    def refused(model):
+    def refused(model, X=X):
         with pytest.raises(ValueError) as error:  # the message is what is tested
             export_c(model.fit(X, y), tmp_path / "arm.c")
         assert not list(tmp_path.iterdir())
@@ -548,7 +557,8 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     mixed = form_a(arm).set_params(azimuth=AACMM.azimuth)
     assert "different arms" in refused(mixed)
     mixed = form_a(arm, angle_unit="deg")
-    assert "different angle units" in refused(mixed)
+    with pytest.warns(UserWarning, match="if they are radians"):
+        assert "different angle units" in refused(mixed)
     ridge = form_b(arm, net=Ridge()).fit(X, y)
     with pytest.raises(ValueError, match="ridge is a Ridge, which has no standard deviation"):
         export_c(ridge, tmp_path / "arm.c", std=True)
@@ -584,7 +594,7 @@ def test_bad_calls_are_refused(data, tmp_path):
 
 
 def harmonics(arm, **params):
-    return JointHarmonicRegressor(arm, **{"n_harmonics": 5, **params})
+    return JointHarmonicRegressor(arm, **{"max_order": 5, **params})
 
 
 def agree(call, model, X, with_std=True):
@@ -629,7 +639,7 @@ def test_joint_harmonics(build, name, families):
 )
 def test_arm_residuals(build, data, params):
     arm = data.arm
-    first = harmonics(arm, gravity=False, n_harmonics=2)
+    first = harmonics(arm, gravity=False, max_order=2)
     model = ArmResidualRegressor(arm, harmonics=first, network=network(degree=-1), **params)
     model.fit(data.data, data.target)
     X = np.concatenate([data.data, angles_everywhere(6, 100)])
@@ -638,6 +648,32 @@ def test_arm_residuals(build, data, params):
     bad = np.tile(data.data[:1], (6, 1))
     bad[np.arange(6), np.arange(6)] = np.nan
     assert np.isnan(build(model)("correct", bad, 3)).all()
+
+
+@pytest.mark.parametrize("std", [False, True])
+@pytest.mark.parametrize("use", ["harmonics", "harmonics+network"])
+def test_c_says_which_poses_the_model_does_not_know(build, data, use, std):
+    first = harmonics(data.arm, gravity=False, n_harmonics=2)
+    model = ArmResidualRegressor(
+        data.arm, harmonics=first, network=network(degree=-1), features="pose", use=use, fade=2.0
+    ).fit(data.data, data.target)
+    X = np.concatenate([data.data, angles_everywhere(6, 50), np.full((1, 6), np.nan)])
+    trust, status = build(model, std=std).trust(X)
+    # What is left of each stage, by the formula of the documentation and what Python has.
+    stages = [model.linear_model_.predict(X[:-1], return_std=True)[1]]
+    if use == "harmonics+network":
+        pose = PoseFeatures(data.arm).fit_transform(X[:-1])
+        azimuth = data.arm.azimuth(X[:-1])
+        u, v, w = model.network_.predict(pose, return_std=True, with_noise=False)[1].T ** 2
+        c, s = np.cos(azimuth) ** 2, np.sin(azimuth) ** 2
+        stages.append(np.sqrt(np.stack([u * c + v * s, u * s + v * c, w], axis=1)))
+    size = model.residual_rms_mm_**2
+    left = [size / (size + np.sum((2.0 * deviation) ** 2, axis=1)) for deviation in stages]
+    expected = np.min(left, axis=0)
+    np.testing.assert_allclose(trust[:-1], expected, rtol=1e-6)
+    assert np.isnan(trust[-1])
+    np.testing.assert_array_equal(status, [*np.where(expected < 0.5, 1, 0), 2])
+    assert 0 < np.mean(expected < 0.5) < 1
 
 
 def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):

@@ -117,7 +117,7 @@ def test_in_degrees(data):
 
 
 def test_models_that_are_fitted_with_groups(data):
-    harmonics = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False, wobble=False)
+    harmonics = JointHarmonicRegressor(data.arm, max_order=2, gravity=False, wobble=False)
     network = RBFNetRegressor(5, length_scale=1.5, alpha=0.01, degree=-1)
     both = ArmResidualRegressor(data.arm, harmonics=harmonics, network=network, use="harmonics")
     for model in (harmonics, both):
