@@ -147,7 +147,7 @@ def check_correction(
     >>> rng = np.random.default_rng(0)
     >>> angles = rng.uniform(-2, 2, (400, 6))
     >>> y = rng.normal(scale=0.01, size=(400, 3))
-    >>> model = JointHarmonicRegressor(arm, n_harmonics=4).fit(angles, y)
+    >>> model = JointHarmonicRegressor(arm, max_order=4).fit(angles, y)
     >>> today = rng.uniform(-2, 2, (30, 6))
     >>> check_correction(model, today, rng.normal(scale=0.01, size=(30, 3))).holds
     True

@@ -32,7 +32,7 @@ def knock(joint, arcsec):
 
 @pytest.fixture(scope="module")
 def model():
-    return JointHarmonicRegressor(ARM, n_harmonics=12).fit(*rows(500, 0))
+    return JointHarmonicRegressor(ARM, max_order=12).fit(*rows(500, 0))
 
 
 @pytest.mark.parametrize("refitted", [(), ("base", "probe")])
@@ -98,7 +98,7 @@ def test_a_slipped_pose_is_named_and_does_not_raise_an_alarm(model):
 def test_single_points():
     data = make_single_point(n_positions=14, n_poses=25, random_state=0)
     old = data.groups < 10
-    model = JointHarmonicRegressor(data.arm, n_harmonics=8)
+    model = JointHarmonicRegressor(data.arm, max_order=8)
     model.fit(data.data[old], data.target[old], groups=data.groups[old])
     angles, groups = data.data[old], data.groups[old]
     y = data.target[old] + data.arm.jacobian(angles)[:, :, 2] * 60 * ARCSEC
