@@ -109,6 +109,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     See Also
     --------
     calibrate : Registers: fits base and tool through the correction.
+    check_correction : Says whether an update is needed.
 
     Notes
     -----
