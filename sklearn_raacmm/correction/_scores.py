@@ -108,7 +108,7 @@ class CorrectionScores:
         lines += self._length_lines()
         lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
         if len(self.outliers):
-            lines.append(f"left out of all this as outliers: {len(self.outliers)} rows")
+            lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
         return "\n".join(lines)
 
     def _length_lines(self):
@@ -116,7 +116,7 @@ class CorrectionScores:
             return []
         before, after = np.abs(self.length_errors_before), np.abs(self.length_errors_after)
         return [
-            f"{len(self.lengths)} lengths, mean error: {before.mean():.4f} mm before, "
+            f"known lengths ({len(self.lengths)}), mean error: {before.mean():.4f} mm before, "
             f"{after.mean():.4f} mm after (largest {before.max():.4f}, {after.max():.4f})"
         ]
 

@@ -125,7 +125,7 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     error = np.linalg.norm(ends[0] - ends[1]) - 400
     place = [entry[0] for entry in scores.lengths].index(first)
     assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
-    assert "6 lengths, mean error" in str(scores)
+    assert "known lengths (6), mean error" in str(scores)
     # The two ends of a placement resemble each other: the bootstrap draws placements.
     rng = np.random.default_rng(1)
     draws = rng.integers(6, size=(20_000, 6))
