@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -251,7 +252,10 @@ def test_shows_itself(learned):
     assert learned.verdict in text
     assert "inside their 95 % intervals" in text
     assert learned.verdict.replace(">", "&gt;") in learned._repr_html_()
-    assert "<pre>" in learned.scores._repr_html_()
+    cells = re.findall(r"<td>([^<]*)</td>", learned.scores._repr_html_())
+    assert len(cells) == 7 * 6
+    assert cells[2::6] == [f"{value:.4f}" for value in learned.scores.table["before"]]
+    assert cells[::6] == list("ABCDEFG")
 
 
 def test_progress_and_processes_change_nothing(test_data, learned):
