@@ -24,9 +24,11 @@ from sklearn_raacmm.network._nested_fits import (
     nested_least_squares,
     penalise,
     stack_triangles,
-    triangular_factor,
+    triangle_of_block,
 )
 from sklearn_raacmm.network._parameters import (
+    PER_OUTPUT,
+    check_alpha,
     check_length_scale,
     check_resolved,
     leading_bits,
@@ -57,14 +59,6 @@ IN_MEMORY_ROWS = 100_000
 _CHUNK = 2**18
 # Attributes that not every fit has.
 _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_", "_posterior_")
-_PER_OUTPUT = (
-    "coef_",
-    "intercept_",
-    "linear_coef_",
-    "alpha_",
-    "noise_variance_",
-    "signal_variance_",
-)
 
 
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -104,9 +98,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
         standard deviation.
 
-    alpha : float or "auto", default="auto"
-        Ridge, in units of the sum of sample weights. 0 is plain least squares. In terms of a
-        Gaussian process it is the noise variance over the signal variance.
+    alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
+        Ridge, of all outputs or of each, in units of the sum of sample weights. 0 is plain least
+        squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
     degree : {-1, 0, 1}, default=0
         Degree of the unpenalised polynomial: none, a constant, or linear in the features.
@@ -276,7 +270,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             StrOptions({"auto", "isotropic"}),
             "array-like",
         ],
-        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
         "degree": [Interval(Integral, -1, 1, closed="both")],
         "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
@@ -405,7 +399,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         root = psd_root(kernel_matrix(Z, Z, kernel))
         columns = Features(Z, shift, length_scale, kernel)
         p = problem.n_tail
-        R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
+        R = problem.reduce(partial(triangle_of_block, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
         k, scores, reached = choose_size(problem, alpha, path, settings)
 
@@ -441,7 +435,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         size = min(len(path.rows), p + k)
         self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
         if self._flat:
-            for name in _PER_OUTPUT:
+            for name in PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
 
     def _problem(self, X, y, sample_weight, rng):
@@ -470,8 +464,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def _tune(self, problem, width, rng):
         """Kernel, widths and every output's ridge in the problem's units, found where not given."""
-        alpha = None if isinstance(self.alpha, str) else float(self.alpha) / problem.unit
-        alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
+        alpha = check_alpha(self.alpha, len(problem.spread))
+        alphas = np.ones(len(problem.spread)) if alpha is None else alpha / problem.unit
         # Given widths are those of one kernel.
         kernels = (self.kernel,) if self.kernel != "auto" else AUTO_KERNELS
         if width is not None:
@@ -487,7 +481,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             kernels,
             length_scale=width,
             isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
-            alpha=None if alpha is None else alpha * problem.unit / sample.unit,
+            alpha=None if alpha is None else alpha[view.outputs] / sample.unit,
             random_state=rng,
         )
         if alpha is None:
@@ -605,8 +599,3 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
             variance[:, i] += noise[i] * of_weights[id(R)]
         return variance
-
-
-def _triangle(columns, block):
-    """Triangular factor of the tail, the centres' columns and the targets on some rows."""
-    return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
