@@ -14,9 +14,9 @@ candidates that the selection asks for.
 from typing import NamedTuple
 
 import numpy as np
-from sklearn.utils import gen_batches
 
 from sklearn_raacmm.error_model._columns import scale_direction, term_columns, term_names
+from sklearn_raacmm.utils import chunk_size, chunks
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
@@ -173,17 +173,17 @@ class _Poses(NamedTuple):
 def _sorted_poses(angles, y, weights, codes):
     """Whole positions stay together, so that a chunk knows the means that it takes out."""
     if codes is None:
-        chunks = [(rows, None) for rows in gen_batches(len(angles), _CHUNK)]
-        return _Poses(angles, y, weights, chunks, 0)
+        parts = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
+        return _Poses(angles, y, weights, parts, 0)
     order = np.argsort(codes, kind="stable")
     first = np.flatnonzero(np.diff(codes[order], prepend=-1))
-    ends, chunks, begin = np.append(first[1:], len(angles)), [], 0
+    ends, parts, begin = np.append(first[1:], len(angles)), [], 0
     for i, end in enumerate(ends):
         last = i + 1 == len(ends)
-        if last or ends[i + 1] - first[begin] > _CHUNK:
-            chunks.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
+        if last or ends[i + 1] - first[begin] > chunk_size(_CHUNK):
+            parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
             begin = i + 1
-    return _Poses(angles[order], y[order], weights[order], chunks, len(first))
+    return _Poses(angles[order], y[order], weights[order], parts, len(first))
 
 
 def _joint_spans(offered):

@@ -6,11 +6,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from sklearn.utils import gen_batches
 
 from sklearn_raacmm.arm import points_of
 from sklearn_raacmm.error_model._columns import term_columns
-from sklearn_raacmm.utils import group_means, group_sums, group_weights
+from sklearn_raacmm.utils import chunks, group_means, group_sums, group_weights
 
 # Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
 _CHUNK = 512
@@ -20,7 +19,7 @@ def mean_columns(arm, angles, weights, codes, terms):
     """Mean of the model's columns over each position, (n_positions, 3, n_columns)."""
     total = group_weights(codes, weights)
     sums = 0.0
-    for rows in gen_batches(len(angles), _CHUNK):
+    for rows in chunks(len(angles), _CHUNK):
         columns = term_columns(arm, angles[rows], terms)
         sums = sums + group_sums(columns, codes[rows], weights[rows], len(total))
     return sums / total[:, None, None]
