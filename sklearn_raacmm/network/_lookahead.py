@@ -21,7 +21,7 @@ _ENTRANTS = 64
 # single steps so far have taken as long as the product that makes its Gram matrix takes.
 _PRODUCTS_PER_READ = 40
 # Below this many steps a guess on the mean of so many guesses, looking ahead does not pay.
-_SHORT_RUN, _TRIALS = 6, 4
+_SHORT_RUN, _TRIALS = 4, 8
 # Candidates in the pool where the kernel matrix itself is worked on: with 256 runs of 25 guesses
 # were right on average (3000 rows, width a tenth), with 64 half as many.
 _FEW_CANDIDATES = 256
