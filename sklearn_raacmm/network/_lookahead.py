@@ -69,6 +69,15 @@ def all_scores(score, states):
     return scores
 
 
+def pays_for_all(n, n_select):
+    """Whether a Gram matrix of all columns of a kernel matrix costs less than single steps.
+
+    It takes 2 n^3 operations, of which 20 are done while one number is read; step k reads half the
+    kernel matrix and four times the k directions so far.
+    """
+    return n_select * (n / 2 + 2 * n_select) > n**2 / 10
+
+
 class Pool:
     """Candidates that score high, with the Gram matrix of what is left of them.
 
@@ -78,14 +87,16 @@ class Pool:
         One for each group of outputs.
     score : callable
         As for `forward_selection`.
+    n_select : int
+        Most steps that will be taken.
     """
 
-    def __init__(self, passes, score):
+    def __init__(self, passes, score, n_select):
         self.passes, self.score = passes, score
         n, rank = len(passes[0].norms), passes[0].candidates.rank
         if not passes[0].whitened:
             # Widths are narrow there: the best candidates are far apart, and few are enough.
-            self.size = min(n, _FEW_CANDIDATES)
+            self.size = n if pays_for_all(n, n_select) else min(n, _FEW_CANDIDATES)
         else:
             # Some of the candidates would not do: the next best is among the others too often.
             self.size = n if n <= _MEMORY * rank else 0
