@@ -13,6 +13,16 @@ _MAX_RANGE = 1e6
 # Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
 _MAX_WIDTH = 1e7
 
+# Attributes that have one number for each output.
+PER_OUTPUT = (
+    "coef_",
+    "intercept_",
+    "linear_coef_",
+    "alpha_",
+    "noise_variance_",
+    "signal_variance_",
+)
+
 
 def leading_bits(values):
     """Values to the 14 leading bits, four digits.

@@ -28,7 +28,7 @@ def small(**params):
     """A model that is quick to fit."""
     return ArmResidualRegressor(
         ARM,
-        harmonics=JointHarmonicRegressor(n_harmonics=4, gravity=False, wobble=False),
+        harmonics=JointHarmonicRegressor(max_order=4, gravity=False, wobble=False),
         network=RBFNetRegressor(15, length_scale=1.0, alpha=1e-2, degree=-1),
         **params,
     )
@@ -109,7 +109,7 @@ def test_weights_are_repeats(cones):
     y = position_residuals(y, groups)
     weights = np.random.default_rng(0).integers(0, 3, len(y))
     repeat = np.repeat(np.arange(len(y)), weights)
-    model = ArmResidualRegressor(ARM, harmonics=JointHarmonicRegressor(n_harmonics=2), n_folds=2)
+    model = ArmResidualRegressor(ARM, harmonics=JointHarmonicRegressor(max_order=2), n_folds=2)
     model.set_params(use="harmonics", harmonics__offsets=True)
     weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
     repeated = clone(model).fit(theta[repeat], y[repeat], groups=groups[repeat])
@@ -158,7 +158,7 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
         for absolute in (False, True):
             y = day.points - day.simulation.true_points if absolute else day.target
             model = ArmResidualRegressor(
-                day.arm, harmonics=JointHarmonicRegressor(n_harmonics=8), network=network, n_folds=3
+                day.arm, harmonics=JointHarmonicRegressor(max_order=8), network=network, n_folds=3
             )
             model.fit(day.data[trained], y[trained], groups=day.groups[trained])
             assert model.linear_model_.offsets != absolute
@@ -174,7 +174,7 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
 def test_known_lengths_reach_the_first_stage():
     gauge = make_gauge(300, 8, 8, random_state=2)
     known = [(a, b, 300.0, 0.003) for a, b in gauge.pairs]
-    first = JointHarmonicRegressor(gauge.arm, n_harmonics=2)
+    first = JointHarmonicRegressor(gauge.arm, max_order=2)
     model = ArmResidualRegressor(gauge.arm, harmonics=first, use="harmonics", fade=0)
     model.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
     first.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
@@ -214,9 +214,9 @@ def test_the_check_decides_how_much_to_fade(cones):
 def test_is_a_scikit_learn_estimator(cones):
     theta, y, groups, _ = cones
     search = GridSearchCV(
-        small(use="harmonics"), {"harmonics__n_harmonics": [1, 4]}, cv=GroupKFold(3)
+        small(use="harmonics"), {"harmonics__max_order": [1, 4]}, cv=GroupKFold(3)
     ).fit(theta, y, groups=groups)
-    assert search.best_params_ == {"harmonics__n_harmonics": 4}
+    assert search.best_params_ == {"harmonics__max_order": 4}
     model = search.best_estimator_
     assert_array_equal(pickle.loads(pickle.dumps(model)).predict(theta), model.predict(theta))
     mean, std = model.predict(theta, return_std=True)
