@@ -104,7 +104,7 @@ def read_ur10(path):
     _, groups = np.unique(table[:, 1:4].round(6), axis=0, return_inverse=True)
     return SimpleNamespace(
         angles=table[:, 7:13],
-        points=table[:, 14:17],
+        points=table[:, place],
         groups=groups.ravel(),
         temperature=table[:, 13],
     )
