@@ -6,7 +6,7 @@
 import numpy as np
 from sklearn.cluster import KMeans
 
-from sklearn_raacmm.utils import centred, group_means
+from sklearn_raacmm.utils import centred, group_means, stage
 
 CHECK_DTYPE = np.dtype(
     [
@@ -48,6 +48,7 @@ def blocks_of_positions(points, positions, weights, n_blocks):
     return KMeans(n_blocks, n_init=4, random_state=0).fit_predict(means)[positions]
 
 
+@stage("check at positions left out")
 def errors_left_out(fit, data, positions, blocks, n_models, fades):
     """Mean deviation of each position when its block is left out, by each model and fading.
 

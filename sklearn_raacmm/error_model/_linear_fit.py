@@ -22,7 +22,7 @@ from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import candidate_sums
 from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
-from sklearn_raacmm.utils import centred, group_means
+from sklearn_raacmm.utils import centred, group_means, stage
 
 # Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
 # errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
@@ -52,6 +52,7 @@ class LinearOptions(NamedTuple):
         return cls(*(getattr(estimator, name) for name in cls._fields))
 
 
+@stage("linear error model")
 def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     """Fit the model, and fit it again without the poses that are too far off.
 
