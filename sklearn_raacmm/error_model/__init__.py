@@ -8,6 +8,7 @@ from sklearn_raacmm.error_model._fit_checks import check_fit
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
 from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._orders import likely_gear_ratios
 
 __all__ = [
     "JointHarmonicRegressor",
@@ -17,6 +18,7 @@ __all__ = [
     "check_fit",
     "column_table",
     "fit_linear_model",
+    "likely_gear_ratios",
     "quantile",
     "term_columns",
 ]

@@ -8,8 +8,9 @@ A harmonic joins if that multiplies the marginal likelihood by more than its pri
 against it (:func:`order_prices`). Selection is that of orthogonal least squares, on the penalised
 Gram matrix instead of the columns, a pair at a time. Variances and choice take turns: on a fixed
 choice the variances follow MacKay's fixed point [1]_, the sum of squares of a family's
-coefficients over the number of them that the data determine; then the choice is made anew, while
-the evidence less the prices rises.
+coefficients over the number of them that the data determine; then harmonics join at these
+variances, and those that the others have made needless leave, while the evidence less the prices
+rises.
 
 References
 ----------
@@ -24,12 +25,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-# Choices made anew, and steps of the variances on one choice, at most. Both stop by the evidence:
+# Rounds of the choice, and steps of the variances in each, at most. Both stop by the evidence:
 # few problems take more than 5 and 30.
 _MAX_CHOICES, _MAX_STEPS = 10, 100
 # Rise of the evidence, in nats, that is not worth another step: it moves no coefficient by more
 # than a few per cent of its standard deviation.
-_SMALL_RISE = 1e-3
+_SMALL_RISE = 0.01
+# Steps of the variances where they are nearly right: others follow, with the robust weights.
+_REFIT_STEPS = 5
 # Noise is known beforehand as three observations would show it, at a hundredth of the square of y:
 # with fewer rows than columns the evidence else grows without limit as all noise is explained away.
 _ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
@@ -47,14 +50,14 @@ _NO_SIZE = 1e-7
 # Harmonics are guessed to be so many, for the first choice.
 _GUESSED_PAIRS = 12
 # Of the next best candidates, how many are named as likely to be asked for next.
-_LIKELY = 16
+_LIKELY = 48
 
 
 class Posterior(NamedTuple):
     """Coefficients of the chosen columns and what they are worth."""
 
     pairs: np.ndarray  # (k,) chosen candidates, sorted
-    gains: np.ndarray  # (k,) log Bayes factor of each when it joined
+    gains: np.ndarray  # (k,) log Bayes factor of each, beside all others
     coef: np.ndarray  # (m + 2 k,) of the columns that are always in, then of the chosen pairs
     root: np.ndarray  # (m + 2 k, m + 2 k) R with covariance = inv(R.T @ R)
     prior_variance: np.ndarray  # (n_families,)
@@ -62,10 +65,11 @@ class Posterior(NamedTuple):
     n_determined: float
     log_evidence: float  # up to a constant of the data
     determined: np.ndarray  # (m + 2 k,) share of each coefficient that the data determine
+    n_always: int  # m
 
 
 def select_harmonics(
-    sums, family, harmonic, prior_variance, prices, lengths=None, start=None, fixed=False
+    sums, family, harmonic, prior_variance, prices, lengths=None, start=None, pairs=(), fixed=False
 ):
     """Choose harmonics and fit all coefficients.
 
@@ -87,6 +91,8 @@ def select_harmonics(
     start : (ndarray of shape (n_families,), float), optional
         Variances of the families and of the noise to begin with, such as those of a fit to nearly
         the same data.
+    pairs : ndarray of shape (k,), optional
+        Candidates to begin with; those that are not worth their price leave.
     fixed : bool, default=False
         Choose once, at the variances of `start`, and leave these as they are.
 
@@ -95,34 +101,38 @@ def select_harmonics(
     Posterior
     """
     problem = _Problem(sums, family, harmonic, prior_variance, lengths)
-    if fixed:
-        pairs, gains, _ = _choose(problem, *start, prices)
-        return _posterior(problem.part(pairs), *start)._replace(pairs=pairs, gains=gains)
+    pairs = np.sort(np.asarray(pairs, dtype=int))
     if start is None:
         # Without harmonics their variance stays at its guess; noise and other families are found.
-        none = problem.find_variances(np.empty(0, dtype=int), *problem.first_guess())
-        start = none.prior_variance, none.noise_variance
+        found = problem.find_variances(pairs, *problem.first_guess())
+        start = found.prior_variance, found.noise_variance
+    if fixed:
+        return _prune(problem, _extend(problem, pairs, *start, prices), *start, prices)[0]
     best, best_value, tried = None, -np.inf, set()
     for _ in range(_MAX_CHOICES):
-        pairs, gains, paid = _choose(problem, *start, prices)
+        pairs = _extend(problem, pairs, *start, prices)
+        found = problem.find_variances(pairs, *start)
+        start = found.prior_variance, found.noise_variance
+        found, paid = _prune(problem, pairs, *start, prices)
+        pairs = found.pairs
+        if found.log_evidence - paid > best_value + _SMALL_RISE:
+            best, best_value = found, found.log_evidence - paid
+        elif best is not None:
+            break
         if frozenset(pairs.tolist()) in tried:
             break
         tried.add(frozenset(pairs.tolist()))
-        found = problem.find_variances(pairs, *start)
-        if not found.log_evidence - paid > best_value + _SMALL_RISE:
-            break
-        best, best_value = found._replace(gains=gains), found.log_evidence - paid
-        start = best.prior_variance, best.noise_variance
     return best
 
 
 def refit(sums, family, harmonic, prior_variance, pairs, lengths, start):
     """Variances and coefficients of chosen pairs, from variances that are nearly right.
 
-    Parameters and result are those of :func:`select_harmonics`; `gains` are left out.
+    Parameters and result are those of :func:`select_harmonics`.
     """
     problem = _Problem(sums, family, harmonic, prior_variance, lengths)
-    return problem.find_variances(np.asarray(pairs, dtype=int), *start)
+    found = problem.find_variances(np.asarray(pairs, dtype=int), *start, max_steps=_REFIT_STEPS)
+    return found._replace(gains=_gains(found, harmonic))
 
 
 class _Problem:
@@ -156,11 +166,11 @@ class _Problem:
                 variance[f] = self.start * self.n / size if size > 0 else 1.0
         return variance
 
-    def find_variances(self, pairs, variance, noise):
+    def find_variances(self, pairs, variance, noise, max_steps=_MAX_STEPS):
         """Coefficients of a fixed choice at the variances of highest evidence."""
         part = self.part(pairs)
         found = _posterior(part, variance, noise)
-        for _ in range(_MAX_STEPS):
+        for _ in range(max_steps):
             last = found
             found = self._step(part, last)
             if not found.log_evidence > last.log_evidence + _SMALL_RISE:
@@ -180,7 +190,8 @@ class _Problem:
             lengths = lengths._replace(rows=np.concatenate(mine, axis=1))
         moment = np.concatenate([sums.moment, sums.candidate_moment[columns]])
         family = np.concatenate([self.family, np.full(len(columns), self.harmonic)])
-        return _Part(gram, moment, sums.square, self.n, self.assumed, family, lengths)
+        m = len(self.family)
+        return _Part(gram, moment, sums.square, self.n, self.assumed, family, lengths, m)
 
     def _step(self, part, last):
         """MacKay's step, half of it and so on (in logarithms) where the evidence falls."""
@@ -208,6 +219,7 @@ class _Part(NamedTuple):
     assumed: float
     family: np.ndarray
     lengths: object
+    n_always: int
 
 
 def _posterior(part, variance, noise):
@@ -237,6 +249,7 @@ def _posterior(part, variance, noise):
         n_determined=float(determined.sum()),
         log_evidence=float(-0.5 * (fixed - r @ coef + volume)),
         determined=determined,
+        n_always=part.n_always,
     )
 
 
@@ -281,8 +294,8 @@ def columns_of(pairs):
     return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
 
 
-def _choose(problem, variance, noise, prices):
-    """Candidates in the order in which they raise the evidence most beyond their price.
+def _extend(problem, pairs, variance, noise, prices):
+    """Chosen pairs and those that raise the evidence by more than their price, at given variances.
 
     With S the penalised Gram matrix of what is left of the columns beside the chosen ones and r
     their products with what is left of y, a pair b raises the log evidence by
@@ -290,36 +303,63 @@ def _choose(problem, variance, noise, prices):
 
     S is never formed nor downdated as a whole: as in a pivoted Cholesky factorisation, the factor's
     rows and the pairs' own 2 x 2 blocks suffice.
-
-    Returns
-    -------
-    pairs, gains, paid
-        Candidates, sorted; the log Bayes factor of each when it joined; the sum of their prices.
     """
-    left = _Leftover(problem, variance, noise)
-    chosen, gains, paid = [], [], 0.0
+    left = _Leftover(problem, pairs, variance, noise)
+    chosen = pairs.tolist()
     alive = np.ones(left.n_pairs, dtype=bool)
+    alive[pairs] = False
     while alive.any():
         gain, sound = left.gains()
         alive &= sound
-        price = prices(np.array(chosen, dtype=int))
-        net = np.where(alive, gain - price, -np.inf)
+        net = np.where(alive, gain - prices(np.array(chosen, dtype=int)), -np.inf)
         best = int(np.argmax(net))
         if not net[best] > 0:
             break
-        left.take(best, np.argsort(-net, kind="stable")[:_LIKELY].tolist())
+        likely = np.argsort(-net, kind="stable")[: min(_LIKELY, np.count_nonzero(net > 0))]
+        left.take(best, likely.tolist())
         alive[best] = False
         chosen.append(best)
-        gains.append(float(gain[best]))
-        paid += float(price[best])
-    order = np.argsort(chosen)
-    return np.array(chosen, dtype=int)[order], np.array(gains)[order], paid
+    return np.sort(np.array(chosen, dtype=int))
+
+
+def _prune(problem, pairs, variance, noise, prices):
+    """Drop pairs, the least one first, whose loss the others make good; at given variances.
+
+    Returns
+    -------
+    found : Posterior
+    paid : float
+        Sum of the prices of the pairs that are left.
+    """
+    while True:
+        found = _posterior(problem.part(pairs), variance, noise)
+        gains = _gains(found, problem.harmonic)
+        price = prices(pairs)[pairs] if len(pairs) else gains
+        net = gains - price
+        if not len(net) or net.min() > 0:
+            return found._replace(pairs=pairs, gains=gains), float(price.sum())
+        pairs = np.delete(pairs, np.argmin(net))
+
+
+def _gains(found, harmonic):
+    """Rise of the log evidence by each pair, beside all others."""
+    n_waves = len(found.coef) - found.n_always
+    first = found.n_always
+    if not n_waves:
+        return np.empty(0)
+    half = solve_triangular(found.root, np.eye(len(found.coef)), check_finite=False)[first:]
+    half = half.reshape(n_waves // 2, 2, -1)
+    covariance = half @ half.swapaxes(1, 2)
+    coef = found.coef[first:].reshape(-1, 2)
+    fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)
+    shrunk = np.linalg.slogdet(covariance / found.prior_variance[harmonic])[1]
+    return 0.5 * (fit + shrunk)
 
 
 class _Leftover:
     """What the chosen columns leave of the candidates, at given variances."""
 
-    def __init__(self, problem, variance, noise):
+    def __init__(self, problem, pairs, variance, noise):
         sums, lengths = problem.sums, problem.lengths
         self.problem, self.noise = problem, noise
         self.prior = variance[problem.harmonic]
@@ -339,10 +379,12 @@ class _Leftover:
             own = own + [(a * b).sum(axis=0) for a, b in ((cos, cos), (sin, sin), (cos, sin))]
             self.r = self.r + self.lengths.T @ errors
         self.own = own + np.array([[1.0], [1.0], [0.0]]) / self.prior
-        self.factor, self.size = np.empty((len(S) + 64, cross.shape[1])), 0
+        self.factor, self.size = np.empty((len(S) + 2 * len(pairs) + 64, cross.shape[1])), 0
         if len(S):
             S[np.diag_indices(len(S))] += 1 / variance[problem.family]
             self._add(S, cross, r)
+        if len(pairs):
+            self._add(*self._left_of(columns_of(pairs), pairs, ()))
 
     def _add(self, block, rows, r):
         """Rows of the factor for columns whose own block and products are given."""
@@ -360,14 +402,18 @@ class _Leftover:
 
     def take(self, pair, likely):
         """Move a candidate to the chosen ones."""
-        columns = [2 * pair, 2 * pair + 1]
-        rows = self.problem.sums.rows([pair], likely) / self.noise
+        self._add(*self._left_of([2 * pair, 2 * pair + 1], [pair], likely))
+
+    def _left_of(self, columns, pairs, likely):
+        """Own block, rows of the penalised Gram matrix and products of some candidates."""
+        rows = self.problem.sums.rows(pairs, likely) / self.noise
         if self.lengths is not None:
             rows = rows + self.lengths[:, columns].T @ self.lengths
         known = self.factor[: self.size]
         rows = rows - known[:, columns].T @ known
-        a, d, o = self.own[:, pair]
-        self._add(np.array([[a, o], [o, d]]), rows, self.r[columns])
+        block = rows[:, columns]
+        block = 0.5 * (block + block.T) + np.eye(len(columns)) / self.prior
+        return block, rows, self.r[columns]
 
     def gains(self):
         """Rise of the log evidence by each candidate, and whether it can be trusted."""

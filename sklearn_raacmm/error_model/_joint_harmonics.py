@@ -88,7 +88,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
         and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
-        raised the log evidence when it joined.
+        raises the log evidence beside all others.
 
     terms_ : structured ndarray of shape (n_terms,)
         The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length

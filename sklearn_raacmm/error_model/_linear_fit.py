@@ -30,7 +30,7 @@ _OUTLIER = 5.5
 _MEDIAN_OF_CHI3 = 1.5382
 _ROBUST_ROUNDS = 4
 # Harmonics are chosen anew, with what the robust weights have become, at most so many times.
-_MAX_CHOICES = 3
+_MAX_CHOICES = 2
 _SETTLED_WEIGHT = 0.05
 
 
@@ -85,16 +85,15 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     offered, expected = offered_harmonics(
         X[weights > 0], options.max_order, options.orders, options.gear_ratio
     )
-    factor, start, taken = np.ones(len(y)), None, None
+    factor, start, pairs = np.ones(len(y)), None, ()
     for _ in range(_MAX_CHOICES):
-        posterior, terms = _choose(data, factor, offered, expected, start)
-        model, settled, posterior = _settle(data, factor, posterior, terms)
-        same = np.abs(settled - factor).max() < _SETTLED_WEIGHT
-        pairs = set(map(tuple, model.terms.harmonics.tolist()))
-        factor, start = settled, (posterior.prior_variance, posterior.noise_variance)
-        if same or pairs == taken:
+        chosen, terms = _choose(data, factor, offered, expected, start, pairs)
+        model, settled, found = _settle(data, factor, chosen, terms)
+        moved = np.abs(settled - factor).max()
+        factor, start = settled, (found.prior_variance, found.noise_variance)
+        pairs = chosen.pairs
+        if moved < _SETTLED_WEIGHT:
             break
-        taken = pairs
     return model, factor
 
 
@@ -137,7 +136,7 @@ class _Data(NamedTuple):
         return variance
 
 
-def _choose(data, factor, offered, expected, start):
+def _choose(data, factor, offered, expected, start, pairs):
     """Posterior of the harmonics chosen at given weights, and its terms."""
     options = data.options
     terms = Terms(offered, options.gravity, options.kinematics, options.wobble)
@@ -149,16 +148,16 @@ def _choose(data, factor, offered, expected, start):
         )
     sums, lengths = data.sums(factor, terms)
     prices = order_prices(offered, expected)
-    found = select_harmonics(sums, family, HARMONIC, data.prior_variance(), prices, lengths, start)
+    variance = data.prior_variance()
+    found = select_harmonics(sums, family, HARMONIC, variance, prices, lengths, start, pairs)
     return found, terms._replace(harmonics=offered[found.pairs])
 
 
 def _settle(data, factor, found, terms):
     """Weights of the poses, and the model at these weights, harmonics being chosen."""
-    gains = found.gains
     family = term_names(data.arm, terms)[1]
     pairs = np.arange(len(terms.harmonics))
-    model = _model_of(data, factor, found, gains, terms)
+    model = _model_of(data, factor, found, terms)
     if data.options.loss == "squared":
         return model, factor, found
     for _ in range(_ROBUST_ROUNDS):
@@ -169,7 +168,7 @@ def _settle(data, factor, found, terms):
         sums, lengths = data.sums(factor, terms)
         start = found.prior_variance, found.noise_variance
         found = refit(sums, family, HARMONIC, data.prior_variance(), pairs, lengths, start)
-        model = _model_of(data, factor, found, gains, terms)
+        model = _model_of(data, factor, found, terms)
     return model, factor, found
 
 
@@ -185,7 +184,7 @@ def _pose_weights(data, model, factor):
     return np.square(np.maximum(1 - share, 0.0))
 
 
-def _model_of(data, factor, found, gains, terms):
+def _model_of(data, factor, found, terms):
     """Value of a posterior, with columns in the order harmonics by joint, other terms."""
     n_pairs = len(terms.harmonics)
     order = np.roll(np.arange(len(found.coef)), 2 * n_pairs)
@@ -202,7 +201,7 @@ def _model_of(data, factor, found, gains, terms):
         prior_sd={FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(families)},
         offsets=data.codes is not None,
         n_determined=found.n_determined,
-        log_bayes_factor=gains,
+        log_bayes_factor=found.gains,
     )
     X, _, weights, codes, lengths = data.weighted(factor)
     if codes is not None and data.options.kinematics and not lengths:

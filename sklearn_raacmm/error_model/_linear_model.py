@@ -69,7 +69,7 @@ class LinearModel:
         Effective number of coefficients that the data determine.
 
     log_bayes_factor : ndarray of shape (n_harmonics,)
-        By how much each harmonic of `terms` raised the log evidence when it joined.
+        By how much each harmonic of `terms` raises the log evidence, beside all others.
     """
 
     arm: Arm

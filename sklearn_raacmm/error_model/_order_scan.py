@@ -21,7 +21,7 @@ from sklearn_raacmm.utils import chunk_size, chunks
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
 # Gram rows summed up together: those of the next best candidates are likely asked for next.
-_BATCH = 16
+_BATCH = 48
 
 
 class CandidateSums(NamedTuple):
@@ -71,7 +71,7 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms):
     n_turns = 2 * arm.n_joints
     turns = np.empty((len(angles), 3, arm.n_joints))
     gram, cross, own = 0.0, 0.0, np.zeros((3, len(offered)))
-    for rows, starts in poses.chunks:
+    for rows, starts in poses.parts:
         columns = term_columns(arm, poses.angles[rows], terms)
         turns[rows] = columns[:, :, :n_turns:2]  # the cosines of order 0
         columns = np.concatenate([columns[:, :, n_turns:], poses.y[rows, :, None]], axis=2)
@@ -166,7 +166,7 @@ class _Poses(NamedTuple):
     angles: np.ndarray
     y: np.ndarray
     weights: np.ndarray
-    chunks: list  # (rows, first row of each position in the chunk or None)
+    parts: list  # (rows, first row of each position in the chunk or None)
     n_groups: int
 
 
@@ -178,9 +178,10 @@ def _sorted_poses(angles, y, weights, codes):
     order = np.argsort(codes, kind="stable")
     first = np.flatnonzero(np.diff(codes[order], prepend=-1))
     ends, parts, begin = np.append(first[1:], len(angles)), [], 0
+    limit = chunk_size(_CHUNK)
     for i, end in enumerate(ends):
         last = i + 1 == len(ends)
-        if last or ends[i + 1] - first[begin] > chunk_size(_CHUNK):
+        if last or ends[i + 1] - first[begin] > limit:
             parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
             begin = i + 1
     return _Poses(angles[order], y[order], weights[order], parts, len(first))
@@ -259,7 +260,7 @@ def _gram_rows(poses, turns, spans, pairs):
     """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
     joint, order = pairs.T
     out = 0.0
-    for rows, starts in poses.chunks:
+    for rows, starts in poses.parts:
         phase = order * poses.angles[rows][:, joint]
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2)
         columns = turns[rows][:, :, joint, None] * wave[:, None]

@@ -28,6 +28,7 @@ from sklearn_raacmm.network._nested_fits import (
 )
 from sklearn_raacmm.network._parameters import (
     PER_OUTPUT,
+    check_alpha,
     check_length_scale,
     check_resolved,
     leading_bits,
@@ -97,9 +98,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
         standard deviation.
 
-    alpha : float or "auto", default="auto"
-        Ridge, in units of the sum of sample weights. 0 is plain least squares. In terms of a
-        Gaussian process it is the noise variance over the signal variance.
+    alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
+        Ridge, of all outputs or of each, in units of the sum of sample weights. 0 is plain least
+        squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
     degree : {-1, 0, 1}, default=0
         Degree of the unpenalised polynomial: none, a constant, or linear in the features.
@@ -269,7 +270,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             StrOptions({"auto", "isotropic"}),
             "array-like",
         ],
-        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
         "degree": [Interval(Integral, -1, 1, closed="both")],
         "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
@@ -463,8 +464,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def _tune(self, problem, width, rng):
         """Kernel, widths and every output's ridge in the problem's units, found where not given."""
-        alpha = None if isinstance(self.alpha, str) else float(self.alpha) / problem.unit
-        alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
+        alpha = check_alpha(self.alpha, len(problem.spread))
+        alphas = np.ones(len(problem.spread)) if alpha is None else alpha / problem.unit
         # Given widths are those of one kernel.
         kernels = (self.kernel,) if self.kernel != "auto" else AUTO_KERNELS
         if width is not None:
@@ -480,7 +481,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             kernels,
             length_scale=width,
             isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
-            alpha=None if alpha is None else alpha * problem.unit / sample.unit,
+            alpha=None if alpha is None else alpha[view.outputs] / sample.unit,
             random_state=rng,
         )
         if alpha is None:
@@ -549,19 +550,23 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     def _posterior(self, centers):
         """What variances are made of, kept from one call to the next but not in a file."""
         if "_posterior_" not in self.__dict__:
-            p, k = len(self._tail_map), len(centers)
+            p = len(self._tail_map)
             K = kernel_matrix(centers, centers, self.kernel_)
             root, outside = psd_root(K), psd_inverse_root(K)
-            # The packed triangle is trapezoidal where there were fewer rows than columns.
-            size = next(
-                m for m in range(p + k + 1) if m * (p + k) - m * (m - 1) // 2 == len(self._rows)
-            )
-            rows = np.zeros((size, p + k))
-            rows[np.triu_indices(size, m=p + k)] = self._rows
+            rows = self._design_triangle()
             alphas = np.atleast_1d(self.alpha_) / self._weight_unit
             triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(alphas)}
             self._posterior_ = outside, [triangles[a] for a in alphas]
         return self._posterior_
+
+    def _design_triangle(self):
+        """Triangular factor of the columns at the training rows, polynomial first."""
+        n = len(self._tail_map) + len(self.centers_)
+        # Packed, and trapezoidal where there were fewer rows than columns.
+        size = next(m for m in range(n + 1) if m * n - m * (m - 1) // 2 == len(self._rows))
+        rows = np.zeros((size, n))
+        rows[np.triu_indices(size, m=n)] = self._rows
+        return rows
 
     def __getstate__(self):
         state = super().__getstate__().copy()

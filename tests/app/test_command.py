@@ -44,7 +44,7 @@ URDF = (
 def quick_model():
     """The first stage alone: the whole default takes half a minute, and is tested elsewhere."""
     with pytest.MonkeyPatch.context() as patch:
-        model = JointHarmonicRegressor(n_harmonics=3)
+        model = JointHarmonicRegressor(max_order=3)
         patch.setattr(
             _commands, "learn_correction", functools.partial(learn_correction, model=model)
         )

@@ -653,7 +653,7 @@ def test_arm_residuals(build, data, params):
 @pytest.mark.parametrize("std", [False, True])
 @pytest.mark.parametrize("use", ["harmonics", "harmonics+network"])
 def test_c_says_which_poses_the_model_does_not_know(build, data, use, std):
-    first = harmonics(data.arm, gravity=False, n_harmonics=2)
+    first = harmonics(data.arm, gravity=False, max_order=2)
     model = ArmResidualRegressor(
         data.arm, harmonics=first, network=network(degree=-1), features="pose", use=use, fade=2.0
     ).fit(data.data, data.target)
