@@ -95,12 +95,12 @@ def read_ur10(path):
     Returns a namespace of ``angles`` (n, 6) rad (commanded), ``points`` (n, 3) mm in the tracker's
     frame, ``groups`` (n,) number of the goal position, ``temperature`` (n,) degC.
     """
+    header, *lines = path.read_text(encoding="utf-8-sig").splitlines()
     table = np.array(
-        [
-            [float(field.replace(",", ".")) for field in line.split(";")]
-            for line in path.read_text(encoding="utf-8-sig").splitlines()[1:]
-        ]
+        [[float(field.replace(",", ".")) for field in line.split(";")] for line in lines]
     )
+    # The second series has standard deviations between the coordinates.
+    place = [header.split(";").index(f"measurement_{axis}") for axis in "xyz"]
     _, groups = np.unique(table[:, 1:4].round(6), axis=0, return_inverse=True)
     return SimpleNamespace(
         angles=table[:, 7:13],

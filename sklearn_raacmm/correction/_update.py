@@ -109,6 +109,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     See Also
     --------
     calibrate : Registers: fits base and tool through the correction.
+    check_correction : Says whether an update is needed.
 
     Notes
     -----
@@ -131,7 +132,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     ...     error[:, 2] = np.deg2rad(arcsec / 3600) * np.cos(angles[:, 2])
     ...     return np.einsum("nij,nj->ni", arm.jacobian(angles), error)
     >>> y = residuals(angles, 20) + rng.normal(scale=0.01, size=(400, 3))
-    >>> model = JointHarmonicRegressor(arm, n_harmonics=4).fit(angles, y)
+    >>> model = JointHarmonicRegressor(arm, max_order=4).fit(angles, y)
     >>> new = rng.uniform(-2, 2, (60, 6))  # after a knock it is more so
     >>> y_new = residuals(new, 40) + rng.normal(scale=0.01, size=(60, 3))
     >>> updated = update_correction(model, new, y_new)
