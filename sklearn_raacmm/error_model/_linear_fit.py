@@ -26,6 +26,8 @@ from sklearn_raacmm.error_model._normal_equations import (
 )
 from sklearn_raacmm.utils import centred, group_means
 
+# Columns that move the arm as a whole: the first axis stands still in the base.
+BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
 # Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
 # errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
 _OUTLIER = 5.5
@@ -139,9 +141,34 @@ def _fit_weighted(arm, X, y, weights, codes, lengths, options):
     )
     present = {HARMONIC, *of_term.tolist()} if n_pairs else set(of_term.tolist())
     model = _model_of(arm, terms, found, offsets, sorted(present))
-    if offsets and options.kinematics and not lengths:
-        model = _keep_scale(model, X, weights, codes)
-    return model
+    return constrained(model, X, weights, codes, keep_scale=not lengths)
+
+
+def constrained(model, X, weights, codes, keep_scale=True):
+    """Model without what positions with offsets cannot show: the scale, and where the base stands.
+
+    Parameters
+    ----------
+    model : LinearModel
+    X : ndarray of shape (n, n_joints)
+        Training poses.
+    weights : ndarray of shape (n,)
+    codes : ndarray of shape (n,) or None
+        Position of each row, from 0; None where positions have no offsets.
+    keep_scale : bool, default=True
+        Whether no known lengths show the scale.
+
+    Returns
+    -------
+    LinearModel
+        The same one where positions have no offsets or it has no columns of the kinematics.
+    """
+    if codes is None or not model.terms.kinematics:
+        return model
+    columns = mean_columns(model.arm, X, weights, codes, model.terms)
+    if keep_scale:
+        model = _keep_scale(model, columns, group_means(points_of(model.arm, X), codes, weights))
+    return _without_gauge(model, columns)
 
 
 def _model_of(arm, offered, found, offsets, families):
@@ -161,21 +188,21 @@ def _model_of(arm, offered, found, offsets, families):
         offsets=offsets,
         n_determined=float(found.n_determined),
         log_bayes_factor=np.asarray(found.gains, dtype=float)[by_column],
+        gauge_free_half=half,
     )
 
 
-def _keep_scale(model, X, weights, codes):
+def _keep_scale(model, columns, points):
     """Leave the distances between positions as the calibration has them, on the average.
 
     Positions with offsets do not show a common scale of all lengths, and whatever the prior
-    makes of it would be an error in proportion to every length.
+    makes of it would be an error in proportion to every length. `columns` and `points` are means
+    over the positions.
     """
-    points = group_means(points_of(model.arm, X), codes, weights)
     spread = points - points.mean(axis=0)
     size = np.square(spread).sum()
     if not size > 0:
         return model
-    columns = mean_columns(model.arm, X, weights, codes, model.terms)
     scale_of = np.einsum("gc,gcp->p", spread, columns) / size
     unit = scale_direction(model.arm, model.terms)
     return replace(
@@ -183,6 +210,24 @@ def _keep_scale(model, X, weights, codes):
         coef=model.coef - unit * (scale_of @ model.coef),
         half=model.half - np.outer(unit, scale_of @ model.half),
     )
+
+
+def _without_gauge(model, columns):
+    """Take motions of the base out of the covariance that predictions are judged by.
+
+    A single-point test does not show where the base stands: along the six columns that move it the
+    posterior is the prior, and other columns imitate a motion at the positions of the test. With M
+    the mean columns over the positions and B the six of them, ``G = lstsq(B, M)`` is the motion in
+    every column, and ``A - A[:, base] @ G`` are the columns without it (inner constraints).
+    """
+    names, _ = term_names(model.arm, model.terms)
+    n_waves = 2 * len(model.terms.harmonics)
+    base = [n_waves + names.index(name) for name in BASE_MOTIONS]
+    flat = columns.reshape(-1, columns.shape[2])
+    motion = np.linalg.lstsq(flat[:, base], flat, rcond=1e-9)[0]
+    half = model.half.copy()
+    half[base] -= motion @ model.half
+    return replace(model, gauge_free_half=half)
 
 
 def quantile(values, share, weights):

@@ -90,8 +90,10 @@ def error_model(numbers, linear, std):
     text += numbers.table("column_coef", linear.coef)
     variance = ""
     if std:
-        text += numbers.table("column_half", linear.half.T, "root of the coefficients' covariance")
-        variance = _VARIANCE.format(real=real, m=m, r=linear.half.shape[1])
+        text += numbers.table(
+            "column_half", linear.gauge_free_half.T, "root of the coefficients' covariance"
+        )
+        variance = _VARIANCE.format(real=real, m=m, r=linear.gauge_free_half.shape[1])
     n = arm.n_joints
     return (
         text
