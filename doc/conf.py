@@ -22,6 +22,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.intersphinx",
     "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",  # links from the reference to the source
     "sphinx-mathjax-offline",  # formulas without a network, too
     "numpydoc",
     "myst_parser",

@@ -4,8 +4,8 @@ A live arm at 1 kHz
 
 An arm's software asks for a corrected point at every reading of its encoders, a thousand times a
 second. A model that has been fitted, saved and loaded again can answer from Python, from ONNX
-Runtime or as C; here each of them is asked once a millisecond, and what counts is not the mean but
-the slowest answers: how many come later than the next reading?
+Runtime or as C, compiled and loaded by ``load_c``. Here each of them is asked once a millisecond,
+and what counts is not the mean but the slowest answers: how many come later than the next reading?
 
 The second part is about poses that the model does not know. It can tell: its standard deviation
 grows away from what it was fitted on. A point whose correction is that uncertain is better left
@@ -17,9 +17,6 @@ without.
 """
 
 import argparse
-import ctypes
-import shutil
-import subprocess
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,12 +29,11 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import describe, export_c, to_onnx
+from sklearn_raacmm.export import describe, load_c, to_onnx
 
 DEADLINE = 1e-3  # s
 # A correction is refused where it is this many times as uncertain as at the worst training pose.
 REFUSE_AT = 1.5
-COMPILER = next(filter(shutil.which, ("gcc", "clang", "cc")), None)
 
 
 def fit():
@@ -80,23 +76,10 @@ def answers(model, folder):
             folder / "arm.onnx", options, providers=["CPUExecutionProvider"]
         )
         ways["ONNX"] = lambda angles: session.run(None, {"X": angles[None]})[0][0]
-    if COMPILER is None:
-        print("C is left out: no compiler on the PATH.")
-        return ways
-    source, _ = export_c(loaded, folder / "arm.c")
-    library = folder / "arm.so"
-    command = [COMPILER, "-std=c99", "-O2", "-shared", "-fPIC", "-o", library, source, "-lm"]
-    subprocess.run(command, check=True)
-    correct = ctypes.CDLL(library).arm_correct
-    array = np.ctypeslib.ndpointer(dtype=np.float64, flags="C")
-    correct.argtypes, correct.restype = [array, array], None
-    correction = np.empty(3)
-
-    def from_c(angles):
-        correct(angles, correction)
-        return correction
-
-    ways["C, called from Python"] = from_c
+    try:
+        ways["C, by load_c"] = load_c(loaded).correct
+    except RuntimeError as error:  # no compiler on the PATH
+        print(f"C is left out: {error}")
     return ways
 
 

@@ -10,9 +10,11 @@ from sklearn_raacmm.correction import (
     ArmResidualRegressor,
     CorrectionScores,
     LearnedCorrection,
+    TableChange,
     cross_validate_correction,
     learn_correction,
     next_poses,
+    search_table,
 )
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.network import RBFNetRegressor
@@ -34,6 +36,7 @@ __all__ = [
     "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",
+    "TableChange",
     "__version__",
     "calibrate",
     "cartesian_to_cylindrical",
@@ -42,4 +45,5 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "position_residuals",
+    "search_table",
 ]

@@ -12,12 +12,40 @@ from threadpoolctl import threadpool_limits
 # Before pytest collects a module of the package for its examples: one that came first would be
 # imported twice, and what the tests call would not know its classes.
 import sklearn_raacmm  # noqa: F401
+from sklearn_raacmm.utils import _chunks
 
 ROOT = Path(__file__).resolve().parent.parent
 
 # The suite runs in parallel: two workers with two BLAS threads each on two cores wait for one
 # another most of the time.
 threadpool_limits(1, user_api="blas")
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--chunk-rows",
+        type=int,
+        metavar="N",
+        help="compute everything in chunks of N rows, so that small data cross their borders, too",
+    )
+
+    parser.addoption(
+        "--exhaustive",
+        action="store_true",
+        help="run the tests marked exhaustive, too, which take many minutes",
+    )
+
+
+def pytest_configure(config):
+    _chunks.LIMIT = config.getoption("--chunk-rows")
+
+
+def pytest_collection_modifyitems(config, items):
+    if not config.getoption("--exhaustive"):
+        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
+        if left_out:
+            config.hook.pytest_deselected(items=left_out)
+            items[:] = [item for item in items if item not in left_out]
 
 
 def data_dir(name):
@@ -56,7 +84,7 @@ def read_panda(folder):
     )
 
 
-def read_ur10(path):
+def read_ur10(path, point=(14, 15, 16)):
     """Read the UR10's tracker series.
 
     Returns a namespace of ``angles`` (n, 6) rad (commanded), ``points`` (n, 3) mm in the tracker's
@@ -71,7 +99,7 @@ def read_ur10(path):
     _, groups = np.unique(table[:, 1:4].round(6), axis=0, return_inverse=True)
     return SimpleNamespace(
         angles=table[:, 7:13],
-        points=table[:, 14:17],
+        points=table[:, list(point)],
         groups=groups.ravel(),
         temperature=table[:, 13],
     )
@@ -100,3 +128,10 @@ def panda():
 def ur10():
     """The UR10's tracker series, see `read_ur10`."""
     return read_ur10(data_dir("ur10_tracker") / "measurements_grid.csv")
+
+
+@pytest.fixture(scope="session")
+def ur10_b():
+    """The UR10's second series, see `read_ur10`: its points stand in another column."""
+    path = data_dir("ur10_tracker") / "measurements_joint_configurations.csv"
+    return read_ur10(path, point=[14, 16, 18])

@@ -163,7 +163,7 @@ def label_doors():
     yield "next_poses", lambda v: next_poses(linear, ANGLES, 3, groups=v)[1]
     yield "2S", lambda v: metrics.single_point_repeatability(POINTS, v)
     yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
-    yield "gauge", lambda v: metrics.gauge_lengths(POINTS, v, [np.asarray(v)[[0, 5]]])
+    yield "gauge", lambda v: metrics.gauge_lengths(POINTS, v, [np.array(v, dtype=object)[[0, 5]]])
     yield "location", lambda v: metrics.articulated_location_error(POINTS, v)
     fit = network().fit(ANGLES, RESIDUALS)
     yield "scorer", lambda v: metrics.repeatability_scorer(ANGLES, v)(fit, ANGLES, RESIDUALS)
@@ -312,9 +312,21 @@ WRONG_LABELS = {
     "numbers and text": (with_second("A"), "one kind"),
     "too few": (lambda g: g[:-1], "39"),
     "two columns": (lambda g: np.stack([g, g], axis=1), "groups .*shape"),
+    "NaN in a list of text": (lambda g: ["A", float("nan"), *["B"] * 38], "1 missing label"),
+    "a number in a list of text": (lambda g: [*["A"] * 39, 3], "one kind"),
+    "not a time": (
+        lambda g: np.append(np.full(39, "2020", "M8[D]"), np.datetime64("NaT")),
+        "missi",
+    ),
+    "tuples": (lambda g: [("A", int(label)) for label in g], "one text each"),
+    "objects of tuples": (lambda g: pd.Series([(int(label), 1) for label in g]), "one text each"),
+    "of different lengths": (lambda g: [[1], [1, 2]] * 20, "different lengths"),
 }
 SAME_LABELS = {
     "text": lambda g: np.array(list("abcdefgh"))[g],
+    "words for nothing": lambda g: np.array(["NA", "NaT", "None", "nan", *"wxyz"])[g],
+    "the same as a list": lambda g: [["NA", "NaT", "None", "nan", *"wxyz"][label] for label in g],
+    "the same as objects": lambda g: pd.Series(["NA", "NaT", "None", "nan", *"wxyz"])[g],
     "float16": lambda g: g.astype(np.float16),
     "objects": lambda g: g.astype(object),
     "list": lambda g: g.tolist(),

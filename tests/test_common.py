@@ -5,6 +5,7 @@ import inspect
 import numpy as np
 import pytest
 from sklearn import config_context
+from sklearn.base import clone
 from sklearn.utils import estimator_checks
 from sklearn.utils.estimator_checks import estimator_checks_generator, parametrize_with_checks
 
@@ -111,6 +112,8 @@ def _as_many_columns_as_joints(monkeypatch):
             # Radians within one turn: some checks draw around 100.
             if getattr(estimator, "angle_unit", "rad") == "rad":
                 X = np.remainder(X, 6.0).astype(X.dtype)
+            else:  # degrees beyond 2 pi, which would be taken for radians
+                X = X * X.dtype.type(30)
         return adapt(estimator, X, *args, **kwargs)
 
     def adapt_to_space(estimator, y):
@@ -155,3 +158,70 @@ def test_every_public_estimator_is_checked():
         and hasattr(getattr(sklearn_raacmm, name), "fit")
     }
     assert public <= {type(estimator).__name__ for estimator in ESTIMATORS}
+
+
+def choices(constraints):
+    """Values that a parameter may take, as far as its constraints list them."""
+    values = []
+    for constraint in constraints:
+        if constraint is None:
+            values.append(None)
+        elif constraint == "boolean":
+            values += [False, True]
+        elif constraint is Arm:
+            values += [Arm.from_name("aacmm6"), Arm.from_name("ur10")]
+        elif hasattr(constraint, "options"):
+            values += sorted(constraint.options)
+        elif getattr(constraint, "closed", None) == "both" and constraint.right <= 10:
+            values += range(constraint.left, constraint.right + 1)  # a few whole numbers
+    return values
+
+
+def combinations(estimator, n=60):
+    """Up to `n` copies of an estimator with parameters drawn from what they may be.
+
+    Combinations that `fit` refuses, by a sentence of its own, are passed over.
+    """
+    lists = {k: choices(v) for k, v in type(estimator)._parameter_constraints.items()}
+    lists = {name: values for name, values in lists.items() if values}
+    rng, found, seen = np.random.default_rng(0), [], set()
+    X = rng.uniform(-1.5, 1.5, (60, 6))
+    y = np.stack([X[:, 0], X[:, 1] ** 2, X[:, 2]], axis=1)
+    for _ in range(20 * n):
+        drawn = {name: values[rng.integers(len(values))] for name, values in lists.items()}
+        # Two in three keep their default, so that rare values meet many different others.
+        drawn = {name: value for name, value in drawn.items() if rng.uniform() < 1 / 3}
+        if repr(drawn) in seen:
+            continue
+        seen.add(repr(drawn))
+        candidate = clone(estimator).set_params(**drawn)
+        try:
+            clone(candidate).fit(X, y)
+        except ValueError:
+            continue
+        found.append(candidate)
+        if len(found) == n:
+            break
+    return found
+
+
+@pytest.mark.exhaustive
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+@pytest.mark.parametrize("routing", [False, True])
+@pytest.mark.parametrize(
+    "base", [ESTIMATORS[i] for i in (0, 4, 5, 6)], ids=lambda e: type(e).__name__
+)
+def test_sklearn_checks_of_many_combinations_of_parameters(base, routing):
+    """Minutes to an hour: run by ``pytest --exhaustive tests/test_common.py -n 2``."""
+    failures = []
+    with config_context(enable_metadata_routing=routing):
+        for estimator in combinations(base):
+            for checked, check in estimator_checks_generator(estimator, legacy=True, mark=None):
+                name = check.func.__name__
+                if name in expected_failures(estimator):
+                    continue
+                try:
+                    check(adapted(checked, check))
+                except Exception as error:  # all are reported, not the first
+                    failures.append(f"{estimator!r}, {name}: {type(error).__name__} {error}")
+    assert failures == []

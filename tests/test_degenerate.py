@@ -304,7 +304,7 @@ SENTENCES = {
     "harmonics: offsets": (lambda: jhr(ANGLES, RESIDUALS, offsets=True), "needs groups"),
     "planning: half a pose": (
         lambda: next_poses(harmonics().fit(ANGLES, RESIDUALS), ANGLES, 1.5),
-        "n_poses must be 1 to 40",
+        "n_poses must be a whole number from 1 to 40",
     ),
     "planning: criterion": (
         lambda: next_poses(harmonics().fit(ANGLES, RESIDUALS), ANGLES, 1, criterion=["I"]),
@@ -324,17 +324,17 @@ SENTENCES = {
     "arm: field": (lambda: ARM.replace(theta=0), "no parameter theta"),
     "arm: a table in degrees": (lambda: ARM.replace(alpha=[-90] * 6), "from_degrees"),
     "calibrate: no rows": (lambda: calibrate(ARM, ANGLES[:0], []), "empty|0 sample"),
-    "calibrate: arm by name": (lambda: calibrate("aacmm6", ANGLES, GROUPS), "must be an Arm"),
+    "calibrate: arm by name": (lambda: calibrate("aacmm6", ANGLES, GROUPS), "must be an instance"),
     "calibrate: free": (lambda: calibrate(ARM, ANGLES, GROUPS, free=["as"]), "must name some"),
     "calibrate: free of numbers": (lambda: calibrate(ARM, ANGLES, GROUPS, free=3), "a list"),
-    "calibrate: loss": (lambda: calibrate(ARM, ANGLES, GROUPS, loss=["linear"]), "loss must be"),
+    "calibrate: loss": (lambda: calibrate(ARM, ANGLES, GROUPS, loss=["linear"]), "'loss' param"),
     "calibrate: prior": (
-        lambda: calibrate(ARM, ANGLES, GROUPS, prior_angle=1e-300),
-        "prior_angle must be a positive number from 1e-09",
+        lambda: calibrate(ARM, ANGLES, GROUPS, prior_angle_rad=1e-300),
+        "'prior_angle_rad' parameter",
     ),
     "calibrate: complex prior": (
-        lambda: calibrate(ARM, ANGLES, GROUPS, prior_probe=2 + 0j),
-        "prior_probe must be",
+        lambda: calibrate(ARM, ANGLES, GROUPS, prior_probe_mm=2 + 0j),
+        "'prior_probe_mm' parameter",
     ),
     "calibrate: lengths": (lambda: calibrate(ARM, ANGLES, GROUPS, lengths=300), "a list"),
     "calibrate: too long": (

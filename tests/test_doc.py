@@ -35,7 +35,7 @@ def test_links_lead_to_files(page):
     assert [name for name in scripts if not (DOC.parent / name).exists()] == []
 
 
-@pytest.mark.parametrize("module", ["", ".datasets", ".display", ".export", ".metrics"])
+@pytest.mark.parametrize("module", ["", ".app", ".datasets", ".display", ".export", ".metrics"])
 def test_every_public_name_is_in_the_reference(module):
     text = (DOC / "api.rst").read_text(encoding="utf-8")
     sections = re.split(r"\.\. currentmodule:: (\S+)\n", text)

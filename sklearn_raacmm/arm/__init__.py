@@ -4,28 +4,34 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, check_angles
+from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles, one_warning
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
+    carried,
     cross,
     dh_theta,
     frame_columns,
     parameter_jacobian,
     points_of,
     probe_of,
+    probe_points,
     reach_mm,
 )
 
 __all__ = [
     "FIELDS",
     "MAX_LENGTH_MM",
+    "MIN_LENGTH_MM",
     "Arm",
+    "carried",
     "check_angles",
     "cross",
     "dh_theta",
     "frame_columns",
+    "one_warning",
     "parameter_jacobian",
     "points_of",
     "probe_of",
+    "probe_points",
     "reach_mm",
 ]

@@ -3,13 +3,28 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, check_angles, floats, numbers, pair_of, show
+from sklearn_raacmm.arm._checks import (
+    MAX_LENGTH_MM,
+    MIN_LENGTH_MM,
+    check_angles,
+    floats,
+    numbers,
+    pair_of,
+    show,
+)
 from sklearn_raacmm.arm._files import BUILT_IN, read_json, write_json
-from sklearn_raacmm.arm._kinematics import chunks, cross, dh_theta, frame_columns, points_of
+from sklearn_raacmm.arm._kinematics import CHUNK_ROWS, cross, dh_theta, frame_columns, points_of
+from sklearn_raacmm.arm._layouts import from_lengths
+from sklearn_raacmm.arm._urdf import read_urdf, write_urdf
+from sklearn_raacmm.utils import chunks, html_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,6 +107,23 @@ class Arm:
     pose_frames: tuple = (2, 5)
     name: str = ""
 
+    if TYPE_CHECKING:  # what may be given; the fields say what it has become
+
+        def __init__(
+            self,
+            a: ArrayLike,
+            alpha: ArrayLike,
+            d: ArrayLike,
+            theta_offset: ArrayLike = 0.0,
+            *,
+            probe: ArrayLike = (0.0, 0.0, 0.0),
+            convention: str = "standard",
+            joint_signs: ArrayLike = 1,
+            pose_joints: Sequence[int] = (3, 4),
+            pose_frames: Sequence[int] = (2, 5),
+            name: str = "",
+        ) -> None: ...
+
     def __post_init__(self):
         a = numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
         n = a.size
@@ -114,6 +146,11 @@ class Arm:
         # Halves of characters, which only escapes in JSON can bring, cannot be written to a file.
         if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
             raise ValueError(f"name must be a string of whole characters, got {self.name!r}.")
+        if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
+            raise ValueError(
+                f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
+                "length does not move its probe."
+            )
         for field, value in checked.items():
             object.__setattr__(self, field, value)
 
@@ -160,12 +197,30 @@ class Arm:
             )
         return "\n".join([repr(self), *rows])
 
+    def _repr_html_(self):
+        """Table of the joints, for notebooks."""
+        columns = [
+            range(1, self.n_joints + 1),
+            [f"{sign:+.0f}" for sign in self.joint_signs],
+            *(
+                [f"{value:.4f}" for value in values]
+                for values in (
+                    self.a,
+                    np.rad2deg(self.alpha),
+                    self.d,
+                    np.rad2deg(self.theta_offset),
+                )
+            ),
+        ]
+        header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
+        return html_table(repr(self), header, zip(*columns, strict=True))
+
     @property
-    def n_joints(self):
+    def n_joints(self) -> int:
         """Number of joints."""
         return self.a.size
 
-    def replace(self, **changes):
+    def replace(self, **changes: Any) -> "Arm":
         """Return a new arm with some fields changed.
 
         Parameters
@@ -193,7 +248,14 @@ class Arm:
     # -- constructors -----------------------------------------------------------------------
 
     @classmethod
-    def from_degrees(cls, a, alpha, d, theta_offset=0.0, **params):
+    def from_degrees(
+        cls,
+        a: ArrayLike,
+        alpha: ArrayLike,
+        d: ArrayLike,
+        theta_offset: ArrayLike = 0.0,
+        **params: Any,
+    ) -> "Arm":
         """Build an arm from a table in mm and degrees.
 
         Parameters
@@ -217,7 +279,7 @@ class Arm:
         return cls(a, alpha, d, theta_offset, **params)
 
     @classmethod
-    def from_name(cls, name, **changes):
+    def from_name(cls, name: str, /, **changes: Any) -> "Arm":
         """Return one of the built-in arms.
 
         Parameters
@@ -235,7 +297,7 @@ class Arm:
               elevation of the line from shoulder to wrist, make the whole shape of the arm in its
               vertical plane; joints 2 and 3 say alone what that elevation is.
         **changes : dict
-            Parameters of `Arm` to change, such as ``probe``.
+            Parameters of `Arm` to change, such as ``probe`` or ``name``.
 
         Returns
         -------
@@ -253,13 +315,138 @@ class Arm:
         return cls.from_degrees(name=name, **BUILT_IN[name]).replace(**changes)
 
     @classmethod
-    def from_json(cls, source):
-        """Read an arm from a JSON file.
+    def from_lengths(
+        cls,
+        layout: str,
+        shoulder: float,
+        upper: float,
+        fore: float,
+        probe: float,
+        *,
+        elbow_offset: float = 0.0,
+        wrist_offset: float = 0.0,
+        **params: Any,
+    ) -> "Arm":
+        """Build an arm of a usual layout from the lengths of a maker's drawing.
+
+        Neighbouring axes cross at right angles, or pass each other at the offsets. With all angles
+        at zero the upper arm, the forearm and the probe lie along one line; see the page "Arms" of
+        the documentation for a picture. Where the encoders have their zero elsewhere, give
+        ``theta_offset``.
+
+        Parameters
+        ----------
+        layout : {"2-2-2", "2-2-3"}
+            Joints at shoulder, elbow and wrist; the seventh turns the probe about its own axis.
+        shoulder : float
+            Height of the shoulder above the base, mm.
+        upper, fore : float
+            Lengths from shoulder to elbow and from elbow to wrist, mm.
+        probe : float
+            From the last axis across (the wrist) to the centre of the probe, mm.
+        elbow_offset, wrist_offset : float, default=0
+            Distances between the two axes at the shoulder and the upper arm, and between those at
+            the elbow and the forearm, mm.
+        **params : dict
+            Other parameters of `Arm`, such as ``theta_offset`` in degrees, ``joint_signs``, and
+            ``name``.
+
+        Returns
+        -------
+        Arm
+            The arm, to be calibrated.
+
+        Raises
+        ------
+        ValueError
+            If the layout is unknown, or a length is not a number.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_lengths("2-2-2", 375, 750, 500, 100)
+        >>> arm
+        <Arm '2-2-2 arm': 6 joints, standard DH, probe (0, 0, 100) mm>
+        """
+        return from_lengths(
+            cls, layout, shoulder, upper, fore, probe, elbow_offset, wrist_offset, params
+        )
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | PathLike[str],
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+    ) -> "Arm":
+        """Read a chain of revolute joints from a URDF file.
+
+        The table follows from the common normals of the axes. Fixed joints are folded in; angles
+        such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
+        that from `base` to `tip`, their zeros and senses are the file's.
 
         Parameters
         ----------
         source : str or path-like
-            Path of the file, or the text itself if it starts with a brace.
+            Path of the file, or the text itself if it starts with "<".
+        base, tip : str, default=None
+            Names of the links where the chain begins and ends; `tip` is the probe. None: the only
+            ones there are.
+
+        Returns
+        -------
+        Arm
+            In the modified convention. Points are in the frame of the link `base` wherever a
+            Denavit-Hartenberg table can start from it, as with a first axis along z through the
+            origin; else a warning says from where.
+
+        Raises
+        ------
+        ValueError
+            If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
+            way is prismatic or of another kind: the sentence names it.
+
+        Warns
+        -----
+        UserWarning
+            If the base frame is another, or if axes are so nearly parallel that they are taken as
+            parallel.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("panda")
+        >>> again = Arm.from_urdf(arm.to_urdf())
+        >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
+        True
+        """
+        return read_urdf(cls, source, base, tip)
+
+    def to_urdf(self, path=None):
+        """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
+
+        Parameters
+        ----------
+        path : str or path-like, default=None
+            File to write. None only returns the text.
+
+        Returns
+        -------
+        str
+            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
+        """
+        return write_urdf(self, path)
+
+    @classmethod
+    def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> "Arm":
+        """Read an arm from a JSON file.
+
+        Parameters
+        ----------
+        source : str, path-like, bytes or dict
+            Path of the file; or the text itself, which starts with a brace, as str or as bytes in
+            UTF-8; or the dict that the text stands for. A byte-order mark is ignored.
 
         Returns
         -------
@@ -271,10 +458,14 @@ class Arm:
         ValueError
             If the text is not JSON, of another format or version, or a field is missing, not
             numeric or out of bounds; the sentence names the field.
+        TypeError
+            If `source` is of another type.
+        OSError
+            If the file cannot be read, or is a folder.
         """
         return read_json(cls, source)
 
-    def to_json(self, path=None):
+    def to_json(self, path: str | PathLike[str] | None = None) -> str:
         """Write the arm as JSON, with the units in the names of the fields.
 
         Parameters
@@ -299,7 +490,7 @@ class Arm:
 
     # -- kinematics -------------------------------------------------------------------------
 
-    def forward(self, angles, *, angle_unit="rad"):
+    def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Position of the probe, equation (1).
 
         Parameters
@@ -323,12 +514,13 @@ class Arm:
         Warns
         -----
         UserWarning
-            If an angle is more than two turns: most likely another unit.
+            If an angle is more than two turns, or if all degrees are below 2 pi: most likely
+            another unit.
         """
         angles = check_angles(angles, self.n_joints, angle_unit)
         return points_of(self, angles)
 
-    def azimuth(self, angles, *, angle_unit="rad"):
+    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Azimuth of the probe about the base's z axis.
 
         Parameters
@@ -346,7 +538,7 @@ class Arm:
         points = self.forward(angles, angle_unit=angle_unit)
         return np.arctan2(points[:, 1], points[:, 0])
 
-    def frames(self, angles, *, angle_unit="rad"):
+    def frames(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Pose of every frame in the base frame.
 
         Parameters
@@ -363,11 +555,11 @@ class Arm:
         """
         angles = check_angles(angles, self.n_joints, angle_unit)
         frames = np.empty((len(angles), self.n_joints + 1, 3, 4))
-        for rows in chunks(len(angles)):
+        for rows in chunks(len(angles), CHUNK_ROWS):
             frames[rows] = frame_columns(self, dh_theta(self, angles[rows])).transpose(3, 0, 2, 1)
         return frames
 
-    def jacobian(self, angles, *, angle_unit="rad"):
+    def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Compute the derivative of the probe's position by each joint angle.
 
         Parameters
@@ -387,7 +579,7 @@ class Arm:
         result = np.empty((len(angles), 3, self.n_joints))
         # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
         first = 0 if self.convention == "standard" else 1
-        for rows in chunks(len(angles)):
+        for rows in chunks(len(angles), CHUNK_ROWS):
             columns = frame_columns(self, dh_theta(self, angles[rows]))
             probe = columns[-1, 3] + np.tensordot(self.probe, columns[-1, :3], axes=1)
             for i, sign in enumerate(self.joint_signs):

@@ -4,6 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 
@@ -11,8 +13,15 @@ from sklearn_raacmm.utils import floats, show
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
+# Degrees of real poses are larger than one turn in radians in some joint. Joints of less than 0.2
+# degrees stand still, and an arm that moves one joint only may stay near its zero.
+_WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
+# Warnings given so far within `one_warning`; None outside of it.
+_GIVEN = ContextVar("given", default=None)
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
+# A nanometre: on any arm, shorter lengths and their directions are made of rounding.
+MIN_LENGTH_MM = 1e-6
 
 
 def numbers(name, value, size, unit, bound, broadcast=False):
@@ -51,7 +60,10 @@ def pair_of(name, value, low, high):
 
 
 def check_angles(angles, n_joints, angle_unit, stacklevel=3):
-    """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence."""
+    """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence.
+
+    Warns where the unit is most likely another one: degrees given as radians or the reverse.
+    """
     if not (isinstance(angle_unit, str) and angle_unit in ("rad", "deg")):
         raise ValueError(f"angle_unit must be 'rad' or 'deg', got {angle_unit!r}.")
     angles = floats("angles", angles)
@@ -62,7 +74,9 @@ def check_angles(angles, n_joints, angle_unit, stacklevel=3):
         )
     if not len(angles):
         return angles
-    # max and min carry NaN along: one pass each, and no mask of the size of the data.
+    # Max and min carry NaN along: one pass each, and no mask of the size of the data.
+    if angle_unit == "rad" and max(angles.max(), -angles.min()) <= _WARN_RAD:  # false for NaN
+        return angles
     largest = np.maximum(angles.max(axis=0), -angles.min(axis=0))
     if not np.all(np.isfinite(largest)):
         bad = np.argwhere(~np.isfinite(angles))
@@ -71,13 +85,35 @@ def check_angles(angles, n_joints, angle_unit, stacklevel=3):
             f"angles hold {len(bad)} NaN or infinite values; the first is "
             f"{angles[row, column]} in row {row}, joint {column + 1}."
         )
-    if angle_unit == "deg":
-        angles = np.deg2rad(angles)
-    elif largest.max() > _WARN_RAD:
-        warnings.warn(
+    if angle_unit == "rad":  # more than two turns
+        _warn_once(
             f"angles reach {largest.max():g} rad (joint {largest.argmax() + 1}), more than "
             'two turns: if they are degrees, convert them or pass angle_unit="deg".',
-            UserWarning,
-            stacklevel=stacklevel,
+            stacklevel + 1,
         )
-    return angles
+        return angles
+    if largest.max() < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
+        _warn_once(
+            f"angles in degrees reach {largest.max():g} only (joint {largest.argmax() + 1}): if "
+            'they are radians, pass angle_unit="rad".',
+            stacklevel + 1,
+        )
+    return np.deg2rad(angles)
+
+
+@contextmanager
+def one_warning():
+    """Give each warning of units once, however many parts of a model look at the same angles."""
+    token = _GIVEN.set(set())
+    try:
+        yield
+    finally:
+        _GIVEN.reset(token)
+
+
+def _warn_once(message, stacklevel):
+    given = _GIVEN.get()
+    if given is None or message not in given:
+        warnings.warn(message, UserWarning, stacklevel=stacklevel)
+    if given is not None:
+        given.add(message)

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -55,13 +56,8 @@ BUILT_IN = {
 
 
 def read_json(cls, source):
-    """Arm of class `cls` from a path or from text."""
-    is_text = isinstance(source, str) and source.lstrip().startswith("{")
-    where = "the JSON text" if is_text else str(source)
-    try:
-        content = json.loads(source if is_text else Path(source).read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, or nested without end
-        raise ValueError(f"{where} is not valid JSON: {error}.") from None
+    """Arm of class `cls` from a path, from text or bytes, or from what they hold."""
+    content, where = _content(source)
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise ValueError(f'{where} is not an arm: it needs "format": "{_FORMAT}".')
     if content.get("format_version") != _FORMAT_VERSION:
@@ -82,6 +78,29 @@ def read_json(cls, source):
         return cls(**{field: content[key] for field, key in _JSON_KEYS.items()})
     except (ValueError, TypeError) as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def _content(source):
+    """What the JSON holds, and a name of the source for error messages."""
+    if isinstance(source, dict):
+        return source, "the dict"
+    if not isinstance(source, str | bytes | PathLike):
+        raise TypeError(
+            "an arm is read from the path of a JSON file, from JSON text or bytes, or from a "
+            f"dict, got {type(source).__name__}."
+        )
+    is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("{")
+    where = "the JSON text" if is_text or isinstance(source, bytes) else str(source)
+    if not is_text and not isinstance(source, bytes):
+        if Path(source).is_dir():
+            raise IsADirectoryError(f"{where} is a folder; the JSON file in it is needed.")
+        source = Path(source).read_bytes()
+    try:
+        text = source if is_text else source.decode("utf-8")
+        # A byte-order mark, which editors on Windows write, is no part of JSON.
+        return json.loads(text.removeprefix("\ufeff")), where
+    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, or nested without end
+        raise ValueError(f"{where} is not valid JSON: {error}.") from None
 
 
 def write_json(arm, path):

@@ -5,15 +5,12 @@
 
 import numpy as np
 
+from sklearn_raacmm.utils import chunks
+
 # Fields of `Arm` that are its static parameters, in the order of `parameter_jacobian`.
 FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 # Rows computed at once: the working set of a chunk (about 30 rows of float64) stays in the cache.
-_CHUNK_ROWS = 4096
-
-
-def chunks(n_samples):
-    """Slices of at most `_CHUNK_ROWS` rows."""
-    return (slice(i, i + _CHUNK_ROWS) for i in range(0, n_samples, _CHUNK_ROWS))
+CHUNK_ROWS = 4096
 
 
 def dh_theta(arm, angles):
@@ -21,32 +18,56 @@ def dh_theta(arm, angles):
     return np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
 
 
-def probe_points(arm, theta):
-    """Probe points (3, n_samples): the probe's vector carried from the last frame to the base.
+def carried(arm, theta, fixed):
+    """Points that are fixed in frames of the arm, in the base frame.
 
-    A vector through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
+    A point through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
+
+    Parameters
+    ----------
+    arm : Arm
+    theta : ndarray of shape (n_joints, n_samples)
+        From `dh_theta`.
+    fixed : list of (int, sequence of 3 floats)
+        Number of the frame, 0 to n_joints, and the point's coordinates in it, in mm.
+
+    Returns
+    -------
+    ndarray of shape (len(fixed), 3, n_samples)
+        In mm.
     """
     cos, sin = np.cos(theta), np.sin(theta)
-    cos_alpha, sin_alpha = np.cos(arm.alpha), np.sin(arm.alpha)
-    x, y, z = arm.probe
-    for i in reversed(range(arm.n_joints)):
-        if arm.convention == "standard":
-            y, z = cos_alpha[i] * y - sin_alpha[i] * z, sin_alpha[i] * y + cos_alpha[i] * z
-            x, z = x + arm.a[i], z + arm.d[i]
-            x, y = cos[i] * x - sin[i] * y, sin[i] * x + cos[i] * y
-        else:
-            x, y = cos[i] * x - sin[i] * y, sin[i] * x + cos[i] * y
-            x, z = x + arm.a[i], z + arm.d[i]
-            y, z = cos_alpha[i] * y - sin_alpha[i] * z, sin_alpha[i] * y + cos_alpha[i] * z
-    points = np.empty((3, theta.shape[1]))
-    points[0], points[1], points[2] = x, y, z
+    if theta.shape[1] == 1:
+        # Python's numbers are ten times as fast as arrays of one number, and round alike.
+        cos, sin = cos[:, 0].tolist(), sin[:, 0].tolist()
+    a, d, cos_alpha, sin_alpha = (
+        values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
+    )
+    points = np.empty((len(fixed), 3, theta.shape[1]))
+    for point, (frame, (x, y, z)) in zip(points, fixed, strict=True):
+        for i in reversed(range(frame)):
+            c, s, ca, sa = cos[i], sin[i], cos_alpha[i], sin_alpha[i]
+            if arm.convention == "standard":
+                y, z = ca * y - sa * z, sa * y + ca * z
+                x, z = x + a[i], z + d[i]
+                x, y = c * x - s * y, s * x + c * y
+            else:
+                x, y = c * x - s * y, s * x + c * y
+                x, z = x + a[i], z + d[i]
+                y, z = ca * y - sa * z, sa * y + ca * z
+        point[0], point[1], point[2] = x, y, z
     return points
+
+
+def probe_points(arm, theta):
+    """Probe points (3, n_samples), in mm."""
+    return carried(arm, theta, [(arm.n_joints, arm.probe.tolist())])[0]
 
 
 def points_of(arm, angles):
     """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time."""
     points = np.empty((len(angles), 3))
-    for rows in chunks(len(angles)):
+    for rows in chunks(len(angles), CHUNK_ROWS):
         points[rows] = probe_points(arm, dh_theta(arm, angles[rows])).T
     return points
 
@@ -103,7 +124,7 @@ def parameter_jacobian(arm, angles):
     n = arm.n_joints
     points = np.empty((len(angles), 3))
     jac = np.empty((len(angles), 3, 4 * n + 3))
-    for rows in chunks(len(angles)):
+    for rows in chunks(len(angles), CHUNK_ROWS):
         frames = frame_columns(arm, dh_theta(arm, angles[rows]))
         probe = probe_of(arm, frames)
         points[rows] = probe.T

@@ -3,7 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.calibration._calibrate import CalibrationResult, calibrate, check_length
+from sklearn_raacmm.calibration._calibrate import calibrate
+from sklearn_raacmm.calibration._checks import check_length
+from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
     "CalibrationResult",

@@ -4,140 +4,73 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
-from dataclasses import dataclass, field
 from numbers import Real
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, Arm, check_angles, reach_mm
-from sklearn_raacmm.calibration._identification import MAX_ROUNDS, WEIGHTS, Fit, Problem, pack
-from sklearn_raacmm.utils import encode_groups, floats, one_blas_thread, refuse_huge
+from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
+from sklearn_raacmm.calibration._checks import (
+    CALLER,
+    check_arm_angles,
+    check_correction,
+    check_free,
+    check_problem,
+    listed,
+    warn_of_few_rows,
+    warn_of_what_no_arm_is,
+    warn_of_wrong_lengths,
+)
+from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, outlier_limit
+from sklearn_raacmm.calibration._observability import observability
+from sklearn_raacmm.calibration._orientation import turn_vectors
+from sklearn_raacmm.calibration._problem import pack
+from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
+from sklearn_raacmm.utils import Interval, StrOptions, one_blas_thread, validate_params
 
-# Standard deviations of a coordinate: a normal error is longer once in 65 000.
-_OUTLIER = 5.0
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
-# A picometre: smaller than any length is known, large enough to divide by.
-_LEAST_SD_MM = 1e-9
-# What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
-# part of the reach; a reach.
-_FAR = 10.0
-_SHARE_OF_REACH = 0.02
-_LEAST_REACH_MM = 20.0
+# Guesses of the prior standard deviations that are found: what machining leaves of a length, and
+# the matching angle. They hold where few rows say little.
+_GUESSES = (0.3, 0.003)
+# Bounds of what is found. The upper ones are wide enough for a table taken from a drawing; data
+# that no arm explains would push them further.
+_LEAST, _MOST = (0.01, 0.0001), (2.0, 0.02)
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
-_LARGEST_PRIOR = 1e9
-
-
-@dataclass(frozen=True, eq=False)
-class CalibrationResult:
-    """What a calibration found, and what it could not find.
-
-    Attributes
-    ----------
-    arm : Arm
-        The calibrated arm.
-    names : tuple of str
-        Names of the parameters: the field of `Arm` and the row of the table from 1, such as
-        ``"a2"`` or ``"theta_offset4"``, and ``"probe_x"`` to ``"probe_z"``.
-    nominal, values : ndarray of shape (n_parameters,)
-        Before and after, mm and rad.
-    standard_deviations : ndarray of shape (n_parameters,)
-        Of `values`, the prior included, mm and rad; 0 for parameters that were not free. They
-        suppose independent errors: where the arm bends, they are too small.
-    unidentified : tuple of str
-        Parameters that stay where the prior has them because the data do not know better, and
-        ``"scale"`` if this is so of the common scale of all links.
-    scale_sd : float
-        Relative standard deviation of the common scale of all links.
-    scatter_given_mm : float
-        Scatter with the arm as it was given.
-    scatter_before_mm : float
-        Scatter with nothing but the probe fitted (and the base, for measured points).
-    scatter_after_mm : float
-        Scatter of the calibrated arm: the mean distance of the points, outliers included, from the
-        mean of their group, or from their measured positions.
-    residuals_mm : ndarray of shape (n_samples, 3)
-        Those differences, in the arm's base frame.
-    length_errors_mm : ndarray of shape (n_lengths,)
-        Distances between the centres of groups less the known lengths.
-    sigma_mm : float
-        Standard deviation of one coordinate that the fit found and weighted with.
-    outliers : tuple of int
-        Rows farther than 5 `sigma_mm` from where they belong (the weighted mean of their group,
-        which they hardly pull), the farthest first.
-    groups : ndarray of shape (n_samples,) or None
-        The labels, as given.
-    base_rotation, base_translation : ndarray of shape (3, 3) and (3,), or None
-        For measured points, the arm's base in their frame:
-        ``points = arm.forward(angles) @ base_rotation.T + base_translation``.
-    converged : bool
-        Whether weights and parameters settled.
-
-    See Also
-    --------
-    calibrate : Makes one.
-    """
-
-    arm: Arm
-    names: tuple = field(repr=False)
-    nominal: np.ndarray = field(repr=False)
-    values: np.ndarray = field(repr=False)
-    standard_deviations: np.ndarray = field(repr=False)
-    unidentified: tuple
-    scale_sd: float
-    scatter_given_mm: float
-    scatter_before_mm: float
-    scatter_after_mm: float
-    residuals_mm: np.ndarray = field(repr=False)
-    length_errors_mm: np.ndarray = field(repr=False)
-    sigma_mm: float
-    outliers: tuple
-    groups: np.ndarray | None = field(repr=False)
-    base_rotation: np.ndarray | None = field(repr=False)
-    base_translation: np.ndarray | None = field(repr=False)
-    converged: bool
-
-    def __str__(self):
-        lines = [
-            f"Calibration of {self.arm!r}, {len(self.residuals_mm)} points",
-            f"mean scatter: {self.scatter_given_mm:.4g} mm as given, "
-            f"{self.scatter_before_mm:.4g} mm with the probe fitted, "
-            f"{self.scatter_after_mm:.4g} mm calibrated",
-            f"common scale of the links: +-{100 * self.scale_sd:.2g} %",
-            f"{'parameter':<15}{'nominal':>12}{'value':>12}{'sd':>11}",
-        ]
-        for name, nominal, value, sd in zip(
-            self.names, self.nominal, self.values, self.standard_deviations, strict=True
-        ):
-            angle = name.startswith(("alpha", "theta"))
-            factor, unit = (180 / np.pi, "deg") if angle else (1.0, "mm")
-            note = "  not identified" if name in self.unidentified else ""
-            numbers = f"{nominal * factor:12.4f}{value * factor:12.4f}"
-            sd_text = f"{sd * factor:11.4f}" if sd else f"{'held':>11}"
-            lines.append(f"{name:<15}{numbers}{sd_text} {unit}{note}")
-        distance = np.linalg.norm(self.residuals_mm, axis=1)
-        lines.append(f"outliers beyond {_OUTLIER * self.sigma_mm:.3g} mm: {len(self.outliers)}")
-        for row in self.outliers[:10]:
-            label = "" if self.groups is None else f" ({self.groups[row]})"
-            lines.append(f"  row {row}{label}: {distance[row]:.3g} mm")
-        if len(self.outliers) > 10:
-            lines.append(f"  and {len(self.outliers) - 10} more")
-        return "\n".join(lines)
+_LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
+# What counts as knowing nothing of a base, a reach and a turn of one radian.
+_BASE_MM, _BASE_RAD = 1000.0, 1.0
+_BASE_COORDINATES = ("rx", "ry", "rz", "x", "y", "z")
+_PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
 
 
 @one_blas_thread
+@validate_params(
+    {
+        "arm": [Arm],
+        "loss": [StrOptions(set(WEIGHTS))],
+        "prior_length_mm": [*_PRIOR, StrOptions({"auto"})],
+        "prior_angle_rad": [*_PRIOR, StrOptions({"auto"})],
+        "prior_probe_mm": _PRIOR,
+        "angle_unit": [StrOptions({"rad", "deg"})],
+    },
+    prefer_skip_nested_validation=True,
+)
 def calibrate(
     arm,
     angles,
     groups=None,
     *,
     points=None,
+    orientations=None,
     lengths=(),
+    tools=None,
+    stations=None,
+    correction=None,
     free=FIELDS,
     loss="soft_l1",
-    prior_length=2.0,
-    prior_angle=0.02,
-    prior_probe=1000.0,
+    prior_length_mm="auto",
+    prior_angle_rad="auto",
+    prior_probe_mm=1000.0,
     angle_unit="rad",
 ):
     """Identify the static parameters of an arm.
@@ -156,15 +89,34 @@ def calibrate(
         Label of the fixed point of each sample. Needed unless `points` is given.
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
+    orientations : array-like of shape (n_samples, 3, 3) or Rotation, default=None
+        Measured orientations of the target beside `points`: rotation matrices, or a
+        :class:`scipy.spatial.transform.Rotation`, from the target's axes to those of the points.
+        How the target sits on the last link is found; positions and orientations are weighted by
+        the noise that each shows.
     lengths : iterable of (label, label, length, standard deviation), default=()
-        Known distances between the fixed points of two groups, mm.
+        Known distances between the fixed points of two groups, mm: tuples or the rows of an array.
+    tools : array-like of shape (n_samples,), default=None
+        Label of the tool of each sample, where several probes or targets were used in turn: each
+        has a probe vector of its own.
+    stations : array-like of shape (n_samples,), default=None
+        Label of the set-up of each sample, where the tracker or the arm was moved: each has a base
+        of its own. For `points` only.
+    correction : object, default=None
+        Fitted model of the arm's residuals, such as :class:`JointHarmonicRegressor`: what its
+        ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points, so
+        that base, tool and table are fitted to corrected points. Needed wherever the correction
+        will be used with the result: a base that was fitted without it has already taken up a part
+        of what the correction subtracts.
     free : iterable of str, default=("a", "alpha", "d", "theta_offset", "probe")
         Fields of `arm` that may change.
     loss : {"soft_l1", "huber", "cauchy", "linear"}, default="soft_l1"
         How the distance of a point counts; "linear" is plain least squares.
-    prior_length, prior_angle, prior_probe : float, default=2 mm, 0.02 rad, 1000 mm
-        Standard deviations of the true `a` and `d`, `alpha` and `theta_offset`, and `probe` about
-        those of `arm`. They decide only what the data leave open.
+    prior_length_mm, prior_angle_rad : float or "auto", default="auto"
+        Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
+        `arm`. They decide only what the data leave open. "auto" finds them by the evidence.
+    prior_probe_mm : float, default=1000
+        Standard deviation of the true probe about that of `arm`.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
 
@@ -178,14 +130,18 @@ def calibrate(
     ------
     ValueError
         If shapes, labels or numbers do not fit together.
+    TypeError
+        If `arm` is not an Arm, or `correction` has no method predict.
 
     Warns
     -----
     UserWarning
-        If groups of one point say nothing, if a known length disagrees with the rest of the data,
-        if the fit did not converge, or if it makes no sense: points that scatter by more than 2 %
-        of the reach or twice as much as before, a parameter ten prior standard deviations from its
-        nominal value, an arm that reaches less than 20 mm.
+        If groups of one point say nothing, if there are too few rows for the parameters that are
+        free (fewer than one coordinate to check for each one to fit), if a known length disagrees
+        with the rest of the data, if the fit did not converge, or if it makes no sense: points
+        that scatter by more than 2 % of the reach or twice as much as before, a parameter ten prior
+        standard deviations from its nominal value (20 mm or 0.2 rad with "auto"), an arm that
+        reaches less than 20 mm.
 
     Notes
     -----
@@ -198,6 +154,10 @@ def calibrate(
     A single-point test cannot see the common scale of all lengths, but a smaller arm scatters
     less, so that least squares alone would shrink it. The distances are therefore divided by the
     scale of the links: the prior, or known lengths, alone decide the scale.
+
+    Prior standard deviations are those of MacKay's fixed point: the sum of squares of the
+    departures over the number of parameters that the data determine. With few data they are drawn
+    to 0.3 mm and 0.003 rad; they stay from 0.01 to 2 mm and from 0.0001 to 0.02 rad.
 
     The parameters of two parallel axes in a row (UR10) depend on each other; the prior chooses.
     A fifth parameter for such axes (Hayati) is left out: on a UR10 measured by a tracker it
@@ -219,21 +179,29 @@ def calibrate(
     >>> bool(np.abs(result.arm.d[2] - truth.d[2]) < 0.02)
     True
     """
-    lengths = _listed("lengths", lengths)
-    free = _listed("free", free)
-    angles, problem = _check(
-        arm, angles, groups, points, lengths, free, loss, angle_unit,
-        {"prior_length": prior_length, "prior_angle": prior_angle, "prior_probe": prior_probe},
-    )  # fmt: skip
-    n = arm.n_joints
-    prior_sd = np.repeat([prior_length, prior_angle] * 2 + [prior_probe], [n, n, n, n, 3])
-    names = tuple(f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(n))
-    names += ("probe_x", "probe_y", "probe_z")
-    is_free = np.repeat([f in set(free) for f in FIELDS], [n, n, n, n, 3])
-    is_probe = np.arange(len(names)) >= 4 * n
-    nominal = pack(arm)
+    lengths, free = listed("lengths", lengths), check_free(free)
+    corrections = None if correction is None else check_correction(correction, angles, angle_unit)
+    angles = check_arm_angles(arm, angles, angle_unit)
+    problem, tool_labels, station_labels = check_problem(
+        angles, groups, points, lengths, tools, stations, orientations
+    )
+    problem.correction = corrections
 
-    fit = Fit(arm, angles, problem, nominal, prior_sd, loss)
+    names, nominal = _parameters(arm, tool_labels)
+    found = (prior_length_mm, prior_angle_rad)
+    start = [guess if sd == "auto" else sd for sd, guess in zip(found, _GUESSES, strict=True)]
+    kind = np.array([2 if n.startswith("probe") else int(is_angle(n)) for n in names])
+    prior_sd = np.array([*start, prior_probe_mm])[kind]
+    families = [
+        (np.flatnonzero(kind == i), _GUESSES[i], _LEAST[i], _MOST[i])
+        for i, sd in enumerate(found)
+        if sd == "auto"
+    ]
+    field_of = np.array([name.split("[")[0].rstrip("0123456789") for name in names])
+    is_probe = kind == 2
+    is_free = np.isin(field_of, list(set(free) - {"probe"})) | (is_probe & ("probe" in free))
+
+    fit = Fit(arm, angles, problem, nominal, prior_sd, loss, families)
     fit.run(np.zeros_like(is_free))
     given = fit.distances().mean()
     fit.run(is_free & is_probe)
@@ -241,167 +209,115 @@ def calibrate(
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
     fit.reset_weights()
     fit.run(is_free)
-
-    sd, scale_sd, scale_prior_sd = fit.uncertainty(is_free)
-    open_ = is_free & (sd > _IDENTIFIED * prior_sd)
-    unidentified = tuple(name for name, is_open in zip(names, open_, strict=True) if is_open)
-    if scale_sd > _IDENTIFIED * scale_prior_sd:
-        unidentified += ("scale",)
     if not fit.converged:
         warnings.warn(
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
             f"its scatter is {fit.distances().mean():.4g} mm.",
             UserWarning,
-            stacklevel=3,  # past the decorator
+            stacklevel=CALLER - 1,
         )
-    length_errors = fit.length_errors()
-    _warn_of_wrong_lengths(lengths, length_errors, fit.sigma)
-    distance = fit.distances()
-    _warn_of_what_no_arm_is(
-        arm, names, nominal, fit.x[: len(names)], np.where(is_free & ~is_probe, prior_sd, np.inf),
-        before, distance.mean(),
-    )  # fmt: skip
+    warn_of_wrong_lengths(lengths, fit.length_errors(), fit.sigma)
+    # A found prior follows the departures: what is too far is measured by a fixed one.
+    wide = [most if sd == "auto" else sd for sd, most in zip(found, _MOST, strict=True)]
+    too_far = np.where(is_free, np.array([*wide, np.inf])[kind], np.inf)
+    after = fit.distances().mean()
+    warn_of_what_no_arm_is(arm, names, nominal, fit.x[: len(names)], too_far, before, after)
+    return _result(fit, names, is_free, kind, tool_labels, station_labels, given, before, groups)
+
+
+def _parameters(arm, tool_labels):
+    """Names and nominal values of the table and the probes."""
+    n = arm.n_joints
+    names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(n)]
+    labels = [""] if tool_labels is None else [f"[{label}]" for label in tool_labels]
+    names += [f"probe_{axis}{label}" for label in labels for axis in "xyz"]
+    return names, np.concatenate([pack(arm), *[arm.probe] * (len(labels) - 1)])
+
+
+def _result(fit, names, is_free, kind, tool_labels, station_labels, given, before, groups):
+    """Everything that is to be known of a fit that has settled."""
+    problem, n = fit.problem, len(names)
+    mask = fit.mask_of(is_free)
+    labels = [""] if station_labels is None else [f"[{label}]" for label in station_labels]
+    bases = [f"base_{c}{at}" for at in labels[: problem.n_stations] for c in _BASE_COORDINATES]
+    all_names = [*names, *bases]
+    x_names = all_names + [f"target{i}" for i in range(len(fit.x) - len(all_names))]
+    free_names = [name for name, is_in in zip(x_names, mask, strict=True) if is_in]
+    angle = np.array([is_angle(name) or name.startswith("target") for name in x_names])
+    wide = np.where(angle, _BASE_RAD, _BASE_MM)
+    wide[:n] = fit.prior_sd
+    unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)
+    seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
+    warn_of_few_rows(seen, free_names, problem)
+    sd, scale_sd, scale_is_open = _standard_deviations(fit, mask)
+    if seen.rank and problem.n_coordinates <= seen.rank:  # nothing to tell the noise from
+        sd[mask], scale_sd = np.nan, np.nan
+    is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
+    unidentified = tuple(name for name, is_in in zip(x_names, is_open, strict=True) if is_in)
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.robust_distances()
+    limit = outlier_limit(robust[problem.informative], fit.sigma)
+    far = robust > limit
     farthest = np.argsort(-robust, kind="stable")
+    values = fit.x[: len(all_names)].copy()
+    for s in range(problem.n_stations):
+        values[fit.base_columns(s)[:3]] = turn_vectors(fit.rotations[s])
+    shifts = [values[fit.base_columns(s)[3:]] for s in range(problem.n_stations)]
+    stations = list(zip(fit.rotations, shifts, strict=True))
     return CalibrationResult(
         arm=fit.arm(),
-        names=names,
-        nominal=nominal,
-        values=fit.x[: len(names)],
-        standard_deviations=sd,
-        unidentified=unidentified,
+        names=tuple(all_names),
+        nominal=np.r_[fit.nominal, np.full(len(bases), np.nan)],
+        values=values,
+        standard_deviations=sd[: len(all_names)],
+        unidentified=unidentified + (("scale",) if scale_is_open else ()),
+        unidentified_combinations=seen.open_combinations,
+        prior_sd={
+            name: float(fit.prior_sd[np.argmax(kind == i)])
+            for i, name in enumerate(("length_mm", "angle_rad", "probe_mm"))
+        },
+        rank=seen.rank,
+        n_free=len(free_names),
+        n_coordinates=max(problem.n_coordinates, 0),
+        condition_number=seen.condition_number,
+        observability_index=seen.index,
         scale_sd=scale_sd,
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
-        scatter_after_mm=float(distance.mean()),
+        scatter_after_mm=float(fit.distances().mean()),
         residuals_mm=fit.residuals(),
-        length_errors_mm=length_errors,
+        length_errors_mm=fit.length_errors(),
         sigma_mm=float(fit.sigma),
-        outliers=tuple(int(i) for i in farthest if robust[i] > _OUTLIER * fit.sigma),
+        sigma_rad=None if problem.turns is None else float(fit.sigma_turn),
+        outliers=tuple(int(i) for i in farthest if far[i]),
+        outlier_limit_mm=float(limit),
+        sample_weight=np.where(far, 0.0, 1.0),
         groups=None if groups is None else np.asarray(groups),
-        base_rotation=None if points is None else fit.rotation,
-        base_translation=None if points is None else fit.x[len(names) + 3 :].copy(),
+        arms=_by_label(tool_labels, map(fit.arm, range(problem.n_tools))),
+        bases=_by_label(station_labels, stations),
+        base_rotation=stations[0][0] if stations else None,
+        base_translation=stations[0][1] if stations else None,
+        target_rotation=None if problem.turns is None else fit.targets[0],
         converged=fit.converged,
     )
 
 
-def _warn_of_wrong_lengths(lengths, errors, sigma):
-    wrong = [
-        f"{first} to {second} is {length + error:.6g} mm, given as {length:g} +- {sd:g} mm"
-        for (first, second, length, sd), error in zip(lengths, errors, strict=True)
-        if abs(error) > _OUTLIER * max(sd, sigma)
-    ]
-    if wrong:
-        warnings.warn(
-            f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
-            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}.",
-            UserWarning,
-            stacklevel=4,
-        )
+def _by_label(labels, values):
+    return {} if labels is None else dict(zip(labels.tolist(), values, strict=True))
 
 
-def _warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after):
-    """Say that a fit which has settled makes no sense: wrong input can be fitted, too."""
-    signs = []
-    reach = reach_mm(arm)
-    if reach < _LEAST_REACH_MM:
-        signs.append(
-            f"The nominal arm reaches {reach:.3g} mm: are its lengths in metres, not millimetres?"
-        )
-    departure = np.abs(values - nominal) / prior_sd
-    worst = int(np.argmax(departure))
-    if departure[worst] > _FAR:
-        angle = names[worst].startswith(("alpha", "theta"))
-        unit = "rad" if angle else "mm"
-        signs.append(
-            f"{names[worst]} is {values[worst]:.6g} {unit}, nominally {nominal[worst]:.6g} {unit}, "
-            f"{departure[worst]:.3g} times the prior standard deviation away: look at the known "
-            "lengths, their unit, and the nominal table."
-        )
-    if after > min(_SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
-        signs.append(
-            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
-            f"{reach:.4g} mm): look at the labels, known lengths, the order and sense of the "
-            "joints, the convention of the table, and the unit of the angles."
-        )
-    if signs:
-        warnings.warn(" ".join(signs), UserWarning, stacklevel=4)
-
-
-def _check(arm, angles, groups, points, lengths, free, loss, angle_unit, priors):
-    if not isinstance(arm, Arm):
-        raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
-    angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=5)
-    # Within one turn, lest a warning of far angles be said again by everything that follows.
-    angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
-    n = len(angles)
-    if n == 0:
-        raise ValueError("angles are empty: there is nothing to calibrate with.")
-    if (groups is None) == (points is None):
-        raise ValueError("give either groups, or points measured by a tracker.")
-    if not all(isinstance(name, str) and name in FIELDS for name in free):
-        raise ValueError(f"free must name some of {FIELDS}, got {free!r}.")
-    if not (isinstance(loss, str) and loss in WEIGHTS):
-        raise ValueError(f"loss must be one of {sorted(WEIGHTS)}, got {loss!r}.")
-    for name, value in priors.items():
-        if not (isinstance(value, Real) and 1 / _LARGEST_PRIOR <= value <= _LARGEST_PRIOR):
-            raise ValueError(
-                f"{name} must be a positive number from {1 / _LARGEST_PRIOR:g} to "
-                f"{_LARGEST_PRIOR:g}, got {value!r}."
-            )
-    if points is not None:
-        points = floats("points", points)
-        if points.shape != (n, 3):
-            raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-        if not np.all(np.isfinite(points)):
-            row = np.argwhere(~np.isfinite(points))[0, 0]
-            raise ValueError(f"points hold NaN or infinity, first in row {row}.")
-        refuse_huge("points", points)
-        if lengths:
-            raise ValueError("lengths are between groups; measured points have no use for them.")
-        return angles, Problem(None, points, [])
-    labels, index = encode_groups(groups, n)
-    labels = labels.tolist()
-    lengths = [check_length(entry, labels) for entry in lengths]
-    problem = Problem(index, None, lengths)
-    if problem.n_informative == 0:
-        raise ValueError(f"each of the {len(labels)} groups has one point: none can scatter.")
-    tied = {i for entry in lengths for i in entry[:2]}
-    lonely = [i for i, c in enumerate(np.bincount(index)) if c == 1 and i not in tied]
-    if lonely:
-        warnings.warn(
-            f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}.",
-            UserWarning,
-            stacklevel=4,
-        )
-    return angles, problem
-
-
-def _listed(name, value):
-    """Several, as a list; one text is not several letters."""
-    try:
-        return [value] if isinstance(value, str) else list(value)
-    except TypeError:
-        raise ValueError(f"{name} must be a list, got {value!r}.") from None
-
-
-def check_length(entry, labels):
-    try:
-        first, second, length, sd = entry
-        length, sd = float(length), float(sd)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"each of lengths must be (label, label, length, standard deviation), got {entry!r}."
-        ) from None
-    for label in (first, second):
-        if label not in labels:
-            raise ValueError(f"lengths name the group {label!r}, which has no samples.")
-    in_bounds = 0 < length <= 2 * MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
-    if not in_bounds or first == second:
-        raise ValueError(
-            f"a length must join two different groups, it must be positive and at most "
-            f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
-            f"got {entry!r}."
-        )
-    return labels.index(first), labels.index(second), length, sd
+def _standard_deviations(fit, mask):
+    """Of all parameters x and of their common scale, and whether the scale is the prior's."""
+    sd = np.zeros(len(mask))
+    if not mask.any():
+        return sd, 0.0, False
+    covariance = fit.covariance(mask)
+    sd[mask] = np.sqrt(np.diag(covariance))
+    n = len(fit.nominal)
+    is_free = mask[:n]
+    if not is_free.any():
+        return sd, 0.0, False
+    scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
+    scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
+    prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
+    return sd, scale_sd, prior > 0 and scale_sd > _IDENTIFIED * prior

@@ -279,7 +279,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             network = RBFNetRegressor(degree=-1, random_state=0)
         if tuned is not None:
             # Most of the time of a network is the search for these: that is done once.
-            network = clone(network).set_params(length_scale=tuned.length_scale_)
+            network = clone(network).set_params(
+                kernel=tuned.kernel_, length_scale=tuned.length_scale_
+            )
             if np.ndim(tuned.alpha_) == 0 or np.ptp(tuned.alpha_) == 0:
                 network.set_params(alpha=float(np.ravel(tuned.alpha_)[0]))
         return network
@@ -302,8 +304,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     def _fadings(self, stages, data):
         """How each stage fades."""
-        parts = stages.parts(data.angles, True, data.network)
-        return [find_fading(data.y, std, data.weights, data.codes, self.fade) for _, std in parts]
+        stds = [std for _, std in stages.parts(data.angles, True, data.network)]
+        # A network shrinks what it knows little of by itself: it fades beyond its training poses.
+        known = ("auto", 1.0)[: len(stds)]
+        rest = data.weights, data.codes, self.fade
+        return [find_fading(data.y, s, *rest, known=k) for s, k in zip(stds, known, strict=True)]
 
     def _longest(self, stages, data, n_stages):
         """Longest correction, mm."""
@@ -364,8 +369,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
         check_angles(X, X.shape[1], "rad")  # warns of degrees
-        mean, share, parts = self._guarded(X, return_std)
-        warn_where_unknown(share, stacklevel=2)
+        mean, _, parts = self._guarded(X, return_std)
+        if parts and self.fadings_[0].factor > 0:
+            warn_where_unknown(self.fadings_[0].share(parts[0][1]), stacklevel=2)
         if not return_std:
             return mean
         variance = sum((np.square(std) for _, std in parts), np.zeros(mean.shape))
@@ -382,8 +388,8 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         Returns
         -------
         share : ndarray of shape (n_samples,)
-            Length of what `predict` returns over that of the unguarded correction: 1 where nothing
-            is faded, towards 0 where nothing is known.
+            The smallest share of a stage that its fading leaves: 1 where nothing is faded, towards
+            0 where nothing is known.
         """
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)

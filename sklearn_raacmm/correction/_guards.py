@@ -24,14 +24,11 @@ def guarded(parts, fadings, cap_mm, n_rows):
     -------
     correction : ndarray of shape (n_rows, 3)
     share : ndarray of shape (n_rows,)
-        Its length over that of the unguarded correction, at most 1.
+        Smallest share of a stage that its fading leaves.
     """
-    whole, total = np.zeros((n_rows, 3)), np.zeros((n_rows, 3))
+    total, least = np.zeros((n_rows, 3)), np.ones(n_rows)
     for (value, std), fading in zip(parts, fadings, strict=False):
-        whole = whole + value
-        total = total + (value if std is None else value * fading.share(std)[:, None])
-    length = np.linalg.norm(total, axis=1)
-    capped = np.minimum(1.0, cap_mm / np.maximum(length, 1e-300))
-    before = np.linalg.norm(whole, axis=1)
-    share = np.where(before > 0, capped * length / np.maximum(before, 1e-300), 1.0)
-    return total * capped[:, None], np.minimum(share, 1.0)
+        share = np.ones(n_rows) if std is None else fading.share(std)
+        total, least = total + value * share[:, None], np.minimum(least, share)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total * np.minimum(1.0, cap_mm / np.maximum(length, 1e-300)), least

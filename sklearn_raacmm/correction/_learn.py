@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+import warnings
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -20,6 +21,7 @@ from sklearn_raacmm.correction._scores import (
     predict_with_std,
     scores_of,
 )
+from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.utils import write_whole
 
 # Points of a calibrated arm that scatter by a larger share of its reach belong to another table:
@@ -221,7 +223,8 @@ def learn_correction(
     ------
     ValueError
         As :func:`cross_validate_correction`; and if the points of the calibrated arm scatter by
-        more than 2 % of its reach: labels, table or unit are then wrong.
+        more than 2 % of its reach: labels, table or unit are then wrong, and the sentence says
+        what :func:`search_table` has found.
 
     See Also
     --------
@@ -248,8 +251,7 @@ def learn_correction(
     ((5, 3), (5, 3))
     """
     data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-    calibration = data.calibrate(np.arange(len(data.angles)))
-    _refuse_what_is_no_calibration(calibration)
+    calibration = _calibrated(data, angles, angle_unit)
     scores = scores_of(data, calibration, model, cv, n_jobs, progress)
     kept = np.delete(np.arange(len(data.angles)), scores.outliers)
     kept = data.without_lonely(kept)[0]
@@ -268,14 +270,23 @@ def learn_correction(
     )
 
 
-def _refuse_what_is_no_calibration(calibration):
-    reach = reach_mm(calibration.arm)
-    if calibration.scatter_after_mm > _SHARE_OF_REACH * reach:
+def _calibrated(data, angles, angle_unit):
+    """Calibration of all rows; refuses points that cannot be those of this arm."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", UserWarning)
+        calibration = data.calibrate(np.arange(len(data.angles)))
+    reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
+    if scatter > _SHARE_OF_REACH * reach:
+        positions = data.positions if data.points is None else None
+        change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
         raise ValueError(
-            f"the points scatter by {calibration.scatter_after_mm:.4g} mm after calibration, and "
-            f"the arm reaches {reach:.4g} mm: labels, the table of the arm, the order or sense of "
-            "its joints, or the unit of the angles are wrong."
+            f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
+            f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
+            f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
+    for warning in said:
+        warnings.warn(warning.message, stacklevel=3)
+    return calibration
 
 
 def _outliers(calibration, positions, rows):

@@ -3,13 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from numbers import Integral
-
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.utils import check_features, encode_groups
+from sklearn_raacmm.utils import check_features, check_whole_number, encode_groups
 
 
 def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
@@ -100,9 +98,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         labels, codes = np.arange(len(X)), np.arange(len(X))
     else:
         labels, codes = encode_groups(groups, len(X))
-    whole = isinstance(n_poses, Integral) and not isinstance(n_poses, bool)
-    if not (whole and 1 <= n_poses <= len(labels)):
-        raise ValueError(f"n_poses must be 1 to {len(labels)}, the candidates, got {n_poses!r}.")
+    check_whole_number("n_poses", n_poses, 1, len(labels))  # no more than there are candidates
 
     def whitened(angles):
         """What one standard deviation of each of the posterior's axes does, (n, 3, k)."""

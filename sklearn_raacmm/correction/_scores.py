@@ -67,6 +67,8 @@ class CorrectionScores:
         Rows that the calibration of all rows names as outliers and that the arm's linear error
         model (:class:`JointHarmonicRegressor`) gives no weight either: slipped probes. They are
         neither learnt from nor counted here, before or after.
+    rows_by_position : list of ndarray
+        Rows counted at each position of the table.
     left_before, left_after : ndarray of shape (n_samples, 3)
         Deviation of each point when it was left out, mm; NaN for outliers.
     helps : bool
@@ -89,6 +91,7 @@ class CorrectionScores:
     std_factor: float
     n_folds: int
     outliers: np.ndarray = field(repr=False)
+    rows_by_position: list = field(repr=False)
     left_before: np.ndarray = field(repr=False)
     left_after: np.ndarray = field(repr=False)
     helps: bool
@@ -358,7 +361,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         length_errors += result[3]
         if progress is not None:
             progress(i + 1, len(folds))
-    table, measure = _table(data, before, after)
+    table, measure, rows_by_position = _table(data, before, after)
     summary = _summary(table["before"], table["after"])
     coverage, factor = _coverage(after, std, [test for _, test in folds])
     helps, verdict = _verdict(table, summary, measure)
@@ -374,6 +377,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         std_factor=factor,
         n_folds=len(folds),
         outliers=outliers,
+        rows_by_position=rows_by_position,
         left_before=before,
         left_after=after,
         helps=helps,
@@ -453,7 +457,8 @@ def _table(data, before, after):
         )
         maxima[f"{name}_max"] = np.zeros(len(labels))
         np.maximum.at(maxima[f"{name}_max"], codes, size)
-    return table | maxima, "2S" if data.points is None else "mean deviation"
+    by_position = np.split(rows[np.argsort(codes, kind="stable")], np.cumsum(counts)[:-1])
+    return table | maxima, "2S" if data.points is None else "mean deviation", by_position
 
 
 def _summary(before, after):

@@ -9,10 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_raacmm.arm import Arm, dh_theta, frame_columns, points_of, probe_of
+from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model import LinearModel
 from sklearn_raacmm.network import RBFNetRegressor
-from sklearn_raacmm.residuals import pose_columns, std_to_cartesian, to_cartesian, to_cylindrical
+from sklearn_raacmm.residuals import (
+    direction_of,
+    pose_columns,
+    std_to_cartesian,
+    to_cartesian,
+    to_cylindrical,
+)
 from sklearn_raacmm.utils import centred
 
 
@@ -48,11 +54,9 @@ def network_input(arm, angles, features):
     if features == "all":
         F, (x, y, _) = angles, points_of(arm, angles).T
     else:
-        frames = frame_columns(arm, dh_theta(arm, angles))
-        F = np.stack(pose_columns(arm, angles, frames), axis=1)
-        x, y, _ = probe_of(arm, frames)
-    azimuth = np.arctan2(y, x)
-    return NetworkInput(F, (np.cos(azimuth), np.sin(azimuth)))
+        columns, (x, y, _) = pose_columns(arm, angles)
+        F = np.stack(columns, axis=1)
+    return NetworkInput(F, direction_of(x, y))
 
 
 @dataclass(frozen=True, eq=False)

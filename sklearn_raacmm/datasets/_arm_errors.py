@@ -1,6 +1,8 @@
 """What is wrong with a simulated arm, and by how much; public in `sklearn_raacmm.datasets`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +52,19 @@ class ArmErrors:
     seating_um : float, default=3.0
         Standard deviation, per coordinate, of how the probe sits in a cone. *Our choice*: 2 to 5
         um inferred.
+    play_arcsec : float, default=0.0
+        Backlash of each joint: the joint lags by half of it behind the direction from which it
+        came; joints differ by half of it either way. Off by default: we found no published size.
+    softening_arcsec : float, default=0.0
+        Turn of the elbow (joint 4) under the weight of the horizontal forearm, which grows with
+        the cube of the torque: an error that is not linear in any load. Off by default.
+    drift_k : float, default=0.0
+        Warming during a data set, K, on top of `warming_k`: fast at first, then slower (three time
+        constants). Off by default.
+    slip_share : float, default=0.0
+        Share of the poses in which the probe has slipped out of its seat. Off by default.
+    slip_mm : float, default=1.0
+        How far it has slipped then, in a random direction.
 
     See Also
     --------
@@ -57,8 +72,8 @@ class ArmErrors:
 
     Notes
     -----
-    Left out: play of the bearings and the force of the hand, for which we found no published
-    size that belongs to one joint or one newton of an arm like this.
+    Left out: the force of the hand, for which we found no published size that belongs to one
+    newton of an arm like this.
 
     Examples
     --------
@@ -71,16 +86,21 @@ class ArmErrors:
 
     length_mm: float = 0.2
     angle_deg: float = 0.02
-    eccentricity_arcsec: tuple = (4.0, 1.2)
+    eccentricity_arcsec: Sequence[float] = (4.0, 1.2)
     encoder_noise_arcsec: float = 1.0
     quantisation_arcsec: float = 0.62
     wobble_arcsec: float = 3.0
     runout_um: float = 2.0
     joint_compliance_urad_per_nm: float = 33.0
     counterbalance: float = 0.85
-    sag_um: tuple = (128.0, 24.0)
+    sag_um: Sequence[float] = (128.0, 24.0)
     warming_k: float = 1.0
     seating_um: float = 3.0
+    play_arcsec: float = 0.0
+    softening_arcsec: float = 0.0
+    drift_k: float = 0.0
+    slip_share: float = 0.0
+    slip_mm: float = 1.0
 
     def __post_init__(self):
         for field in fields(self):
@@ -89,8 +109,8 @@ class ArmErrors:
             wanted = "two numbers" if pair else "a number"
             if numbers.dtype.kind not in "iuf" or numbers.shape != ((2,) if pair else ()):
                 raise ValueError(f"{field.name} must be {wanted}, got {value!r}.")
-            signed = field.name == "warming_k"
-            high = 1 if field.name == "counterbalance" else np.inf
+            signed = field.name in ("warming_k", "drift_k")
+            high = 1 if field.name in ("counterbalance", "slip_share") else np.inf
             if not np.all(np.isfinite(numbers) & (signed | (numbers >= 0)) & (numbers <= high)):
                 bounds = "finite" if signed else f"finite and in [0, {high:g}]"
                 raise ValueError(f"{field.name} must be {bounds}, got {value!r}.")
@@ -98,10 +118,10 @@ class ArmErrors:
             object.__setattr__(self, field.name, plain)
 
     @classmethod
-    def only(cls, **sizes):
+    def only(cls, **sizes: Any) -> "ArmErrors":
         """Switch on only the sources that are named.
 
-        The counterbalance, which is no source, keeps its default.
+        The counterbalance and the length of a slip, which are no sources, keep their defaults.
 
         Parameters
         ----------
@@ -114,11 +134,11 @@ class ArmErrors:
             The sizes.
         """
         off = {f.name: (0.0, 0.0) if isinstance(f.default, tuple) else 0.0 for f in fields(cls)}
-        del off["counterbalance"]
+        del off["counterbalance"], off["slip_mm"]
         return cls(**off | sizes)
 
     @classmethod
-    def from_name(cls, name):
+    def from_name(cls, name: str) -> "ArmErrors":
         """Return a mix of sources by name.
 
         Parameters

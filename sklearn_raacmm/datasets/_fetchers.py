@@ -5,17 +5,15 @@
 
 from numbers import Integral, Real
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
-from sklearn.datasets import get_data_home
 from sklearn.utils import Bunch
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._bunch import pack
 from sklearn_raacmm.datasets._checksums import PANDA, UR10
-from sklearn_raacmm.datasets._download import cached_file
+from sklearn_raacmm.datasets._download import cached_file, data_folder
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Interval, StrOptions, validate_params
 
@@ -191,7 +189,7 @@ def fetch_panda_ball_socket(
     >>> test.data.shape, test.target.shape  # doctest: +SKIP
     ((387, 7), (387, 3))
     """
-    home = Path(get_data_home(data_home)) / "panda_ball_socket" / arm
+    home = data_folder(data_home, "panda_ball_socket", arm)
     url = f"{_address(base_url, PANDA_URL)}/{arm}"
     labels, tables = [], []
     for placement, checksums in PANDA[arm].items():
@@ -319,7 +317,7 @@ def fetch_ur10_tracker(
     ((11911, 6), (11911, 3))
     """
     path = cached_file(
-        Path(get_data_home(data_home)) / "ur10_tracker" / UR10_FILE,
+        data_folder(data_home, "ur10_tracker", UR10_FILE),
         f"{_address(base_url, UR10_URL)}/{UR10_FILE}",
         UR10,
         download_if_missing=download_if_missing,

@@ -7,30 +7,34 @@ What is fetched (``fetch_...``) was measured by others, who published it.
 
 import warnings
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils import Bunch, check_random_state
 
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._bunch import pack
-from sklearn_raacmm.datasets._simulation import SimulatedArm
+from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import floats
+from sklearn_raacmm.utils import check_whole_number, floats
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
+# The reference temperature of dimensional metrology (ISO 1).
+_CALIBRATED_AT_DEGC = 20.0
 
 
 def make_single_point(
-    n_positions=10,
-    n_poses=100,
+    n_positions: int = 10,
+    n_poses: int = 100,
     *,
-    machine="typical",
-    random_state=0,
-    return_X_y=False,
-    as_frame=False,
-):
+    machine: SimulatedArm | ArmErrors | str = "typical",
+    random_state: int | np.random.RandomState | None = 0,
+    return_X_y: bool = False,
+    as_frame: bool = False,
+) -> Any:
     """Simulate the cone-hole test: the probe in one cone, the elbow swung from left to right.
 
     Parameters
@@ -71,13 +75,19 @@ def make_single_point(
             The arm before calibration.
         feature_names, target_names : list of str
             Names of the columns.
+        directions : ndarray of shape (n_positions * n_poses, 6)
+            Direction from which each joint came: 1 from smaller angles, -1 from larger ones. The
+            rows are in the order in which they were taken.
+        temperature : ndarray of shape (n_positions * n_poses,)
+            Temperature of the arm, degC; it was calibrated at 20 degC.
         frame : DataFrame
             data, target and position; only with ``as_frame=True``.
         simulation : Bunch
             What nobody has outside a simulation: ``machine`` (SimulatedArm), ``positions``
             (centres of the cones, mm), ``true_points`` (where the probe really was, mm),
             ``perfect_correction`` (what the best possible model would predict from the readings,
-            mm; ``points - perfect_correction`` scatter by noise alone: the noise floor).
+            mm; ``points - perfect_correction`` scatter by noise alone: the noise floor) and
+            ``slipped`` (of each row whether the probe had slipped out of its seat).
 
     Raises
     ------
@@ -106,7 +116,8 @@ def make_single_point(
     >>> 0 < single_point_repeatability(perfect, test.groups) < before < 0.2
     True
     """
-    _check_counts(n_positions=(n_positions, 1), n_poses=(n_poses, 2))
+    check_whole_number("n_positions", n_positions, 1)
+    check_whole_number("n_poses", n_poses, 2)
     machine, rng = _machine_and_stream(machine, random_state, stream=1)
     positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
     data = _measure(machine, positions, poses, rng)
@@ -114,15 +125,15 @@ def make_single_point(
 
 
 def make_gauge(
-    lengths=(300.0, 500.0),
-    n_placements=10,
-    n_poses=10,
+    lengths: ArrayLike = (300.0, 500.0),
+    n_placements: int = 10,
+    n_poses: int = 10,
     *,
-    machine="typical",
-    random_state=0,
-    return_X_y=False,
-    as_frame=False,
-):
+    machine: SimulatedArm | ArmErrors | str = "typical",
+    random_state: int | np.random.RandomState | None = 0,
+    return_X_y: bool = False,
+    as_frame: bool = False,
+) -> Any:
     """Simulate measurements of gauges: two cones at a known distance, in many placements.
 
     Parameters
@@ -167,7 +178,8 @@ def make_gauge(
     >>> bool(length_error(measured, test.lengths, statistic="max") < 0.2)
     True
     """
-    _check_counts(n_placements=(n_placements, 1), n_poses=(n_poses, 2))
+    check_whole_number("n_placements", n_placements, 1)
+    check_whole_number("n_poses", n_poses, 2)
     machine, rng = _machine_and_stream(machine, random_state, stream=2)
     lengths = np.repeat(_check_lengths(lengths, machine), n_placements)
     ends, poses = _draw_gauges(machine, lengths, n_poses, rng)
@@ -184,7 +196,8 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
     lengths = np.repeat([300.0, 500.0], n_placements)
     ends, end_poses = _draw_gauges(machine, lengths, 10, rng)
     cones = np.vstack([positions, ends])
-    angles, groups, _ = _readings(machine, cones, poses + end_poses, rng, warming_k=0.0)
+    # At one temperature, and by a careful user whose probe never slips.
+    angles, groups, _ = _readings(machine, cones, poses + end_poses, rng)
     pairs = n_positions + np.arange(2 * len(lengths)).reshape(-1, 2)
     with warnings.catch_warnings():
         # A gauge that disagrees is right here: what is wrong is the arm, by up to 0.1 mm a length.
@@ -195,21 +208,44 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
             groups,
             # 0.01 mm: what a user knows of his gauges and of the cones at their ends.
             lengths=[(a, b, length, 0.01) for (a, b), length in zip(pairs, lengths, strict=True)],
+            # Fixed, so that the simulated data stay what they are.
+            prior_length_mm=2.0,
+            prior_angle_rad=0.02,
         )
     return result.arm.replace(name="calibrated (simulated)")
 
 
-def _readings(machine, cones, poses, rng, warming_k=None):
+def _readings(machine, cones, poses, rng, warming_k=0.0, slipped=False):
     """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
     groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
     seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
-    true_points = cones[groups] + seating
-    angles = machine.solve(np.vstack(poses), true_points, warming_k=warming_k)
+    true_points = cones[groups] + seating + slipped
+    poses = np.vstack(poses)
+    angles = machine.solve(poses, true_points, warming_k=warming_k, directions=directions_of(poses))
     return machine.read(angles, rng), groups, true_points
 
 
+def _warming(errors, n_rows):
+    """Warming of each row in K: three time constants of an arm that has been switched on."""
+    time = np.linspace(0, 3, n_rows)
+    return errors.warming_k + errors.drift_k * (1 - np.exp(-time)) / (1 - np.exp(-3))
+
+
+def _slips(errors, n_rows, rng):
+    """How far the probe has slipped out of its seat in each row, (n, 3), mm."""
+    if not errors.slip_share:  # and no draw: the noise after it stays what it was
+        return np.zeros((n_rows, 3))
+    slipped = rng.uniform(size=n_rows) < errors.slip_share
+    directions = rng.normal(size=(n_rows, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return errors.slip_mm * slipped[:, None] * directions
+
+
 def _measure(machine, cones, poses, rng):
-    angles, groups, true_points = _readings(machine, cones, poses, rng)
+    n_rows = sum(map(len, poses))
+    warming, slips = _warming(machine.errors, n_rows), _slips(machine.errors, n_rows, rng)
+    directions = directions_of(np.vstack(poses))
+    angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips)
     arm = _calibrated_arm(machine)
     points = arm.forward(angles)
     return Bunch(
@@ -221,11 +257,15 @@ def _measure(machine, cones, poses, rng):
         nominal_arm=machine.nominal_arm,
         feature_names=[f"theta{i}" for i in range(1, 7)],
         target_names=["dx", "dy", "dz"],
+        directions=directions,
+        temperature=_CALIBRATED_AT_DEGC + warming,
         simulation=Bunch(
             machine=machine,
             positions=cones,
             true_points=true_points,
-            perfect_correction=points - machine.forward(angles),
+            perfect_correction=points
+            - machine.forward(angles, warming_k=warming, directions=directions),
+            slipped=np.any(slips, axis=1),
         ),
     )
 
@@ -307,12 +347,6 @@ def _machine_and_stream(machine, random_state, stream):
             machine = ArmErrors.from_name(machine)
         machine = _individual(machine, seed)
     return machine, np.random.RandomState([seed, stream])
-
-
-def _check_counts(**counts):
-    for name, (value, low) in counts.items():
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < low:
-            raise ValueError(f"{name} must be a whole number of at least {low}, got {value!r}.")
 
 
 def _check_lengths(lengths, machine):

@@ -3,14 +3,12 @@
 Public in `sklearn_raacmm.datasets`.
 """
 
-from numbers import Integral, Real
-
 import numpy as np
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
-from sklearn_raacmm.utils import floats, refuse_huge
+from sklearn_raacmm.utils import check_whole_number, floats, refuse_huge, show
 
 _ARCSEC = np.pi / (180 * 3600)  # rad
 
@@ -73,10 +71,15 @@ class SimulatedArm:
     >>> machine = SimulatedArm("typical", random_state=0)
     >>> angles = [[0.0, -1.5, 0.2, 1.5, 0.0, 0.1]]
     >>> sorted(machine.deviations(angles))
-    ['eccentricity', 'runout', 'sag', 'torsion', 'warming', 'wobble']
+    ['eccentricity', 'play', 'runout', 'sag', 'softening', 'torsion', 'warming', 'wobble']
     """
 
-    def __init__(self, errors="typical", *, random_state=0):
+    def __init__(
+        self,
+        errors: ArmErrors | str = "typical",
+        *,
+        random_state: int | np.random.RandomState | None = 0,
+    ):
         self.errors = errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
         # RandomState, not Generator: its stream is frozen, so a seed means the same data for ever.
         rng = check_random_state(random_state)
@@ -99,19 +102,25 @@ class SimulatedArm:
         self._amplitudes = rng.uniform(0.5, 1.5, size=(2, 6))
         self._phases = rng.uniform(-np.pi, np.pi, size=(4, 6))
         self.calibration_seed = rng.randint(2**31 - 1)
+        # A stream of its own: sources that are off by default do not move the draws of the others.
+        own = np.random.RandomState([self.calibration_seed, 1])
+        self._play = own.uniform(0.5, 1.5, size=6) * self.errors.play_arcsec * _ARCSEC
 
     def __repr__(self):
         return f"SimulatedArm({self.errors})"
 
-    def deviations(self, angles, *, warming_k=None):
+    def deviations(self, angles, *, warming_k=None, directions=None):
         """How far each source moves the probe from where the true geometry alone would have it.
 
         Parameters
         ----------
         angles : array-like of shape (n_samples, 6)
             Encoder angles free of noise, rad.
-        warming_k : float, default=None
-            Warming in K; None takes that of `errors`.
+        warming_k : float or array-like of shape (n_samples,), default=None
+            Warming in K, of all poses or of each; None takes that of `errors`.
+        directions : array-like of shape (n_samples, 6), default=None
+            Direction from which each joint came: 1 from smaller angles, -1 from larger ones, 0 in
+            the middle of its play. None: all in the middle.
 
         Returns
         -------
@@ -144,16 +153,22 @@ class SimulatedArm:
         )
         tubes = (origin[:, 3] - origin[:, 2]) + (origin[:, 5] - origin[:, 4])
         body = (probe - origin[:, 0]) - tubes
-        warming = errors.warming_k if warming_k is None else warming_k
-        if not (isinstance(warming, Real) and np.isfinite(warming)):
-            raise ValueError(f"warming_k must be a finite number, got {warming!r}.")
+        warming = _warming(errors.warming_k if warming_k is None else warming_k, len(angles))
+        torques = self._torques(axes, origin)
+        lag = np.zeros(angles.shape)
+        if directions is not None:
+            lag = -self._play / 2 * _points("directions", directions, angles.shape)
+        softening = np.zeros(angles.shape)
+        softening[:, 3] = errors.softening_arcsec * _ARCSEC * self._load_of_elbow(torques) ** 3
         return {
             "eccentricity": turned(eccentricity),
-            "torsion": turned(compliance * self._torques(axes, origin)),
+            "torsion": turned(compliance * torques),
             "sag": self._sag(origin, probe),
             "wobble": errors.wobble_arcsec * _ARCSEC * np.cross(tilt, levers).sum(axis=1),
             "runout": errors.runout_um * 1e-3 * shift.sum(axis=1),
             "warming": warming * (_TUBE_EXPANSION * tubes + _BODY_EXPANSION * body),
+            "play": turned(lag),
+            "softening": turned(softening),
         }
 
     def gravity_torques(self, angles):
@@ -176,6 +191,11 @@ class SimulatedArm:
         """Weights of the upper tube, the elbow, the forearm tube and the wrist, N."""
         upper, forearm = (_TUBE_WEIGHT_N_PER_M * self.nominal_arm.d[[2, 4]] / 1e3).tolist()
         return upper, _ELBOW_WEIGHT_N, forearm, _WRIST_WEIGHT_N
+
+    def _load_of_elbow(self, torques):
+        """Torque about the elbow over that of the horizontal forearm."""
+        _, _, forearm, wrist = self._loads()
+        return torques[:, 3] / ((forearm / 2 + wrist) * self.nominal_arm.d[4] / 1e3)
 
     def _torques(self, axes, origin):
         upper, elbow, forearm, wrist = self._loads()
@@ -204,15 +224,15 @@ class SimulatedArm:
             moved += np.cross(slope * np.cross(along, across), probe - origin[:, end])
         return moved
 
-    def forward(self, angles, *, warming_k=None):
+    def forward(self, angles, *, warming_k=None, directions=None):
         """Where the probe really is.
 
         Parameters
         ----------
         angles : array-like of shape (n_samples, 6)
             Encoder angles free of noise, rad.
-        warming_k : float, default=None
-            Warming in K; None takes that of `errors`.
+        warming_k, directions : default=None
+            As in :meth:`deviations`.
 
         Returns
         -------
@@ -220,7 +240,7 @@ class SimulatedArm:
             True centres of the probe, mm.
         """
         return self.true_arm.forward(angles) + sum(
-            self.deviations(angles, warming_k=warming_k).values()
+            self.deviations(angles, warming_k=warming_k, directions=directions).values()
         )
 
     def read(self, angles, random_state=None):
@@ -271,8 +291,7 @@ class SimulatedArm:
         """
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
-        if not isinstance(n_poses, Integral) or isinstance(n_poses, bool) or n_poses < 0:
-            raise ValueError(f"n_poses must be a whole number of at least 0, got {n_poses!r}.")
+        check_whole_number("n_poses", n_poses, 0)
         found = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)
@@ -289,7 +308,7 @@ class SimulatedArm:
             f"it is {np.linalg.norm(point - self.shoulder) / self.reach:.0%} of the reach away."
         )
 
-    def solve(self, angles, points, *, warming_k=None):
+    def solve(self, angles, points, *, warming_k=None, directions=None):
         """Move poses a little until the true probe is at the points.
 
         Parameters
@@ -298,8 +317,8 @@ class SimulatedArm:
             Poses nearby, rad.
         points : ndarray of shape (n_samples, 3)
             Where the true probe shall be, mm.
-        warming_k : float, default=None
-            Warming in K; None takes that of `errors`.
+        warming_k, directions : default=None
+            As in :meth:`deviations`.
 
         Returns
         -------
@@ -313,7 +332,7 @@ class SimulatedArm:
         """
 
         def forward(q):
-            return self.forward(q, warming_k=warming_k)
+            return self.forward(q, warming_k=warming_k, directions=directions)
 
         angles = check_angles(angles, 6, "rad")
         points = _points("points", points, (len(angles), 3))
@@ -358,6 +377,26 @@ class SimulatedArm:
             & (angles[:, 3] <= _ELBOW_RANGE[1])
             & (np.abs(angles[:, 5]) <= _MAX_WRIST)
         )
+
+
+def _warming(value, n_rows):
+    """Warming as one number, or as a column of one for each row."""
+    warming = floats("warming_k", value)
+    if warming.shape not in ((), (n_rows,)) or not np.all(np.isfinite(warming)):
+        raise ValueError(
+            f"warming_k must be a finite number, or {n_rows} of them, got {show(value)}."
+        )
+    return warming[:, None] if warming.ndim else warming
+
+
+def directions_of(angles):
+    """Direction from which each joint came, (n, 6), where the poses were taken in this order.
+
+    The first pose is taken to have been reached as the second one.
+    """
+    steps = np.diff(angles, axis=0)
+    signs = np.sign((steps + np.pi) % (2 * np.pi) - np.pi)
+    return np.concatenate([signs[:1], signs])
 
 
 def _points(name, points, shape):

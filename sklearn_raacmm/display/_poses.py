@@ -3,14 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from numbers import Integral, Real
+from numbers import Real
 
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.display._drawing import AFTER, pyplot, subtract
-from sklearn_raacmm.utils import check_option, check_points, deviations_by_group
+from sklearn_raacmm.utils import check_option, check_points, check_whole_number, deviations_by_group
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
 # Not the grey of the other displays: that is the arm's here.
@@ -205,9 +205,7 @@ class ArmPosesDisplay:
         """
         if ax is not None and not hasattr(ax, "get_zlim"):
             raise ValueError('The axes are flat; make them with projection="3d".')
-        whole = isinstance(max_poses, Integral) and not isinstance(max_poses, bool)
-        if not whole or max_poses < 1:
-            raise ValueError(f"max_poses must be a whole number of at least 1, got {max_poses!r}.")
+        check_whole_number("max_poses", max_poses, 1)
         if isinstance(magnification, str):
             check_option("magnification", magnification, ("auto",))
         elif not (isinstance(magnification, Real) and 0 < magnification < np.inf):

@@ -77,7 +77,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
         all. "auto": 2, or 1 below 150 poses with a reference each. Where positions have offsets, t
-        is twice the standard deviation that 99 % of the training poses stay below; elsewhere 0.
+        is three times the deviation that 99 % of the training poses stay below; elsewhere 0.
 
     Attributes
     ----------

@@ -6,10 +6,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.utils import gen_batches
 
 from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import FAMILIES, Terms, term_columns, term_names
+from sklearn_raacmm.utils import chunks
 
 # Poses predicted at a time.
 _CHUNK = 2048
@@ -140,7 +140,7 @@ class LinearModel:
         """
         mean = np.empty((len(angles), 3))
         std = np.empty((len(angles), 3)) if return_std else None
-        for rows in gen_batches(len(angles), _CHUNK):
+        for rows in chunks(len(angles), _CHUNK):
             columns = self.columns(angles[rows])
             mean[rows] = columns @ self.coef
             if return_std:
@@ -182,7 +182,7 @@ class LinearModel:
         length = np.linalg.norm(line, axis=1, keepdims=True)
         line = line / np.maximum(length, 1e-300)
         out = np.empty(len(first))
-        for rows in gen_batches(len(first), _CHUNK):
+        for rows in chunks(len(first), _CHUNK):
             difference = self.columns(second[rows]) - self.columns(first[rows])
             along = np.einsum("nc,ncp->np", line[rows], difference)
             out[rows] = np.linalg.norm(along @ self.gauge_free_half, axis=1)

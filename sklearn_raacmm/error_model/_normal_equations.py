@@ -7,7 +7,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from sklearn_raacmm.arm import points_of
 from sklearn_raacmm.error_model._columns import term_columns
-from sklearn_raacmm.utils import group_means, group_sums, group_weights
+from sklearn_raacmm.utils import chunks, group_means, group_sums, group_weights
 
 # Poses whose columns are held at a time: 12 MB for 1000 columns.
 _CHUNK = 512
@@ -57,8 +57,7 @@ def normal_equations(arm, angles, y, weights, codes, terms, smooth=None):
     """
     n_groups = 0 if codes is None else codes.max() + 1
     sums, basis_sums, squares, shared, own = 0.0, 0.0, 0.0, None, None
-    for start in range(0, len(angles), _CHUNK):
-        rows = slice(start, start + _CHUNK)
+    for rows in chunks(len(angles), _CHUNK):
         vectors = term_columns(arm, angles[rows], terms)
         vectors = np.concatenate([vectors, y[rows, :, None]], axis=2)
         if smooth is not None:
@@ -104,8 +103,7 @@ def mean_columns(arm, angles, weights, codes, terms):
     """Mean of the model's columns over each position, (n_positions, 3, n_columns)."""
     total = group_weights(codes, weights)
     sums = 0.0
-    for start in range(0, len(angles), _CHUNK):
-        rows = slice(start, start + _CHUNK)
+    for rows in chunks(len(angles), _CHUNK):
         columns = term_columns(arm, angles[rows], terms)
         sums = sums + group_sums(columns, codes[rows], weights[rows], len(total))
     return sums / total[:, None, None]

@@ -8,17 +8,21 @@ from sklearn_raacmm.export._export import (
     describe,
     export_c,
     fingerprint,
+    load_c,
     register_onnx,
     to_onnx,
 )
+from sklearn_raacmm.export._load_c import CompiledModel
 from sklearn_raacmm.export._model_card import ModelCard
 
 __all__ = [
     "TRUSTED_TYPES",
+    "CompiledModel",
     "ModelCard",
     "describe",
     "export_c",
     "fingerprint",
+    "load_c",
     "register_onnx",
     "to_onnx",
 ]

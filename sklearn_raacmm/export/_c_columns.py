@@ -6,7 +6,6 @@
 import numpy as np
 
 from sklearn_raacmm.error_model import column_table
-from sklearn_raacmm.export._c_text import whole_table
 
 _COLUMNS = """\
 /* What one unit of each coefficient does to the probe, mm. */
@@ -80,12 +79,12 @@ def error_model(numbers, linear, std):
             f"{f', {real} *v' if std else ''})\n{{\n{unused}    y[0] = y[1] = y[2] = 0;\n}}\n"
         )
     note = "0 a turn about the axis, 1 a shift along it, 2 a turn by the torque of a load about it"
-    text = whole_table("column_kind", table.kind, note)
-    text += whole_table("column_frame", table.frame)
-    text += whole_table("column_axis", table.axis)
-    text += whole_table("column_of", table.of, "joint of the wave, or load")
+    text = numbers.integers("column_kind", table.kind, note)
+    text += numbers.integers("column_frame", table.frame)
+    text += numbers.integers("column_axis", table.axis)
+    text += numbers.integers("column_of", table.of, "joint of the wave, or load")
     note = "of the wave: cosine if positive, sine if negative"
-    text += whole_table("column_order", table.order, note)
+    text += numbers.integers("column_order", table.order, note)
     text += numbers.table("column_unit", table.unit, "rad or mm per unit coefficient")
     text += numbers.table("column_coef", linear.coef)
     variance = ""
@@ -110,72 +109,78 @@ def error_model(numbers, linear, std):
     )
 
 
+_FADED = """\
+/* Add a stage, shrunk by its variance against the size of the residuals, mm^2; returns the share of
+   it that is left. */
+static {real} add_faded(const {real} y1[3], const {real} v1[3], {real} known, {real} y[3])
+{{
+    const {real} size = {square}, doubt = v1[0] + v1[1] + v1[2] - known;
+    const {real} sum = size + (doubt > 0 ? {fade} * doubt : 0);
+    const {real} factor = {faded} ? size / (sum < {tiny} ? {tiny} : sum) : 1;
+    for (int k = 0; k < 3; ++k)
+        y[k] += y1[k] * factor;
+    return factor;
+}}
+
+"""
+_CAPPED = """\
+    {{
+        const {real} cap = {cap}; /* mm: no correction is longer */
+        const {real} length = sqrt{f}(y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);
+        if (length > cap)
+            for (int k = 0; k < 3; ++k)
+                y[k] *= cap / length;
+    }}
+"""
+
+
 def guarded_sum(numbers, step, std):
-    """``guarded_sum(arm, y, v)`` of an `ArmResidualRegressor`: its stages, faded and capped."""
-    real, f, literal = numbers.real, numbers.suffix, numbers.literal
-    networked = step.use_ == "harmonics+network"
-    harmonic = step.use_ != "none"
-    doubted = std or step.fade_ > 0
-    size = "arm->angle" if step.features == "all" else "x"
-    features = step.n_features_in_ if step.features == "all" else 3
+    """``guarded_sum(arm, y, v)`` of one of the arm's estimators: its stages, faded and capped.
+
+    It returns the smallest share of a stage that the fading leaves.
+    """
+    real, literal = numbers.real, numbers.literal
+    head = f"static {real} guarded_sum(const struct arm_state *arm, {real} y[3]"
+    head += f", {real} *v)" if std else ")"
+    start = ["y[0] = y[1] = y[2] = 0;", *(["if (v)", "    v[0] = v[1] = v[2] = 0;"] * std)]
+    use, fadings = getattr(step, "use_", "harmonics"), _fadings(step)
+    cap = getattr(step, "cap_mm_", np.inf)
+    if use == "none":
+        lines = ["(void)arm;", *start, "return 1;"]
+        return "\n".join([head, "{", *(f"    {line}" for line in lines), "}\n"])
+    doubted = std or fadings[0].factor > 0
+    declared = [f"{real} y1[3] = {{0, 0, 0}};"]
+    declared += [f"{real} v1[3] = {{0, 0, 0}};", f"{real} trust = 1, factor;"] * doubted
     v = ", v1" if doubted else ""
-    lines = [f"{real} y1[3] = {{0, 0, 0}};"]
-    if doubted:
-        lines.append(f"{real} v1[3] = {{0, 0, 0}};")
-    if networked and step.features != "all":
-        lines.append(f"{real} x[{features}];")
-    if networked:
-        lines.append(f"{real} cs[2];")
-    lines.append("y[0] = y[1] = y[2] = 0;")
-    if std:
-        lines += ["if (v)", "    v[0] = v[1] = v[2] = 0;"]
-    stages = []
-    if harmonic:
-        stages.append([f"error_model(arm, y1{v});"])
-    if networked:
-        stage = ["azimuth_direction(arm, cs);"]
-        if step.features != "all":
-            stage.append("pose_features(arm, x);")
-        stages.append([*stage, f"network({size}, y1{v});", f"to_cartesian(cs, y1{v});"])
-    for stage in stages:
-        lines += [*stage, f"add_faded(y1, {'v1, ' if doubted else ''}y);"]
-        if std:
-            lines += ["if (v)", "    for (int k = 0; k < 3; ++k)", "        v[k] += v1[k];"]
-    if not stages:
-        lines = ["(void)arm;", "y[0] = y[1] = y[2] = 0;"]
-        lines += ["if (v)", "    v[0] = v[1] = v[2] = 0;"] if std else []
-    if np.isfinite(step.cap_mm_) and stages:
-        lines += [
-            "{",
-            f"    const {real} cap = {literal(step.cap_mm_)}; /* mm: no correction is longer */",
-            f"    const {real} length = sqrt{f}(y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);",
-            "    if (length > cap)",
-            "        for (int k = 0; k < 3; ++k)",
-            "            y[k] *= cap / length;",
-            "}",
-        ]
-    body = "\n".join(f"    {line}" for line in lines)
-    faded = ""
-    if stages:
-        square = literal(step.residual_rms_mm_**2)
-        fade = literal(step.fade_**2)
-        tiny = literal(max(1e-300, np.finfo(numbers.literal_type).tiny))
-        faded = (
-            "/* Add a stage, shrunk by its variance against the size of the residuals, mm^2. */\n"
-            f"static void add_faded(const {real} y1[3], {f'const {real} v1[3], ' * doubted}"
-            f"{real} y[3])\n{{\n"
-        )
-        if doubted:
-            faded += (
-                f"    const {real} size = {square};\n"
-                f"    const {real} sum = size + {fade} * (v1[0] + v1[1] + v1[2]);\n"
-                f"    const {real} factor = size / (sum < {tiny} ? {tiny} : sum);\n"
-                "    for (int k = 0; k < 3; ++k)\n        y[k] += y1[k] * factor;\n}\n\n"
-            )
-        else:
-            faded += "    for (int k = 0; k < 3; ++k)\n        y[k] += y1[k];\n}\n\n"
-    parameter = f", {real} *v" if std else ""
-    return (
-        f"{faded}static void guarded_sum(const struct arm_state *arm, {real} y[3]{parameter})"
-        f"\n{{\n{body}\n}}\n"
+    stages = [[f"error_model(arm, y1{v});"]]
+    if use == "harmonics+network":
+        declared += [f"{real} cs[2];", *([f"{real} x[3];"] if step.features != "all" else [])]
+        pose = ["pose_features(arm, x);"] if step.features != "all" else []
+        inputs = "x" if pose else "arm->angle"
+        network = [f"network({inputs}, y1{v});", f"to_cartesian(cs, y1{v});"]
+        stages.append(["azimuth_direction(arm, cs);", *pose, *network])
+    trust = "trust = factor < trust ? factor : trust;"
+    variance = f"        v[k] += {literal(step.linear_model_.std_scale**2)} * v1[k];"
+    lines = [*declared, *start]
+    for stage, fading in zip(stages, fadings, strict=False):
+        add = [f"factor = add_faded(y1, v1, {literal(fading.known_mm**2)}, y);", trust]
+        if not doubted:
+            add = ["for (int k = 0; k < 3; ++k)", "    y[k] += y1[k];"]
+        lines += [*stage, *add, *(["if (v)", "    for (int k = 0; k < 3; ++k)", variance] * std)]
+    body = "".join(f"    {line}\n" for line in lines)
+    if np.isfinite(cap):
+        body += _CAPPED.format(real=real, f=numbers.suffix, cap=literal(cap))
+    body += f"    return {'trust' if doubted else '1'};\n"
+    faded = _FADED.format(
+        real=real,
+        square=literal(fadings[0].size_mm ** 2),
+        fade=literal(fadings[0].factor ** 2),
+        faded=int(fadings[0].factor > 0 and fadings[0].size_mm > 0),
+        tiny=literal(max(1e-300, np.finfo(numbers.literal_type).tiny)),
     )
+    return f"{faded * doubted}{head}\n{{\n{body}}}\n"
+
+
+def _fadings(step):
+    """How each stage of one of the arm's estimators fades; all have one size and one factor."""
+    return step.fadings_ if hasattr(step, "fadings_") else [step.fading_]

@@ -1,4 +1,4 @@
-"""A fitted chain as one C99 source and its header."""
+"""What a fitted chain computes, as C99: its tables and static functions, step by step."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -8,14 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm._version import __version__
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.export import _c_columns, _c_steps
-from sklearn_raacmm.export._c_text import Numbers, comment_text
+from sklearn_raacmm.export._c_text import Numbers
 from sklearn_raacmm.export._steps import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+
+# A pose is called faded where less than this share of a stage is left: its uncertainty is then
+# larger than the residuals that it was fitted on.
+_FADED_BELOW = 0.5
 
 
 class Body(NamedTuple):
@@ -27,6 +30,13 @@ class Body(NamedTuple):
     arm: object  # or None
     angle_unit: str
     steps: tuple  # of text, for people
+    table_bytes: int
+    fades: bool
+
+    @property
+    def corrects(self):
+        """Whether the outputs are a correction of the arm's point."""
+        return self.arm is not None and self.n_outputs == 3
 
 
 class _Writer:
@@ -39,7 +49,7 @@ class _Writer:
         self.n_inputs = int(next(leaves(model)).estimator.n_features_in_)
         self.size = self.x_size = self.n_inputs
         self.loaded = False  # whether x holds something by now
-        self.n_scalers, self.n_outputs = 0, None
+        self.n_scalers, self.n_outputs, self.fades = 0, None, False
         if self.arm is not None:
             self.parts.append(_c_steps.kinematics(numbers, self.arm, self.angle_unit))
         self.parts.append(_c_steps.all_finite(numbers))
@@ -74,7 +84,7 @@ class _Writer:
         elif isinstance(step, RBFNetRegressor):
             self._load()
             text, self.n_outputs = _c_steps.network(self.numbers, step, self.std)
-            about = f"RBFNetRegressor: {step.kernel}, {len(step.centers_)} centres"
+            about = f"RBFNetRegressor: {step.kernel_}, {len(step.centers_)} centres"
             self._put(text, f"network(x, y{self._v});", about)
         elif isinstance(step, LINEAR):
             if self.std:
@@ -101,9 +111,13 @@ class _Writer:
             )
         self.n_outputs = 3
         if isinstance(step, JointHarmonicRegressor):
-            text = _c_columns.error_model(self.numbers, step.linear_model_, self.std)
+            self.fades = step.fading_.factor > 0
+            doubted = self.std or self.fades
+            self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
+            text = _c_columns.guarded_sum(self.numbers, step, self.std)
+            result = "*trust =" if self.fades else "(void)"
             about = f"JointHarmonicRegressor: {len(step.coef_)} terms"
-            self._put(text, f"error_model(arm, y{self._v});", about)
+            self._put(text, f"{result} guarded_sum(arm, y{self._v});", about)
             return
         # How much a stage is trusted depends on its standard deviation.
         doubted = self.std or step.fade_ > 0
@@ -118,7 +132,10 @@ class _Writer:
             self.parts.append(_c_steps.network(self.numbers, step.network_, doubted, False)[0])
             self.parts.append(_c_steps.rotation(self.numbers, doubted))
         text = _c_columns.guarded_sum(self.numbers, step, self.std)
-        self._put(text, f"guarded_sum(arm, y{self._v});", f"ArmResidualRegressor: {step.use_}")
+        self.fades = stages > 0 and step.fade_ > 0
+        result = "*trust =" if self.fades else "(void)"
+        call = f"{result} guarded_sum(arm, y{self._v});"
+        self._put(text, call, f"ArmResidualRegressor: {step.use_}")
         # A pose without features has no correction at all.
         self.statements += [f"valid = all_finite(y, {self.n_outputs}) && valid;"]
 
@@ -168,22 +185,26 @@ class _Writer:
         if self.arm is not None:
             lines.append("kinematics(input, arm);")
         lines += self.statements
-        if self.std:
-            # Not each function asks for the standard deviation.
-            lines += [
-                "if (!valid && v)",
-                f"    for (int j = 0; j < {q}; ++j)",
-                f"        v[j] = ({real})NAN;",
-            ]
+        # Not each function asks for the standard deviation.
+        no_std = ["        if (v)", f"            v[j] = ({real})NAN;"] if self.std else []
         lines += [
             "if (!valid)",
-            f"    for (int j = 0; j < {q}; ++j)",
+            f"    for (int j = 0; j < {q}; ++j) {{",
             f"        y[j] = ({real})NAN;",
+            *no_std,
+            "    }",
         ]
+        status = "return valid ? 0 : 2;"
+        if self.fades:
+            lines += ["if (!valid)", f"    *trust = ({real})NAN;"]
+            status = f"return !valid ? 2 : *trust < {self.numbers.literal(_FADED_BELOW)} ? 1 : 0;"
+        lines.append(status)
         body = "\n".join(f"    {line}" for line in lines)
         return (
-            f"static void evaluate(const {real} input[{self.n_inputs}], {arm}{real} y[{q}]"
-            f"{', ' + real + ' *v' if self.std else ''})\n"
+            "/* 0: fine, 1: faded, 2: not finite. */\n"
+            f"static int evaluate(const {real} input[{self.n_inputs}], {arm}{real} y[{q}]"
+            f"{', ' + real + ' *v' if self.std else ''}"
+            f"{', ' + real + ' *trust' if self.fades else ''})\n"
             f"{{\n{body}\n}}\n"
         )
 
@@ -191,97 +212,20 @@ class _Writer:
 def body_of(model, dtype="double", std=False):
     """Everything that a chain computes, see `Body`; ValueError where it cannot be written."""
     check_fitted(model)
-    writer = _Writer(model, Numbers(dtype), std)
-    text = "\n".join([*writer.parts, writer.evaluate()])
+    numbers = Numbers(dtype)
+    writer = _Writer(model, numbers, std)
     return Body(
-        text, writer.n_inputs, writer.n_outputs, writer.arm, writer.angle_unit, tuple(writer.steps)
+        "\n".join([*writer.parts, writer.evaluate()]),
+        writer.n_inputs,
+        writer.n_outputs,
+        writer.arm,
+        writer.angle_unit,
+        tuple(writer.steps),
+        numbers.n_bytes,
+        writer.fades,
     )
 
 
 def fingerprint_of(model):
     """SHA-256 of what a chain computes: constants and operations, in double precision."""
     return hashlib.sha256(body_of(model).text.encode()).hexdigest()
-
-
-def sources(model, name, stem, dtype, std, notes):
-    """Text of the C file and of the header."""
-    body = body_of(model, dtype, std)
-    digest = fingerprint_of(model)
-    facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
-    if body.arm is not None:
-        label = f" {body.arm.name}" if body.arm.name else ""
-        facts.append(f"arm{label}: {body.n_inputs} joints, {body.arm.convention} DH, mm and rad")
-    facts += [*body.steps, *notes]
-    banner = "".join(f" * {comment_text(fact, 90)}".rstrip() + "\n" for fact in facts)
-    functions = _functions(body, name, dtype, std)
-    functions.append(
-        (
-            f"const char *{name}_fingerprint(void)",
-            "SHA-256 of what the model computes: the same for the same model.",
-            f'    return "{digest}";\n',
-        )
-    )
-    guard = f"{name.upper()}_H"
-    declared = "".join(f"/* {about} */\n{head};\n\n" for head, about, _ in functions)
-    header = (
-        f"/* {stem}.h\n{banner} */\n#ifndef {guard}\n#define {guard}\n\n#ifdef __cplusplus\n"
-        f'extern "C" {{\n#endif\n\n{declared}#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'
-    )
-    defined = "".join(f"\n{head}\n{{\n{text}}}\n" for head, _, text in functions)
-    source = (
-        f"/* {stem}.c\n{banner} *\n"
-        " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
-        " * changes, so every function may be called from any thread. Do not compile it with\n"
-        " * -ffast-math, which takes away the NaN that stands for a refusal.\n */\n"
-        f'#include "{stem}.h"\n\n#include <math.h>\n\n{body.text}{defined}'
-    )
-    return source, header
-
-
-def _functions(body, name, real, std):
-    """Public functions: head, comment and body of each."""
-    n, q = body.n_inputs, body.n_outputs
-    unit = "degrees" if body.angle_unit == "deg" else "rad"
-    argument = "joint_angles" if body.arm else "features"
-    given = f"const {real} {argument}[{n}]"
-    state, arm = ("    struct arm_state arm;\n", "&arm, ") if body.arm else ("", "")
-    none = ", 0" if std else ""
-    corrects = body.arm is not None and q == 3
-    verb, out = ("correct", "correction_mm") if corrects else ("predict", "prediction")
-    refusal = "All are NaN if an input is NaN or\n   infinite, or the model is not defined there."
-    about = f"What the model predicts from {argument.replace('_', ' ')}. {refusal}"
-    if corrects:
-        about = (
-            "How far off the probe is, in the base frame, mm: subtract it from the measured\n"
-            f"   point. Joint angles in {unit}, as the encoders give them. {refusal}"
-        )
-    functions = [
-        (
-            f"void {name}_{verb}({given}, {real} {out}[{q}])",
-            about,
-            f"{state}    evaluate({argument}, {arm}{out}{none});\n",
-        )
-    ]
-    if corrects:
-        functions.append(
-            (
-                f"void {name}_point({given}, {real} point_mm[3])",
-                "The corrected centre of the probe in the base frame, mm; NaN as above.",
-                f"{state}    {real} y[3];\n    evaluate({argument}, {arm}y{none});\n"
-                "    for (int k = 0; k < 3; ++k)\n        point_mm[k] = arm.probe[k] - y[k];\n",
-            )
-        )
-    if std:
-        spread = "std_mm" if corrects else "std"
-        root = f"sqrt{'f' if real == 'float' else ''}"
-        functions.append(
-            (
-                f"void {name}_{verb}_std({given}, {real} {out}[{q}], {real} {spread}[{q}])",
-                "The same with its standard deviation, as predict(return_std=True) gives it: it "
-                "grows\n   away from the poses that the model was fitted on.",
-                f"{state}    evaluate({argument}, {arm}{out}, {spread});\n"
-                f"    for (int j = 0; j < {q}; ++j)\n"
-                f"        {spread}[j] = {root}({spread}[j]);\n",
-            )
-        )
-    return functions

@@ -6,10 +6,9 @@
 import numpy as np
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler
 
-from sklearn_raacmm.export._c_text import whole_table
+from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.export._steps import n_outputs
-from sklearn_raacmm.network import KERNELS
-from sklearn_raacmm.residuals import MIN_LENGTH_MM, NORM_TOLERANCE
+from sklearn_raacmm.residuals import NORM_TOLERANCE
 
 # The radial functions of the squared scaled distance s; {f} is the suffix of the precision.
 _KERNEL_BODIES = {
@@ -20,8 +19,6 @@ _KERNEL_BODIES = {
     ),
     "rational_quadratic": "return 1 / (1 + 0.5{f} * s);",
     "inverse_multiquadric": "return 1 / sqrt{f}(1 + s);",
-    "multiquadric": "return sqrt{f}(1 + s);",
-    "thin_plate": "return s == 0 ? s : 0.5{f} * s * log{f}(s);",
 }
 
 _KINEMATICS = """\
@@ -232,7 +229,7 @@ def network(numbers, step, std, with_noise=True):
             "centres, less their middle, in units of the length scales",
         )
         text += numbers.table("weight", np.atleast_2d(step.coef_).T, "one row a centre")
-        text += _kernel(numbers, step.kernel)
+        text += _kernel(numbers, step.kernel_)
         lines += [
             f"for (int i = 0; i < {d}; ++i)",
             "    z[i] = (x[i] - center_shift[i]) * inverse_width[i];",
@@ -263,7 +260,7 @@ def _network_variance(numbers, step, with_noise):
     shift = step.centers_.mean(axis=0) if k else 0.0
     inside, triangles = step._posterior((step.centers_ - shift) / step.length_scale_)
     tail, p = step._tail_map, len(step._tail_map)
-    m, definite = p + k, KERNELS[step.kernel].positive_definite
+    m = p + k
     distinct = list({id(R): R for R in triangles}.values())
     ids = [id(R) for R in distinct]
     of = [ids.index(id(R)) for R in triangles]
@@ -272,10 +269,10 @@ def _network_variance(numbers, step, with_noise):
     lines = []
     if m:
         lines.append(f"{real} row[{m}];")
-        text += whole_table("triangle_of", of, "which triangle each output has")
+        text += numbers.integers("triangle_of", of, "which triangle each output has")
         packed = [R.T[np.tril_indices(m)] for R in distinct]
         text += numbers.table("triangle", np.stack(packed), "rows of the transposed triangles")
-    lines.append(f"{real} outside = {int(definite)};")
+    lines.append(f"{real} outside = 1;")
     lines.append(f"{real} of_weights[{len(distinct)}];")
     if p:
         text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")
@@ -292,7 +289,7 @@ def _network_variance(numbers, step, with_noise):
         lines += [f"for (int c = 0; c < {k}; ++c)", f"    row[{p} + c] = phi[c];"]
     else:
         lines.append("(void)phi;")
-    if k and definite:
+    if k:
         text += numbers.table("span", inside, "root of the inverse kernel matrix of the centres")
         lines += [
             f"for (int i = 0; i < {len(inside)}; ++i) {{",

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
+import textwrap
 
 import numpy as np
 
@@ -38,9 +39,24 @@ def check_name(name):
     return name
 
 
-def comment_text(text, limit=72):
-    """Text as it may stand in a comment: it cannot end it, nor splice lines, nor be a trigraph."""
-    return re.sub(r"[^A-Za-z0-9 _.,:;=+()\[\]'|#%<>/-]", "_", str(text))[:limit]
+def plain(text):
+    """Text that may stand in a comment or between quotes: it cannot end it, nor splice lines.
+
+    Letters, digits and what is no part of a trigraph, an escape or a quotation; the rest becomes
+    underscores.
+    """
+    return re.sub(r"[^A-Za-z0-9 _.,:;=+()\[\]'|#%<>/-]", "_", str(text))
+
+
+def comment(lines, width=96):
+    """Lines of a C comment, without its ends; long ones go on in the next line."""
+    text = ""
+    for line in lines:
+        wrapped = textwrap.wrap(
+            plain(line), width, initial_indent=" * ", subsequent_indent=" *     "
+        )
+        text += "\n".join(wrapped or [" *"]) + "\n"
+    return text
 
 
 class Numbers:
@@ -53,6 +69,7 @@ class Numbers:
         self.real = dtype
         self.literal_type = np.float64 if dtype == "double" else np.float32
         self.suffix = "" if dtype == "double" else "f"
+        self.n_bytes = 0  # of all tables written so far
 
     def literal(self, value):
         """One number."""
@@ -71,24 +88,25 @@ class Numbers:
     def table(self, name, array, note=""):
         """A static constant array of one or two dimensions."""
         array = np.asarray(array, dtype=float)
-        shape = "".join(f"[{n}]" for n in array.shape)
-        if array.ndim == 1:
-            body = _wrapped(array, self.literal, "    ")
-        else:
-            rows = []
-            for row in array:
-                text = _wrapped(row, self.literal, "     ")
-                rows.append("    {" + text[5:] + "}")
-            body = ",\n".join(rows)
-        head = f"/* {note} */\n" if note else ""
-        return f"{head}static const {self.real} {name}{shape} = {{\n{body}\n}};\n"
+        self.n_bytes += array.size * np.dtype(self.literal_type).itemsize
+        return _table(self.real, name, array, self.literal, note)
+
+    def integers(self, name, array, note=""):
+        """The same of integers."""
+        array = np.asarray(array, dtype=int)
+        self.n_bytes += 4 * array.size
+        return _table("int", name, array, str, note)
 
 
-def whole_table(name, array, note=""):
-    """A static constant array of integers."""
-    body = _wrapped(array, lambda value: str(int(value)), "    ")
+def _table(kind, name, array, literal, note):
+    shape = "".join(f"[{n}]" for n in array.shape)
+    if array.ndim == 1:
+        body = _wrapped(array, literal, "    ")
+    else:
+        rows = [_wrapped(row, literal, "     ") for row in array]
+        body = ",\n".join("    {" + text[5:] + "}" for text in rows)
     head = f"/* {note} */\n" if note else ""
-    return f"{head}static const int {name}[{len(array)}] = {{\n{body}\n}};\n"
+    return f"{head}static const {kind} {name}{shape} = {{\n{body}\n}};\n"
 
 
 def _wrapped(values, literal, indent, width=96):

@@ -9,11 +9,14 @@ from pathlib import Path
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearModel, Terms
-from sklearn_raacmm.export._c_source import fingerprint_of, sources
+from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
+from sklearn_raacmm.export._c_files import sources
+from sklearn_raacmm.export._c_project import check_rows, project_files
+from sklearn_raacmm.export._c_source import body_of, fingerprint_of
 from sklearn_raacmm.export._c_text import check_name
+from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
-from sklearn_raacmm.export._steps import check_fitted, leaves
+from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show, write_whole
@@ -26,6 +29,7 @@ TRUSTED_TYPES = [
         Arm,
         Arm.azimuth,
         ArmResidualRegressor,
+        Fading,
         JointHarmonicRegressor,
         LinearModel,
         PoseFeatures,
@@ -36,7 +40,7 @@ TRUSTED_TYPES = [
 ]
 
 
-def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
+def export_c(model, path, *, name=None, dtype="double", std=False, card=None, poses=None):
     r"""Write a fitted model as one C99 file and its header.
 
     The file needs nothing but the mathematical library: no memory is allocated, nothing static
@@ -59,17 +63,26 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         A C identifier that the functions' names begin with; None: the stem of `path`. With N
         joints (or features) and M outputs the functions are
 
-        - ``void <name>_correct(const double joint_angles[N], double correction_mm[3])``: what
+        - ``int <name>_correct(const double joint_angles[N], double correction_mm[3])``: what
           ``predict`` gives, to be subtracted from the measured point;
-        - ``void <name>_point(const double joint_angles[N], double point_mm[3])``: the corrected
+        - ``int <name>_correct_n(const double *joint_angles, double *correction_mm, size_t n)``: the
+          same for n rows;
+        - ``int <name>_point(const double joint_angles[N], double point_mm[3])``: the corrected
           centre of the probe, through the arm's kinematics;
-        - ``void <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
+        - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
+        - ``double <name>_trust(const double joint_angles[N])``, of an :class:`ArmResidualRegressor`
+          that fades: the share of the correction that is left, of its stages the smallest;
         - ``const char *<name>_fingerprint(void)``.
 
+        The first four return 0; 1 where less than half of a stage is left; 2 where the result is
+        NaN. The header defines names for these numbers, and
+        ``<NAME>_VERSION``, ``_FINGERPRINT``, ``_N_INPUTS``, ``_N_OUTPUTS``, ``_TABLE_BYTES``,
+        ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
+        and ``_DATA_FINGERPRINT``.
+
         Joint angles are in the unit that `model` takes. A model without an arm, or without three
-        outputs, has ``<name>_predict(const double features[N], double prediction[M])`` instead of
-        the first two.
+        outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
 
     dtype : {"double", "float"}, default="double"
         Precision of everything, the functions' arguments included. In single precision a
@@ -84,6 +97,13 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
         plain ones become underscores.
 
+    poses : array-like of shape (n, N), default=None
+        Rows that the model was fitted on, or others that it will see. With them come, beside the C
+        file, ``<stem>_test.c``, which compares 32 rows with what ``predict`` gives (20 of these, 8
+        corners of their ranges, 4 with NaN or infinity); ``CMakeLists.txt``, which builds and runs
+        it; and ``<stem>.hpp``, for C++17. In single precision the header then says how far
+        the functions are from ``predict`` at these rows, where a compiler is at hand.
+
     Returns
     -------
     source, header : pathlib.Path
@@ -94,7 +114,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
     ValueError
         If a step cannot be exported (the sentence names it), `name` is not a C identifier or a
         word of C or C++, `path` does not end in ".c" or holds unusual characters, or a number of
-        the model is not finite in this precision.
+        the model is not finite in this precision; if a CMakeLists.txt of somebody else is there.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -116,7 +136,8 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
     ...     source, header = export_c(model, Path(folder) / "sine.c")
     ...     text = header.read_text()
     >>> print(*[line for line in text.splitlines() if line.endswith(";")], sep="\n")
-    void sine_predict(const double features[1], double prediction[1]);
+    int sine_predict(const double features[1], double prediction[1]);
+    int sine_predict_n(const double *features, double *prediction, size_t n);
     const char *sine_fingerprint(void);
     """
     path = Path(path)
@@ -130,11 +151,68 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")
-    notes = () if card is None else str(card).splitlines()
-    source, header = sources(model, name, path.stem, dtype, std, notes)
-    header_path = path.with_suffix(".h")
-    write_whole({path: source, header_path: header})
+    header_path, extra, notes = path.with_suffix(".h"), {}, []
+    if poses is not None:
+        body = body_of(model, dtype, std)
+        rows = check_rows(poses, body.n_inputs)
+        extra = project_files(model, name, path, dtype, rows, body.corrects)
+        notes = single_precision(model, rows) if dtype == "float" else []
+    source, header = sources(model, name, path.stem, dtype, std, card, notes)
+    write_whole({path: source, header_path: header, **extra})
     return path, header_path
+
+
+def load_c(model, *, std=False, compiler=None, cache_dir=None):
+    """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
+
+    The source is what :func:`export_c` writes. It is compiled once, and kept for the next time.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted, of a kind that :func:`export_c` writes.
+
+    std : bool, default=False
+        Whether ``predict_std`` is there.
+
+    compiler : str, default=None
+        C compiler, called as gcc is; None: the environment variable CC, or cc, gcc or clang.
+
+    cache_dir : str or path-like, default=None
+        Folder to keep the library in, which must be the user's own. None: the environment variable
+        SKLEARN_RAACMM_CACHE, or ``sklearn_raacmm`` in the user's cache folder; where that cannot be
+        written, nothing is kept.
+
+    Returns
+    -------
+    CompiledModel
+        Has ``predict(X)``, ``correct(angles)``, ``point(angles)``, ``status(angles)`` and
+        ``predict_std(X)``: on one row, the first two on many rows, too. Threads may share it; a
+        pickle holds the source and compiles it where it is loaded.
+
+    Raises
+    ------
+    ValueError
+        If the model cannot be exported, or others may write to the folder.
+    RuntimeError
+        If there is no compiler, or it fails: the first lines of what it says are shown.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Notes
+    -----
+    Inputs are not checked but for their number. Where ``predict`` raises, the result is NaN.
+
+    Examples
+    --------
+    ::
+
+        compiled = load_c(model)
+        compiled.correct(joint_angles)  # one row: 1 to 2 microseconds
+    """
+    if not isinstance(std, bool):
+        raise ValueError(f"std must be True or False, got {show(std)}.")
+    return compiled(model, std, compiler, cache_dir)
 
 
 def fingerprint(model):
@@ -209,7 +287,7 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     ImportError
         Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
     ValueError
-        If an estimator has no converter.
+        If an estimator has no converter, or skl2onnx fails on it.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -226,24 +304,10 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     if target_opset is not None and not isinstance(target_opset, int | dict):
         raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
     check_fitted(model)
-    register_onnx()
-    from skl2onnx import to_onnx as convert
-    from skl2onnx.common.data_types import DoubleTensorType, FloatTensorType
-    from skl2onnx.common.exceptions import MissingConverter, MissingShapeCalculator
+    # Late: skl2onnx takes a second to import.
+    from sklearn_raacmm.export import _onnx
 
-    kind = DoubleTensorType if dtype == "double" else FloatTensorType
-    n_features = next(leaves(model)).estimator.n_features_in_
-    try:
-        converted = convert(
-            model, initial_types=[("X", kind([None, n_features]))], target_opset=target_opset
-        )
-    except (MissingConverter, MissingShapeCalculator) as error:
-        names = {type(step).__name__ for _, step in leaves(model)}
-        missing = [name for name in sorted(names) if f"{name}'" in str(error)]
-        raise ValueError(
-            f"{' and '.join(missing) or type(model).__name__} cannot be converted to ONNX: "
-            "skl2onnx knows no converter."
-        ) from error
+    converted = _onnx.convert(model, dtype, target_opset)
     facts = {"sklearn_raacmm_version": __version__}
     if card is not None:
         facts["model_card"] = str(card)
@@ -255,7 +319,7 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
     return converted
 
 
-def describe(model, X=None, y=None, groups=None, *, n_folds=5):
+def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None, date=None):
     """Say what a fitted model is, so that whoever receives its file knows.
 
     A fitted model does not keep the poses that it was fitted on: give them here, and pass the card
@@ -281,11 +345,19 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5):
         copy of the model having been fitted on the others, in so many folds. 0, or without
         `groups`: that at the rows given, and the card says so.
 
+    serial_number : str, default=None
+        Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
+
+    date : str or datetime.date, default=None
+        Of the measurement, or of the model.
+
     Returns
     -------
     ModelCard
         A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
-        the single-point repeatability, the mean over positions.
+        the single-point repeatability, the mean over positions. Where `y` are deviations from the
+        means of their positions, the means are taken off what is left, too: neither data nor
+        model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
 
     Raises
     ------
@@ -311,4 +383,4 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5):
     >>> print(str(card)[:32])
     # Residual correction of an arm
     """
-    return card_of(model, X, y, groups, n_folds=n_folds)
+    return card_of(model, X, y, groups, n_folds=n_folds, serial_number=serial_number, date=date)

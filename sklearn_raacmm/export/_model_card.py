@@ -3,7 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import datetime
+import hashlib
 import json
+import re
+import unicodedata
 
 import numpy as np
 import sklearn
@@ -17,13 +21,28 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._steps import arm_of, check_fitted, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import encode_groups, refuse_disguised
+from sklearn_raacmm.utils import (
+    centred,
+    encode_groups,
+    group_means,
+    group_weights,
+    refuse_disguised,
+    safe_indexing,
+    show,
+)
+
+# A position's mean residuals count as taken off where they are this share of what chance would
+# leave of them: those of a single-point test are zero but for the digits of a file.
+_CENTRED = 0.3
+# Characters shown of a text that comes from outside.
+_LONGEST = 200
 
 
 class ModelCard(dict):
     """Facts about a model: plain numbers, text, lists and dicts, fit for ``json.dumps``.
 
-    ``str(card)`` is Markdown, in which what is long, such as the hull's corners, is left out.
+    ``str(card)`` is Markdown, in which what is long, such as the hull's corners, is left out. Text
+    is escaped there and stays on its line: a name cannot pass for another fact.
     """
 
     def __str__(self):
@@ -33,28 +52,53 @@ class ModelCard(dict):
                 lines.append(f"- {_words(key)}: {_short(value)}")
                 continue
             lines += ["", f"## {_words(key)}", ""]
+            # The arm in full digits: its table is what the corrections belong to.
+            digits = 17 if key == "arm" else 6
             for name, fact in value.items():
                 if name != "hull_corners_mm":
-                    lines.append(f"- {_words(name)}: {_short(fact)}")
+                    lines.append(f"- {_words(name)}: {_short(fact, digits)}")
         return "\n".join(lines) + "\n"
 
 
 def _words(key):
     """A key as words; units stay as they are written."""
-    words = key.split("_")
+    words = escaped(key).split("_")
     unit = f", {words.pop()}" if words[-1] in ("mm", "rad", "deg", "litre") else ""
     return " ".join(words) + unit
 
 
-def _short(value):
+def _short(value, digits=6):
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return repr(value) if digits >= 17 else f"{value:.{digits}g}"
     if isinstance(value, list):
-        return ", ".join(map(_short, value))
-    return "unknown" if value is None else str(value)
+        return ", ".join(_short(entry, digits) for entry in value)
+    return "unknown" if value is None else escaped(value)
 
 
-def card_of(model, X=None, y=None, groups=None, *, n_folds=5):
+def escaped(text):
+    """Text on one line, without control characters, that neither Markdown nor HTML reads as code.
+
+    Parameters
+    ----------
+    text : object
+        Its ``str`` is taken.
+
+    Returns
+    -------
+    str
+        At most 200 characters of it, then "...".
+    """
+    # C: control, format (it may turn the direction of writing), surrogates; Zl, Zp: ends of line.
+    line = "".join(
+        " " if unicodedata.category(c)[0] == "C" or unicodedata.category(c) in ("Zl", "Zp") else c
+        for c in str(text)
+    )
+    line = line if len(line) <= _LONGEST else line[:_LONGEST] + "..."
+    line = re.sub(r"([\\`*\[\]|~#!]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", line)
+    return line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").strip()
+
+
+def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None, date=None):
     """See `sklearn_raacmm.export.describe`."""
     check_fitted(model)
     if X is None and (y is not None or groups is not None):
@@ -75,10 +119,15 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5):
         if arm is not None
         else "as fitted",
     )
+    if serial_number is not None:
+        card["serial_number"] = _text("serial_number", serial_number)
+    if date is not None:
+        card["date"] = _text("date", date.isoformat() if isinstance(date, datetime.date) else date)
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
     if X is not None:
+        given = X  # a table keeps the names that the model was fitted with
         refuse_disguised("X", X)
         X = check_array(X, dtype=np.float64, input_name="X")
         if X.shape[1] != first.n_features_in_:
@@ -88,13 +137,34 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5):
         codes = None
         if groups is not None:
             codes = encode_groups(groups, len(X))[1]
-        card["training"] = _training(X, codes, arm, unit)
         if y is not None:
             refuse_disguised("y", y)
             y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
             check_consistent_length(X, y)
-            card["error"] = _error(model, X, y, codes, groups, n_folds)
+        card["training"] = _training(X, codes, arm, unit)
+        card["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
+        if y is not None:
+            named = given if hasattr(first, "feature_names_in_") else X
+            card["error"] = _error(model, named, y, codes, groups, n_folds)
     return card
+
+
+def _text(name, value):
+    """A field of text, or one clear sentence."""
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError(f"{name} must be text, got {show(value)}.")
+    return value
+
+
+def _data_fingerprint(X, y, codes):
+    """SHA-256 of the numbers that the model was fitted on: float64 and int64, little-endian."""
+    digest = hashlib.sha256()
+    for values, kind in ((X, "<f8"), (y, "<f8"), (codes, "<i8")):
+        shape = None if values is None else values.shape
+        digest.update(repr(shape).encode())
+        if values is not None:
+            digest.update(np.ascontiguousarray(values, dtype=kind).tobytes())
+    return digest.hexdigest()
 
 
 def _arm(model):
@@ -114,7 +184,7 @@ def _fingerprint(model):
 def _step(step):
     name = type(step).__name__
     if hasattr(step, "centers_"):
-        return f"{name} ({step.kernel}, {len(step.centers_)} centres)"
+        return f"{name} ({step.kernel_}, {len(step.centers_)} centres)"
     if hasattr(step, "get_feature_names_out") and hasattr(step, "arm_"):
         return f"{name} ({', '.join(step.get_feature_names_out())})"
     return name
@@ -141,8 +211,8 @@ def _training(X, codes, arm, unit):
 
 def _error(model, X, y, codes, groups, n_folds):
     """Errors before and after; the latter at positions that a copy of the model has not seen."""
-    n_outputs = np.shape(model.predict(X[:1]).ravel())[0]
-    if y.size != len(X) * n_outputs:
+    n_outputs = np.shape(model.predict(safe_indexing(X, [0])).ravel())[0]
+    if y.size != len(y) * n_outputs:
         raise ValueError(
             f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
         )
@@ -152,21 +222,33 @@ def _error(model, X, y, codes, groups, n_folds):
     if folds >= 2:
         takes_groups = has_fit_parameter(model, "groups")
         groups = np.asarray(groups)
-        for train, test in GroupKFold(folds).split(X, groups=codes):
+        for train, test in GroupKFold(folds).split(codes, groups=codes):
             extra = {"groups": groups[train]} if takes_groups else {}
-            fold = clone(model).fit(X[train], y[train], **extra)
-            predicted[test] = fold.predict(X[test])
+            fold = clone(model).fit(safe_indexing(X, train), y[train], **extra)
+            predicted[test] = np.reshape(fold.predict(safe_indexing(X, test)), y[test].shape)
         seen = f"positions not seen: {folds} folds by position, fitted again each time"
     else:
         predicted[:] = np.reshape(model.predict(X), y.shape)
         seen = (
             "these rows; if the model was fitted on them, this is better than it will be on others"
         )
-    facts = {"after_is_measured_at": seen}
+    spatial = codes is not None and y.ndim == 2 and y.shape[1] == 3
+    relative = spatial and _is_centred(y, codes)
+    facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}
     for when, left in (("before", y), ("after", y - predicted)):
+        # Residuals of a single-point test say nothing of a position's mean, nor can the model.
+        left = centred(left, codes) if relative else left
         size = np.abs(left) if y.ndim == 1 else np.linalg.norm(left, axis=1)
         facts[f"mean_{when}_mm"] = float(size.mean())
         facts[f"largest_{when}_mm"] = float(size.max())
-        if codes is not None and y.ndim == 2 and y.shape[1] == 3:
+        if spatial:
             facts[f"mean_2S_{when}_mm"] = float(single_point_repeatability(left, codes))
     return facts
+
+
+def _is_centred(y, codes):
+    """Whether the positions' mean residuals are smaller than chance would leave them."""
+    counts = group_weights(codes)
+    scatter = np.square(centred(y, codes)).sum() / max(len(y) - len(counts), 1)
+    means = (counts[:, None] * np.square(group_means(y, codes))).sum() / len(counts)
+    return bool(means <= _CENTRED**2 * scatter)

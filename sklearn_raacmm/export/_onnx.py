@@ -9,14 +9,10 @@ float32 are good to a nanometre of correction, kinematics in float32 is not.
 
 import numpy as np
 
-from sklearn_raacmm.export._steps import azimuth_arm, n_outputs
+from sklearn_raacmm.arm import MIN_LENGTH_MM
+from sklearn_raacmm.export._steps import azimuth_arm, leaves, n_outputs
 from sklearn_raacmm.network import RBFNetRegressor
-from sklearn_raacmm.residuals import (
-    MIN_LENGTH_MM,
-    NORM_TOLERANCE,
-    CylindricalResidualTarget,
-    PoseFeatures,
-)
+from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, PoseFeatures
 
 try:
     from onnx import TensorProto
@@ -232,11 +228,6 @@ def _radial(graph, kernel, s):
         return graph("Div", 1.0, graph("Add", graph("Mul", s, 0.5), 1.0))
     if kernel == "inverse_multiquadric":
         return graph("Div", 1.0, graph("Sqrt", graph("Add", s, 1.0)))
-    if kernel == "multiquadric":
-        return graph("Sqrt", graph("Add", s, 1.0))
-    if kernel == "thin_plate":
-        positive = graph.where(graph("Greater", s, 0.0), s, 1.0)
-        return graph("Mul", graph("Mul", s, 0.5), graph("Log", positive))
     raise RuntimeError(f"RBFNetRegressor with kernel={kernel!r} cannot be converted to ONNX.")
 
 
@@ -255,7 +246,7 @@ def _convert_network(scope, operator, container):
         squares = graph("ReduceSum", graph("Mul", z, z), graph.integers(1), keepdims=1)
         s = graph("MatMul", z, -2.0 * centers.T)
         s = graph("Add", graph("Add", s, np.square(centers).sum(axis=1)[None, :]), squares)
-        phi = _radial(graph, step.kernel, graph("Max", s, 0.0))
+        phi = _radial(graph, step.kernel_, graph("Max", s, 0.0))
         y = graph("Add", y, graph("MatMul", phi, np.atleast_2d(step.coef_).T))
     graph.put(y, operator.outputs[0])
 
@@ -319,3 +310,74 @@ def register():
         (CylindricalResidualTarget, _target_shape, _convert_target),
     ):
         update_registered_converter(model, f"SklearnRaacmm{model.__name__}", shape, convert)
+
+
+def convert(model, dtype, target_opset):
+    """Converted model; ValueError with one sentence where skl2onnx has none."""
+    register()
+    from skl2onnx import to_onnx
+    from skl2onnx.common.data_types import DoubleTensorType
+    from skl2onnx.common.exceptions import MissingConverter, MissingShapeCalculator
+
+    kind = DoubleTensorType if dtype == "double" else FloatTensorType
+    first = next(leaves(model)).estimator
+    types = [("X", kind([None, first.n_features_in_]))]
+    names = sorted({type(step).__name__ for _, step in leaves(model)})
+    try:
+        converted = to_onnx(model, initial_types=types, target_opset=target_opset)
+    except (MissingConverter, MissingShapeCalculator) as error:
+        missing = [name for name in names if f"{name}'" in str(error)]
+        raise ValueError(
+            f"{' and '.join(missing) or type(model).__name__} cannot be converted to ONNX: "
+            "skl2onnx knows no converter."
+        ) from error
+    except Exception as error:
+        if _raised_here(error):
+            raise
+        said = " ".join(str(error).split())[:300]
+        raise ValueError(
+            f"skl2onnx fails to convert a chain of {', '.join(names)}: {type(error).__name__}, "
+            f"{said}"
+        ) from error
+    # Our own steps refuse by themselves. A scaler before them may clip, and hide it.
+    own = (PoseFeatures, RBFNetRegressor, CylindricalResidualTarget)
+    hidden = not isinstance(first, own) and any(isinstance(step, own) for _, step in leaves(model))
+    if hidden:
+        _refuse_infinity(converted.graph)
+    return converted
+
+
+def _raised_here(error):
+    """Whether a function of this package raised it: its sentence is for the caller."""
+    trace = error.__traceback__
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    return trace.tb_frame.f_globals.get("__name__", "").startswith("sklearn_raacmm.")
+
+
+def _refuse_infinity(graph):
+    """Make rows NaN where an input is infinite; NaN itself an imputer may have use for."""
+    from onnx import helper, numpy_helper
+
+    (given,), (out,) = graph.input, graph.output
+    name, kind = out.name, out.type.tensor_type.elem_type
+    for node in graph.node:
+        for names in (node.input, node.output):
+            for i, text in enumerate(names):
+                if text == name:
+                    names[i] = f"{name}_raacmm"
+    real = np.float64 if kind == TensorProto.DOUBLE else np.float32
+    for constant, value in (
+        ("raacmm_columns", np.array([1])),
+        ("raacmm_zero", np.zeros(1, dtype=real)),
+        ("raacmm_nan", np.full(1, np.nan, dtype=real)),
+    ):
+        graph.initializer.append(numpy_helper.from_array(value, constant))
+    steps = (
+        ("IsInf", [given.name], "raacmm_infinite", {}),
+        ("Where", ["raacmm_infinite", "raacmm_nan", "raacmm_zero"], "raacmm_marks", {}),
+        ("ReduceSum", ["raacmm_marks", "raacmm_columns"], "raacmm_refusal", {"keepdims": 1}),
+        ("Add", [f"{name}_raacmm", "raacmm_refusal"], name, {}),
+    )
+    for op, inputs, output, attributes in steps:
+        graph.node.append(helper.make_node(op, inputs, [output], output, **attributes))

@@ -1,6 +1,9 @@
 """Measures of acceptance tests with gauges and spheres; public in `sklearn_raacmm.metrics`."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.metrics import _spheres
 from sklearn_raacmm.utils import (
@@ -14,7 +17,7 @@ from sklearn_raacmm.utils import (
 )
 
 
-def gauge_lengths(points, groups, pairs):
+def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.ndarray:
     """Measured lengths: distances between the mean points of pairs of groups.
 
     Parameters
@@ -58,7 +61,9 @@ def gauge_lengths(points, groups, pairs):
     return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
 
 
-def length_error(measured, calibrated, *, statistic=None):
+def length_error(
+    measured: ArrayLike, calibrated: ArrayLike, *, statistic: str | None = None
+) -> Any:
     r"""Length errors D = L - L_cal, or one number for them all.
 
     Parameters
@@ -111,7 +116,7 @@ def length_error(measured, calibrated, *, statistic=None):
     return float(getattr(np, statistic)(np.abs(error)))
 
 
-def probing_size_error(points, diameter):
+def probing_size_error(points: ArrayLike, diameter: float) -> float:
     """Diameter of the least-squares sphere minus the calibrated diameter.
 
     Parameters
@@ -149,7 +154,7 @@ def probing_size_error(points, diameter):
     return float(2 * _spheres.fit_sphere(check_points(points, n_coordinates=3))[1] - diameter)
 
 
-def probing_form_error(points):
+def probing_form_error(points: ArrayLike) -> float:
     """Largest minus smallest distance of the points from the least-squares sphere's centre.
 
     Parameters
@@ -181,7 +186,7 @@ def probing_form_error(points):
     return float(np.ptp(_spheres.fit_sphere(check_points(points, n_coordinates=3))[2]))
 
 
-def articulated_location_error(points, groups=None):
+def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = None) -> float:
     """Diameter of the smallest sphere around centres found in different articulations.
 
     Parameters

@@ -5,8 +5,11 @@ sources describe them ("after"): the standards themselves were not at hand, and 
 this module is no statement of conformance to any of them.
 """
 
+from typing import Any
+
 import numpy as np
-from sklearn import config_context
+from numpy.typing import ArrayLike
+from sklearn import get_config
 from sklearn.metrics import make_scorer
 from sklearn.utils import Bunch, check_array
 
@@ -19,7 +22,13 @@ from sklearn_raacmm.utils import (
 )
 
 
-def single_point_repeatability(points, groups=None, *, statistic="2s", aggregate="mean"):
+def single_point_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: str | None = "mean",
+) -> Any:
     r"""Single-point articulation repeatability: how far points of one place lie apart.
 
     With :math:`\delta_i = |p_i - \bar p|` the distance of point i from the mean of the n points
@@ -71,7 +80,13 @@ def single_point_repeatability(points, groups=None, *, statistic="2s", aggregate
     return _aggregate(_distance_statistic(distances, position, counts, statistic), aggregate)
 
 
-def axis_repeatability(points, groups=None, *, statistic="half_range", aggregate="mean"):
+def axis_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "half_range",
+    aggregate: str | None = "mean",
+) -> np.ndarray:
     r"""Repeatability of each coordinate by itself.
 
     Parameters
@@ -109,7 +124,7 @@ def axis_repeatability(points, groups=None, *, statistic="half_range", aggregate
     return _aggregate(_axis_statistic(deviations, position, counts, statistic), aggregate)
 
 
-def repeatability_report(points, groups=None):
+def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> Any:
     """Every single-point measure of every position, as columns of a table.
 
     Parameters
@@ -156,7 +171,14 @@ def repeatability_report(points, groups=None):
     return Bunch(**columns)
 
 
-def within_position_scatter(y_true, y_pred, *, groups=None, statistic="2s", aggregate="mean"):
+def within_position_scatter(
+    y_true: ArrayLike,
+    y_pred: ArrayLike,
+    *,
+    groups: ArrayLike | None = None,
+    statistic: str = "2s",
+    aggregate: str | None = "mean",
+) -> Any:
     """Single-point repeatability left after a correction: that of ``y_true - y_pred``.
 
     A cone-hole test shows residuals only up to one unknown constant per position. This measure
@@ -205,7 +227,9 @@ def within_position_scatter(y_true, y_pred, *, groups=None, statistic="2s", aggr
     )
 
 
-def within_position_r2_score(y_true, y_pred, *, groups=None):
+def within_position_r2_score(
+    y_true: ArrayLike, y_pred: ArrayLike, *, groups: ArrayLike | None = None
+) -> float:
     """Share of the variance within positions that a correction takes away.
 
     One minus the sum of squared deviations of ``y_true - y_pred`` from its mean at each position,
@@ -243,7 +267,13 @@ def within_position_r2_score(y_true, y_pred, *, groups=None):
     return float(1 - after / before)
 
 
-def repeatability_scorer(X=None, groups=None, *, statistic="2s", aggregate="mean"):
+def repeatability_scorer(
+    X: ArrayLike | None = None,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: str = "mean",
+) -> Any:
     """Scorer for model selection: minus the scatter within positions after the correction.
 
     Parameters
@@ -263,13 +293,16 @@ def repeatability_scorer(X=None, groups=None, *, statistic="2s", aggregate="mean
     scorer : callable
         ``scorer(estimator, X, y)``: minus :func:`within_position_scatter`, in mm, so that greater
         is better. Without X and groups, a scorer of :func:`~sklearn.metrics.make_scorer` that
-        requests `groups`, for metadata routing.
+        requests `groups`, for metadata routing, which has to be enabled by then.
 
     Raises
     ------
     ValueError
         If only one of X and groups is given, or if equal rows of X belong to different groups;
         when scoring, if groups were not routed, or if a row was not among those of X.
+    RuntimeError
+        If neither is given and metadata routing is off: the scorer would never be given groups,
+        and scikit-learn would set every score to NaN.
 
     Examples
     --------
@@ -303,12 +336,16 @@ def repeatability_scorer(X=None, groups=None, *, statistic="2s", aggregate="mean
         raise ValueError("Give X and groups together (metadata routing off), or neither (on).")
     if X is not None:
         return _RowScorer(X, groups, statistic, aggregate)
+    if not get_config()["enable_metadata_routing"]:
+        raise RuntimeError(
+            "repeatability_scorer() without arguments needs metadata routing, which is off. "
+            "Enable it first by sklearn.set_config(enable_metadata_routing=True), or tell the "
+            "scorer the groups: repeatability_scorer(X, groups)."
+        )
     scorer = make_scorer(
         _routed_scatter, greater_is_better=False, statistic=statistic, aggregate=aggregate
     )
-    # set_score_request refuses to run while routing is off; the request itself is harmless then.
-    with config_context(enable_metadata_routing=True):
-        return scorer.set_score_request(groups=True)
+    return scorer.set_score_request(groups=True)
 
 
 def _routed_scatter(y_true, y_pred, *, groups=None, statistic, aggregate):

@@ -18,8 +18,9 @@ def _gaussian(s):
     return np.exp(s, out=s)
 
 
-def _gaussian_slope(s):
-    return -0.5 * np.exp(-0.5 * s)
+def _gaussian_with_slope(s):
+    K = _gaussian(s)
+    return K, -0.5 * K
 
 
 def _distance(s):
@@ -32,8 +33,10 @@ def _matern32(s):
     return (1 + d) * np.exp(-d)
 
 
-def _matern32_slope(s):
-    return -1.5 * np.exp(-_SQRT3 * _distance(s))
+def _matern32_with_slope(s):
+    d = _SQRT3 * _distance(s)
+    decay = np.exp(-d)
+    return (1 + d) * decay, -1.5 * decay
 
 
 def _matern52(s):
@@ -41,62 +44,45 @@ def _matern52(s):
     return (1 + d + 5 / 3 * s) * np.exp(-d)
 
 
-def _matern52_slope(s):
+def _matern52_with_slope(s):
     d = _SQRT5 * _distance(s)
-    return -5 / 6 * (1 + d) * np.exp(-d)
+    decay = np.exp(-d)
+    once = (1 + d) * decay
+    return once + 5 / 3 * s * decay, -5 / 6 * once
 
 
 def _rational_quadratic(s):
     return 1 / (1 + 0.5 * s)
 
 
-def _rational_quadratic_slope(s):
-    return -0.5 / (1 + 0.5 * s) ** 2
+def _rational_quadratic_with_slope(s):
+    K = _rational_quadratic(s)
+    return K, -0.5 * K * K
 
 
 def _inverse_multiquadric(s):
     return 1 / np.sqrt(1 + s)
 
 
-def _inverse_multiquadric_slope(s):
-    return -0.5 * (1 + s) ** -1.5
-
-
-def _multiquadric(s):
-    return np.sqrt(1 + s)
-
-
-def _multiquadric_slope(s):
-    return 0.5 / np.sqrt(1 + s)
-
-
-def _thin_plate(s):
-    # r^2 log r with its limit 0 at r = 0.
-    return 0.5 * s * np.log(np.where(s > 0, s, 1.0))
-
-
-def _thin_plate_slope(s):
-    # Infinite in the limit s = 0, where every use multiplies it by a vanishing squared difference:
-    # 0 is the limit of the product.
-    return np.where(s > 0, 0.5 * (np.log(np.where(s > 0, s, 1.0)) + 1), 0.0)
+def _inverse_multiquadric_with_slope(s):
+    K = _inverse_multiquadric(s)
+    return K, -0.5 * K**3
 
 
 class Kernel(NamedTuple):
-    """A radial function of the scaled squared distance, and what is known of it."""
+    """A radial function of the scaled squared distance, 1 at distance 0."""
 
     function: callable  # may overwrite its argument
-    slope: callable  # derivative with respect to the squared distance
-    positive_definite: bool  # value 1 at distance 0, and every kernel matrix positive semidefinite
+    with_slope: callable  # the same, and its derivative with respect to the squared distance
+    positive_definite: bool = True
 
 
 KERNELS = {
-    "gaussian": Kernel(_gaussian, _gaussian_slope, True),
-    "matern32": Kernel(_matern32, _matern32_slope, True),
-    "matern52": Kernel(_matern52, _matern52_slope, True),
-    "rational_quadratic": Kernel(_rational_quadratic, _rational_quadratic_slope, True),
-    "inverse_multiquadric": Kernel(_inverse_multiquadric, _inverse_multiquadric_slope, True),
-    "multiquadric": Kernel(_multiquadric, _multiquadric_slope, False),
-    "thin_plate": Kernel(_thin_plate, _thin_plate_slope, False),
+    "gaussian": Kernel(_gaussian, _gaussian_with_slope),
+    "matern32": Kernel(_matern32, _matern32_with_slope),
+    "matern52": Kernel(_matern52, _matern52_with_slope),
+    "rational_quadratic": Kernel(_rational_quadratic, _rational_quadratic_with_slope),
+    "inverse_multiquadric": Kernel(_inverse_multiquadric, _inverse_multiquadric_with_slope),
 }
 
 

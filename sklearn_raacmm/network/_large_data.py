@@ -24,7 +24,7 @@ from sklearn_raacmm.network._training_data import (
     tail_coefficients,
     view_of,
 )
-from sklearn_raacmm.utils import one_blas_thread, refuse_huge
+from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge
 
 # Rows looked at together.
 CHUNK_ROWS = 2**16
@@ -51,7 +51,7 @@ class ArrayChunks:
     def reduce(self, function, combine, width):
         """Combine function(X, Y, weights, start) of blocks, which holds `width` numbers a row."""
         size = min(block_rows(width), CHUNK_ROWS)
-        parts = (slice(i, i + size) for i in range(0, len(self.X), size))
+        parts = chunks(len(self.X), size)
         rows = ((*(np.asarray(a[p]) for a in (self.X, self.Y, self.weights)), p) for p in parts)
         return reduce(combine, (function(X, Y, w, self.start + p.start) for X, Y, w, p in rows))
 

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.network._candidates import Features
 from sklearn_raacmm.network._center_choice import (
@@ -18,6 +17,7 @@ from sklearn_raacmm.network._center_choice import (
 )
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
 from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem, dask_chunks, is_dask
+from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._nested_fits import (
     nested_least_squares,
     penalise,
@@ -25,7 +25,7 @@ from sklearn_raacmm.network._nested_fits import (
     triangular_factor,
 )
 from sklearn_raacmm.network._training_data import merge, prepare
-from sklearn_raacmm.network._width_search import SAMPLE_ROWS, tune
+from sklearn_raacmm.network._width_search import AUTO_KERNELS, SAMPLE_ROWS, search
 from sklearn_raacmm.utils import (
     LARGEST,
     Interval,
@@ -33,7 +33,9 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     check_data,
     check_features,
+    check_fitted,
     check_weights,
+    chunks,
     fit_context,
     floats,
     one_blas_thread,
@@ -67,21 +69,23 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     with K the kernel matrix of the centres. Centres are added one at a time, each the one that
     lowers this objective most (orthogonal least squares [1]_). By default the widths
     :math:`\ell` (one a feature) and the ridge :math:`\alpha` maximise the marginal likelihood
-    of a low-rank Gaussian process [2]_ times a weak prior against narrow widths, and centres are
-    added until the network is as good as that process.
+    of a Gaussian process [2]_ less a price for every feature that is used, and centres are added
+    until the network is as good as that process. Where the data are no more probable than noise
+    alone, the network is a constant.
 
     Parameters
     ----------
     n_centers : int or "auto", default="auto"
         Number of centres. "auto" leaves it to `criterion`.
 
-    kernel : str, default="gaussian"
-        Radial function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
+    kernel : str, default="auto"
+        Radial function of the scaled distance r. "auto" takes "gaussian", or "matern52" or
+        "matern32" for rougher functions where the data are clearly more probable with them; with
+        a given `length_scale`, which is one kernel's, "gaussian".
+        "gaussian", :math:`e^{-r^2/2}`; "matern32",
         :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
         :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "rational_quadratic",
-        :math:`1 / (1 + r^2/2)`; "inverse_multiquadric", :math:`1 / \sqrt{1 + r^2}`;
-        "multiquadric", :math:`\sqrt{1 + r^2}`; "thin_plate", :math:`r^2 \log r`. The last two are
-        not positive definite: their ridge penalises :math:`w^\top w`.
+        :math:`1 / (1 + r^2/2)`; "inverse_multiquadric", :math:`1 / \sqrt{1 + r^2}`.
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width of the radial functions, in the units of X: one number, or one for each feature,
@@ -102,8 +106,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         - "posterior": stop as soon as what further centres could still gain, summed over all
           samples, is below `tol` times the noise variance times the effective number of
           parameters of the network that has all candidates: leaving them out then costs about
-          `tol` of the error that noise causes anyway. Needs `alpha` > 0 and a positive definite
-          kernel.
+          `tol` of the error that noise causes anyway. Needs `alpha` > 0.
         - "gcv": least generalised cross-validation score along the path, parameters counted
           1.5-fold. "loo": least leave-one-out error (PRESS). "bic": least Bayesian information
           criterion.
@@ -132,8 +135,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         given number of centres is then used better, at up to several times the cost.
 
     random_state : int, RandomState instance or None, default=None
-        Draws `candidates`, and the rows on which the widths are found where X has more than a few
-        thousand. Without effect on smaller problems but for ties.
+        Draws `candidates`, and the rows on which kernel, widths and ridge are found: the search
+        starts on 300 rows. With up to 300 rows it has no effect.
 
     Attributes
     ----------
@@ -152,8 +155,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
         Linear term; zero unless `degree` is 1.
 
+    kernel_ : str
+        Name of the radial function, chosen or given.
+
     length_scale_ : ndarray of shape (n_features,)
-        Width of every feature; infinite for a feature that did not vary and so is ignored.
+        Width of every feature; infinite for a feature that is ignored: it did not vary, or the
+        function's slope along it cannot be told from 0.
 
     alpha_ : float or ndarray of shape (n_outputs,)
         Ridge of every output. Outputs share widths and centres, but not their noise.
@@ -234,7 +241,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     _parameter_constraints: dict = {
         "n_centers": [Interval(Integral, 1, None, closed="left"), StrOptions({"auto"}), None],
-        "kernel": [StrOptions(set(KERNELS))],
+        "kernel": [StrOptions({"auto", *KERNELS})],
         "length_scale": [
             Interval(Real, 0, None, closed="neither"),
             StrOptions({"auto", "isotropic"}),
@@ -257,7 +264,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self,
         n_centers="auto",
         *,
-        kernel="gaussian",
+        kernel="auto",
         length_scale="auto",
         alpha="auto",
         degree=0,
@@ -314,10 +321,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         width = check_length_scale(self.length_scale, self.n_features_in_)
         check_not_too_narrow(width, problem.X)
 
-        length_scale, alpha = self._tune(problem, width, rng)
+        kernel, length_scale, alpha = self._tune(problem, width, rng)
         shift = problem.X.mean(axis=0)
         settings = Settings(
-            self.kernel,
+            kernel,
             None if self.n_centers == "auto" else self.n_centers,
             self.criterion,
             self.tol,
@@ -328,9 +335,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         )
         order, stop_reason = choose_centers(problem, alpha, shift, length_scale, settings, rng)
         Z = (problem.X[order] - shift) / length_scale
-        definite = KERNELS[self.kernel].positive_definite
-        root = psd_root(kernel_matrix(Z, Z, self.kernel)) if definite else np.eye(len(order))
-        columns = Features(Z, shift, length_scale, self.kernel)
+        root = psd_root(kernel_matrix(Z, Z, kernel))
+        columns = Features(Z, shift, length_scale, kernel)
         p = problem.n_tail
         R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
@@ -338,7 +344,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         # Only now: who interrupts a fit keeps the model of the last one.
         vars(self).pop("_posterior_", None)
-        self.length_scale_, self.criterion_path_ = length_scale, scores
+        self.kernel_, self.length_scale_, self.criterion_path_ = kernel, length_scale, scores
         self.stop_reason_ = "criterion" if reached else stop_reason
         self.n_iter_ = len(order)
         self.centers_ = problem.X[order[:k]]
@@ -391,19 +397,22 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
 
     def _tune(self, problem, width, rng):
-        """Widths, and the ridge of every output in the problem's units, found where not given."""
+        """Kernel, widths and every output's ridge in the problem's units, found where not given."""
         alpha = None if isinstance(self.alpha, str) else float(self.alpha) / problem.unit
         alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
-        if width is not None and alpha is not None:
-            return width, alphas
+        # Given widths are those of one kernel.
+        kernels = (self.kernel,) if self.kernel != "auto" else AUTO_KERNELS
+        if width is not None:
+            kernels = kernels[:1]
+            if alpha is not None:
+                return kernels[0], width, alphas
         sample = problem.sample
         view, rows = sample.view(), sample.block(slice(None))
-        tuned = tune(
-            sample.X,
-            view.of(rows)[1] / sample.root,
-            np.square(sample.root[:, 0]),
-            view.within,
-            self.kernel,
+        weights = np.square(sample.root[:, 0])
+        data = Data(sample.X, view.of(rows)[1] / sample.root, weights, view.within)
+        tuned = search(
+            data,
+            kernels,
             length_scale=width,
             isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
             alpha=None if alpha is None else alpha * problem.unit / sample.unit,
@@ -415,7 +424,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             unit = sample.X.std(axis=0)
             unit[unit == 0] = 1.0
             width = unit * leading_bits(tuned.length_scale / unit)
-        return width, alphas
+        return tuned.kernel, width, alphas
 
     def predict(self, X, return_std=False, with_noise=True):
         """Predict targets.
@@ -448,7 +457,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ValueError
             If X has another number of features than in fit, or holds NaN or infinity.
         """
-        check_is_fitted(self)
+        check_fitted(self, "coef_")
         X = check_features(self, X, dtype=np.float64, reset=False)
         n, k = len(X), len(self.centers_)
         shift = self.centers_.mean(axis=0) if k else 0.0
@@ -459,10 +468,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             mean += X @ np.atleast_2d(self.linear_coef_).T
         variance = np.zeros((n, mean.shape[1]))
         posterior = self._posterior(centers) if return_std else None
-        step = max(1, _CHUNK // max(k, 1))
-        for start in range(0, n, step):
-            part = slice(start, start + step)
-            K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel)
+        for part in chunks(n, _CHUNK // max(k, 1)):
+            K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel_)
             mean[part] += K @ coef
             if return_std:
                 variance[part] = self._variance(X[part], K, posterior, with_noise)
@@ -475,10 +482,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         """What variances are made of, kept from one call to the next but not in a file."""
         if "_posterior_" not in self.__dict__:
             p, k = len(self._tail_map), len(centers)
-            definite = KERNELS[self.kernel].positive_definite
-            K = kernel_matrix(centers, centers, self.kernel)
-            root = psd_root(K) if definite else np.eye(k)
-            outside = psd_inverse_root(K) if definite else np.empty((0, k))
+            K = kernel_matrix(centers, centers, self.kernel_)
+            root, outside = psd_root(K), psd_inverse_root(K)
             # The packed triangle is trapezoidal where there were fewer rows than columns.
             size = next(
                 m for m in range(p + k + 1) if m * (p + k) - m * (m - 1) // 2 == len(self._rows)
@@ -500,9 +505,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         prior_root, triangles = posterior
         tail = np.column_stack([np.ones(len(X)), X]) @ self._tail_map.T
         rows = np.hstack([tail, K]).T
-        outside = np.zeros(len(X))
-        if KERNELS[self.kernel].positive_definite:
-            outside = np.maximum(1 - np.square(K @ prior_root.T).sum(axis=1), 0.0)
+        outside = np.maximum(1 - np.square(K @ prior_root.T).sum(axis=1), 0.0)
         noise, signal = np.atleast_1d(self.noise_variance_), np.atleast_1d(self.signal_variance_)
         variance = np.outer(outside, signal)
         of_weights = {}

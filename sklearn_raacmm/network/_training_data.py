@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
+from sklearn_raacmm.utils import chunk_size, chunks
+
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
 SMALL_BLOCK, BLOCK = 2**19, 2**23
@@ -19,7 +21,7 @@ SMALL_BLOCK, BLOCK = 2**19, 2**23
 def block_rows(width):
     """Rows of a block that holds `width` numbers a row."""
     width = max(1, width)
-    return max(1, SMALL_BLOCK // width, min(4 * width, BLOCK // width))
+    return chunk_size(max(SMALL_BLOCK // width, min(4 * width, BLOCK // width)))
 
 
 class Block(NamedTuple):
@@ -110,9 +112,8 @@ class Problem(NamedTuple):
         width : int
             Numbers a row that the function holds in memory.
         """
-        size = block_rows(width)
-        starts = range(0, len(self.X), size)
-        return reduce(combine, (function(self.block(slice(i, i + size))) for i in starts))
+        parts = chunks(len(self.X), block_rows(width))
+        return reduce(combine, (function(self.block(part)) for part in parts))
 
 
 class Merged(NamedTuple):

@@ -1,243 +1,243 @@
-r"""Widths and ridge from the data, by the marginal likelihood of a low-rank Gaussian process.
+r"""Kernel, widths and ridge from the data, by the penalised marginal likelihood.
 
 The network with a ridge in the kernel's norm is the posterior mean of a Gaussian process whose
-noise variance is `alpha` times its signal variance. The marginal likelihood of that process on a
-few hundred inducing rows (the projected process of [1]_) is a smooth function of the logarithms of
-the widths and of `alpha`; the signal variance of every output is profiled out, so that outputs of
-any scale count alike. The inverse widths have a half-Cauchy prior, whose scale is a standard
-deviation of the feature [2]_: with few or noisy rows the likelihood alone finds narrow widths, in
-features that do not matter.
+noise variance is `alpha` times its signal variance. Its marginal likelihood is maximised in stages:
+from several starts on a few hundred rows (`_coarse`), on up to 1000 rows by the exact process
+(`_refine`), and where there are more, on up to 3000 rows by the projected one (`_extend`), each
+from where the last one has ended. A stage that the exact likelihood of other rows finds worse than
+its start is not accepted. At last the process has to be better than noise alone, and better than a
+process with one width for all features (`_accept`).
 
-References
-----------
-.. [1] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
-   2006, sections 5.4 and 8.3.
-.. [2] D. Eriksson, M. Jankowiak, "High-dimensional Bayesian optimization with sparse axis-aligned
-   subspaces", Uncertainty in Artificial Intelligence 2021.
+With few or noisy rows the likelihood alone finds narrow widths in features that do not matter. So
+every feature pays for being used, as in the Bayesian information criterion. With
+:math:`\rho` the inverse width in units of the feature's spread, :math:`s^2` the signal variance and
+n the number of observations, the penalty is
+
+.. math:: A\, q / (q + \kappa^2 / n) + \log(1 + (\rho / 0.3)^2), \qquad q = s^2 \rho^2,
+
+where q is the variance of the function's slope. A slope whose square is far above
+:math:`\kappa^2 / n`, its error from n observations, costs A, however steep it is; one that
+cannot be told from 0 costs nothing.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, blas, cholesky, lapack
+from scipy.linalg import LinAlgError
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from sklearn_raacmm.network._kernels import KERNELS, pivoted_cholesky, squared_distances
+from sklearn_raacmm.network._kernels import KERNELS, pivoted_cholesky
+from sklearn_raacmm.network._likelihood import (
+    Data,
+    exact_likelihood,
+    leave_one_out,
+    noise_likelihood,
+    projected_likelihood,
+)
 
+# Kernels that `kernel="auto"` chooses from; the first is the one to beat.
+AUTO_KERNELS = ("gaussian", "matern52", "matern32")
 ALPHA_BOUNDS = (1e-12, 1e6)
-# Below it inverses lose too many digits, and eigenvectors take their place.
-SMALL_ALPHA = 1e-5
-# Added to the inducing rows' kernel matrix for its Cholesky factor to exist: the first that does.
-JITTER = (1e-10, 1e-8, 1e-6)
-# In standard deviations of a feature: below, every sample is alone; above, the feature is ignored.
+# In spreads of a feature: below, every sample is alone; above, a function is as good as linear.
 WIDTH_BOUNDS = (1e-2, 1e3)
-# Rows of the first stage; rows and iterations of those that follow, and their inducing rows.
-COARSE_ROWS = 300
-FINE = ((1000, 40), (3000, 30), (3000, 30))
-SAMPLE_ROWS = FINE[-1][0]
-# Logarithm by which widths may fall before the inducing rows no longer do.
-MARGIN = 0.35
-INDUCING = 600
-# Nats a target value by which the coarse stage's answer has to be better than noise alone, or the
-# search starts once more: half of the variance explained.
-WEAK = 0.5 * np.log(2)
+# Rows of the first stage; of the exact process; of the projected one.
+COARSE_ROWS, EXACT_ROWS, SAMPLE_ROWS = 300, 1000, 3000
+# Iterations of the three.
+COARSE_STEPS, EXACT_STEPS, PROJECTED_STEPS = 60, 40, 30
+# Inducing rows of the projected process, and the logarithm by which widths may fall before the
+# inducing rows have to be chosen anew.
+INDUCING, MARGIN = 600, 0.35
+# Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
+# sqrt(d) spreads away; and the ridge.
+START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
+# The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
+# inverse width at which further narrowness is penalised.
+PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.7, 2.0, 20.0, 0.3
+# Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
+# few rows could not tell from noise another chance.
+REVIVED = 3.0
+# Nats, evidence and leave-one-out density together: by how much a kernel may be behind after the
+# first stage to be refined; and by how much it has to be better than the first, and any better than
+# noise.
+DOUBTFUL, KERNEL_MARGIN, NOISE_MARGIN = 10.0, 6.0, 0.0
+# Observations a feature below which one width for all features may be the better process.
+FEW = 20
+# Inducing rows, as a share of the rows, below which the projected process is the quicker one.
+CHEAP = 0.3
+# Share of its price that a feature pays below which it is left out, if that costs at most so many
+# nats; ends of a search that are the same, in nats.
+UNUSED, NEGLIGIBLE, SAME = 0.1, 0.5, 0.01
+# For a feature's spread: quantiles, and the multiple of their distance that is far outside of them.
+TENTHS, OUTLYING = (0.1, 0.9), 3.0
 
 
-class Tuned(NamedTuple):
+class Found(NamedTuple):
     """What the likelihood chose."""
 
-    length_scale: np.ndarray  # (n_features,)
-    alpha: np.ndarray  # (n_outputs,)
-    objective: float  # negative log posterior density per target value, on the rows used
-    start: float  # the same at the heuristic start
+    kernel: str
+    length_scale: np.ndarray  # (d,)
+    alpha: np.ndarray  # (q,)
+    objective: float  # negative log likelihood and penalty per target value, on the rows used
+    start: float  # the same where the last stage started
 
 
-def negative_log_likelihood(Z, X, Y, weights, n_total, within, kernel, log_width, log_alpha):
-    """Negative log marginal likelihood of the projected process, and its gradient.
+class End(NamedTuple):
+    """Where a search has ended."""
 
-    Parameters
-    ----------
-    Z : ndarray of shape (m, d)
-        Inducing rows.
-    X : ndarray of shape (n, d)
-    Y : ndarray of shape (n, q)
-        Targets without their polynomial tail.
-    weights : ndarray of shape (n,)
-    n_total : float
-        Number of observations, the sum of their weights.
-    within : ndarray of shape (q,)
-        Sum of squares that merging repeated rows took out of Y.
-    kernel : str
-    log_width : ndarray of shape (d,)
-    log_alpha : ndarray of shape (q,)
-
-    Returns
-    -------
-    value : float
-    gradient : ndarray of shape (d + q,)
-        With respect to `log_width` and `log_alpha`.
-    """
-    m, q = len(Z), Y.shape[1]
-    inverse_width = np.exp(-log_width)
-    alphas = np.exp(log_alpha)
-    function, slope, definite = KERNELS[kernel]
-    root = np.sqrt(weights)
-    Zs, Xs = Z * inverse_width, X * inverse_width
-    s_mn = squared_distances(Zs, Xs)
-    slope_mn = slope(s_mn)
-    Kw = function(s_mn) * root
-    Yw = root[:, None] * Y
-    if definite:
-        s_mm = squared_distances(Zs, Zs)
-        slope_mm = slope(s_mm)
-        L = _root(function(s_mm))
-        L_inverse = lapack.dtrtri(L, lower=1)[0]
-        # A = L^-1 Kw, as its transpose, which is in the order that BLAS wants.
-        A = blas.dtrsm(1.0, L, Kw.T, side=1, lower=1, trans_a=1).T
-    else:
-        A = Kw
-    # The derivatives (the reference's section 5.4.1) go through S = alpha Kmm + Kw Kw', whose
-    # inverse is L^-T B^-1 L^-1 with B = A A' + alpha I.
-    shrunk = _shrink_stably if alphas.min() < SMALL_ALPHA else _shrink
-    solved, log_det, trace, left, right, weighted = shrunk(A, Yw, alphas)
-    beta = L_inverse.T @ solved if definite else solved
-    residual = Yw - Kw.T @ beta
-    prior = np.square(solved).sum(axis=0)
-    # As a sum of squares, not as a difference: right to second order in what beta is off.
-    unexplained = np.square(residual).sum(axis=0) + within
-    quadratic = np.maximum(unexplained / alphas + prior, np.finfo(float).tiny)
-    scale = n_total / quadratic
-    value = 0.5 * np.sum(log_det + (n_total - m) * log_alpha + n_total * np.log(quadratic))
-    d_log_alpha = 0.5 * (alphas * trace + n_total - m + scale * (prior - quadratic))
-    G = (L_inverse.T @ left if definite else left) @ right
-    G -= (beta * (scale / alphas)) @ residual.T
-    G *= root
-    G *= slope_mn
-    gradient = _width_gradient(G, Zs, Xs)
-    if definite:
-        weighted[np.diag_indices(m)] -= q
-        H = L_inverse.T @ weighted @ L_inverse
-        H += (beta * scale) @ beta.T
-        H *= 0.5 * slope_mm
-        gradient += _width_gradient(H, Zs, Zs)
-    return value, np.append(gradient, d_log_alpha)
+    kernel: str
+    theta: np.ndarray
+    value: float  # objective, nats
+    start: float  # the same at the start
 
 
-def leave_one_out_error(X, Y, weights, kernel, log_width, log_alpha):
-    """Mean squared leave-one-out residual of the process with every row inducing.
+class Task:
+    """What is searched for, and the objective.
 
-    The arguments are as for `negative_log_likelihood`.
-    """
-    root = np.sqrt(weights)
-    Xs = X * np.exp(-log_width)
-    K = KERNELS[kernel].function(squared_distances(Xs, Xs))
-    A = (root[:, None] * K).T
-    if KERNELS[kernel].positive_definite:
-        A = blas.dtrsm(1.0, _root(K), A.T, side=1, lower=1, trans_a=1).T
-    Yw = root[:, None] * Y
-    values, vectors = np.linalg.eigh(A.T @ A)
-    error = 0.0
-    for i, alpha in enumerate(np.exp(log_alpha)):
-        # Both as parts of what the smoother leaves, lest they be differences of near equals.
-        left = alpha / (np.maximum(values, 0.0) + alpha)
-        residual = vectors @ (left * (vectors.T @ Yw[:, i]))
-        error += np.sum(np.square(residual / (np.square(vectors) @ left)))
-    return error
-
-
-def _root(K):
-    """Lower Cholesky factor of a kernel matrix that may be singular to working precision."""
-    for jitter in JITTER:
-        jittered = np.array(K, order="F")
-        jittered[np.diag_indices(len(K))] += jitter
-        root, failed = lapack.dpotrf(jittered, lower=1, clean=1, overwrite_a=1)
-        if not failed:
-            return root
-    raise LinAlgError("kernel matrix of the inducing rows is not positive definite")
-
-
-def _shrink(A, Y, alphas):
-    """What the likelihood needs of B_i = A A' + alpha_i I, by Cholesky.
-
-    Returns
-    -------
-    solved : ndarray of shape (m, q)
-        B_i^-1 A Y_i.
-    log_det, trace : ndarray of shape (q,)
-        Of B_i, and of its inverse.
-    left, right : ndarray of shape (m, m) and (m, n)
-        The product is the sum of B_i^-1 A.
-    weighted : ndarray of shape (m, m)
-        Sum of alpha_i B_i^-1.
-    """
-    m, q = len(A), len(alphas)
-    AA, AY = A @ A.T, A @ Y
-    solved, log_det, trace = np.empty((m, q)), np.empty(q), np.empty(q)
-    summed, weighted = np.zeros((m, m)), np.zeros((m, m))
-    for i, alpha in enumerate(alphas):
-        B = np.array(AA, order="F")
-        B[np.diag_indices(m)] += alpha
-        root = cholesky(B, lower=True, overwrite_a=True, check_finite=False)
-        log_det[i] = 2 * np.log(root.diagonal()).sum()
-        solved[:, i] = lapack.dpotrs(root, AY[:, i], lower=1)[0]
-        inverse = lapack.dpotri(root, lower=1, overwrite_c=1)[0]
-        lower = np.tril(inverse, -1)
-        inverse = lower + lower.T + np.diag(inverse.diagonal())
-        trace[i] = np.trace(inverse)
-        summed += inverse
-        weighted += alpha * inverse
-    return solved, log_det, trace, summed, A, weighted
-
-
-def _shrink_stably(A, Y, alphas):
-    """The same by eigenvectors, which lose nothing where alpha is small beside A A'."""
-    values, vectors = np.linalg.eigh(A @ A.T)
-    values = np.maximum(values, 0.0)
-    rotated = vectors.T @ A
-    inverse = 1 / (values[:, None] + alphas)
-    solved = vectors @ (inverse * (rotated @ Y))
-    weighted = (vectors * (inverse @ alphas)) @ vectors.T
-    log_det = -np.log(inverse).sum(axis=0)
-    left = vectors * inverse.sum(axis=1)
-    return solved, log_det, inverse.sum(axis=0), left, rotated, weighted
-
-
-def _width_gradient(G, A, B):
-    """Sum over pairs of G_ij times d s_ij / d log width, for every feature."""
-    return -2 * (
-        G.sum(axis=1) @ (A * A) + G.sum(axis=0) @ (B * B) - 2 * np.einsum("ik,ik->k", A, G @ B)
-    )
-
-
-def tune(
-    X,
-    Y,
-    weights,
-    within,
-    kernel,
-    *,
-    length_scale=None,
-    isotropic=False,
-    alpha=None,
-    random_state=None,
-):
-    """Maximise the marginal likelihood over what is not given, on few rows first, then on many.
+    The parameters theta are the logarithms of the free widths, in units of the features' spread,
+    and of the free ridges.
 
     Parameters
     ----------
-    X : ndarray of shape (n, d)
-        Distinct rows.
-    Y : ndarray of shape (n, q)
-        Targets without their polynomial tail.
-    weights : ndarray of shape (n,)
-    within : ndarray of shape (q,)
-        Sum of squares that merging repeated rows took out of Y.
-    kernel : str
+    data : Data
+    spread : ndarray of shape (d,)
+    length_scale : ndarray of shape (d,) or None
+    isotropic : bool
+    alpha : float or None
+    used : ndarray of shape (d,), optional
+        Mask of the features; the width of the others is infinite.
+    """
+
+    def __init__(self, data, spread, length_scale, isotropic, alpha, used=None):
+        self.data, self.spread, self.isotropic = data, spread, isotropic
+        self.length_scale, self.alpha = length_scale, alpha
+        d = data.X.shape[1]
+        self.used = np.ones(d, dtype=bool) if used is None else used
+        self.n_widths = 0 if length_scale is not None else 1 if isotropic else self.used.sum()
+        self.n_alphas = data.Y.shape[1] if alpha is None else 0
+        bounds = [np.log(WIDTH_BOUNDS)] * self.n_widths + [np.log(ALPHA_BOUNDS)] * self.n_alphas
+        self.bounds = np.reshape(bounds, (-1, 2))
+
+    def unpack(self, theta):
+        """Logarithms of all widths and ridges, (d,) and (q,)."""
+        if self.length_scale is None:
+            log_width = np.full(len(self.spread), np.inf)
+            log_width[self.used] = np.log(self.spread[self.used]) + theta[: self.n_widths]
+        else:
+            log_width = np.log(self.length_scale)
+        if self.n_alphas:
+            return log_width, theta[self.n_widths :]
+        alpha = max(self.alpha, ALPHA_BOUNDS[0])
+        return log_width, np.full(self.data.Y.shape[1], np.log(alpha))
+
+    def start(self, width, alpha):
+        """Theta of one width, in units of sqrt(d) spreads, and one ridge for all."""
+        log_width = np.log(width * np.sqrt(self.data.X.shape[1]))
+        return np.append(np.full(self.n_widths, log_width), np.full(self.n_alphas, np.log(alpha)))
+
+    def rows(self, rows):
+        """Data of some rows; what merging took out is shared in proportion."""
+        X, Y, weights, within = self.data
+        share = weights[rows].sum() / weights.sum()
+        return Data(X[rows], Y[rows], weights[rows], within * share)
+
+    def objective(self, theta, data, kernel, inducing=None, kappa=KAPPA):
+        """Negative log likelihood with the penalty, in nats, and its gradient."""
+        log_width, log_alpha = self.unpack(theta)
+        try:
+            if inducing is None:
+                found = exact_likelihood(data, kernel, log_width, log_alpha)
+            else:
+                found = projected_likelihood(data, inducing, kernel, log_width, log_alpha)
+        except LinAlgError:
+            return np.inf, np.zeros(len(theta))
+        gradient, of_signal = self._reduce(found.gradient), self._reduce(found.signal_gradient)
+        # A signal variance in units of an output's variance, on average over outputs.
+        q = data.Y.shape[1]
+        penalty, of_penalty = self._penalty(
+            theta[: self.n_widths], found.signal / q, of_signal / q, data.n_total, kappa
+        )
+        return found.value + penalty, gradient + of_penalty
+
+    def _reduce(self, gradient):
+        """From derivatives by (log_width, log_alpha) to those by theta."""
+        d = len(self.spread)
+        by_width = gradient[:d][self.used]
+        if self.isotropic:
+            by_width = [by_width.sum()]
+        return np.append(by_width[: self.n_widths], gradient[d:] if self.n_alphas else [])
+
+    def variant(self, **changes):
+        """The same task but for some of its parameters."""
+        names = ("data", "spread", "length_scale", "isotropic", "alpha", "used")
+        return Task(**{name: getattr(self, name) for name in names} | changes)
+
+    def _penalty(self, log_width, signal, of_signal, n_total, kappa):
+        rho2 = np.exp(-2 * log_width)
+        price = PRICE * (0.5 * np.log(n_total) + np.log(max(self.n_widths, 1)) + 1)
+        floor = kappa**2 / n_total
+        slope = signal * rho2
+        used = slope / (slope + floor)  # of every feature, between 0 and 1
+        narrow = rho2 / NARROW**2
+        value = price * used.sum() + np.log1p(narrow).sum()
+        by_slope = price * floor / (slope + floor) ** 2
+        gradient = (by_slope @ rho2) * of_signal
+        gradient[: self.n_widths] -= 2 * by_slope * slope + 2 * narrow / (1 + narrow)
+        return value, gradient
+
+    def used_share(self, end, data):
+        """How far every free width is paid for, between 0 (no slope) and 1, (n_widths,)."""
+        signal = exact_likelihood(data, end.kernel, *self.unpack(end.theta)).signal
+        slope = signal / data.Y.shape[1] * np.exp(-2 * end.theta[: self.n_widths])
+        return slope / (slope + KAPPA**2 / data.n_total)
+
+    def minimise(self, theta, rows, kernel, steps, inducing=None, kappa=KAPPA):
+        """Search from a start.
+
+        Returns
+        -------
+        End
+            Never worse than the start.
+        """
+        data, q = self.rows(rows), self.data.Y.shape[1]
+        unit = data.n_total * q
+        # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as
+        # the cost of a step allows.
+        cost = len(rows) * float(len(rows if inducing is None else inducing)) ** 2
+        nats = np.clip(1e-11 * cost, 1e-4, 1e-2)
+        values = []
+
+        def scaled(theta):
+            value, gradient = self.objective(theta, data, kernel, inducing, kappa)
+            values.append(value)
+            return value / unit, gradient / unit
+
+        theta = np.clip(theta, *self.bounds.T) if len(theta) else theta
+        if not len(theta):
+            value = scaled(theta)[0] * unit
+            return End(kernel, theta, value, value)
+        options = {"maxiter": steps, "ftol": nats / unit}
+        found = minimize(
+            scaled, theta, method="L-BFGS-B", jac=True, bounds=self.bounds, options=options
+        )
+        if not found.fun * unit < values[0]:
+            return End(kernel, theta, values[0], values[0])
+        return End(kernel, found.x, found.fun * unit, values[0])
+
+
+def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, random_state=None):
+    """Maximise the penalised likelihood over what is not given.
+
+    Parameters
+    ----------
+    data : Data
+        Of distinct rows; targets in units of their spread.
+    kernels : sequence of str
+        To choose from, the one to beat first.
     length_scale : ndarray of shape (d,), optional
         Fixed widths; found where None.
     isotropic : bool
-        One width, in units of each feature's standard deviation.
+        One width, in units of each feature's spread.
     alpha : float, optional
         Fixed ridge; found where None.
     random_state : numpy.random.RandomState
@@ -245,146 +245,203 @@ def tune(
 
     Returns
     -------
-    Tuned
+    Found
     """
-    (n, d), q = X.shape, Y.shape[1]
-    mean = np.average(X, axis=0, weights=weights)
-    spread = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weights))
-    varying = spread > 1e-13 * np.abs(mean)
+    X, Y, weights, _ = data
+    d, q = X.shape[1], Y.shape[1]
+    spread = robust_spread(X, weights)
+    varying = spread > 0
     if length_scale is None and not np.all(varying):
         # Of a feature that does not vary nothing can be learnt: it is ignored.
-        found = tune(
-            X[:, varying],
-            Y,
-            weights,
-            within,
-            kernel,
+        found = search(
+            data._replace(X=X[:, varying]),
+            kernels,
             isotropic=isotropic,
             alpha=alpha,
             random_state=random_state,
         )
-        length_scale = np.full(d, np.inf)
-        length_scale[varying] = found.length_scale
-        return found._replace(length_scale=length_scale)
-    X = X - mean
-    log_spread = np.log(np.where(varying, spread, 1.0))
-    n_widths = 0 if length_scale is not None or not d else 1 if isotropic else d
-    n_alphas = q if alpha is None else 0
-    if not q:
-        # Nothing varies, nothing can be learnt of the widths.
-        return Tuned(np.exp(log_spread) * np.sqrt(d), np.empty(0), 0.0, 0.0)
-    if not d:
-        return Tuned(np.empty(0), np.full(q, 1.0 if alpha is None else alpha), 0.0, 0.0)
-
-    def unpack(theta):
-        log_width = log_spread + theta[:n_widths] if n_widths else np.log(length_scale)
-        if n_alphas:
-            return log_width, theta[n_widths:]
-        return log_width, np.full(q, np.log(max(alpha, ALPHA_BOUNDS[0])))
-
-    def objective(theta, rows, inducing):
-        log_width, log_alpha = unpack(theta)
-        w = weights[rows]
-        n_total = w.sum()
-        share = within * (n_total / weights.sum())
-        data = X[inducing], X[rows], Y[rows], w, n_total, share
-        try:
-            value, gradient = negative_log_likelihood(*data, kernel, log_width, log_alpha)
-        except LinAlgError:
-            return np.inf, np.zeros(len(theta))
-        by_width = gradient[:d] if n_widths == d else [gradient[:d].sum()] * n_widths
-        gradient = np.append(by_width, gradient[d:] if n_alphas else [])
-        narrow = np.exp(-2 * theta[:n_widths])
-        value += np.log1p(narrow).sum()
-        gradient[:n_widths] -= 2 * narrow / (1 + narrow)
-        return value / (n_total * q), gradient / (n_total * q)
-
-    bounds = [np.log(WIDTH_BOUNDS)] * n_widths + [np.log(ALPHA_BOUNDS)] * n_alphas
-
-    def minimise(theta, rows, inducing, max_iter):
-        # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as
-        # the cost of a step allows.
-        nats = np.clip(1e-11 * len(inducing) ** 2 * len(rows), 1e-4, 1e-2)
-        options = {"maxiter": max_iter, "ftol": nats / (weights[rows].sum() * q)}
-        result = minimize(
-            objective, theta, (rows, inducing), "L-BFGS-B", jac=True, bounds=bounds, options=options
-        )
-        start = objective(theta, rows, inducing)[0]
-        return (result.x, result.fun, start) if result.fun < start else (theta, start, start)
+        width = np.full(d, np.inf)
+        width[varying] = found.length_scale
+        return found._replace(length_scale=width)
+    spread = np.where(varying, spread, 1.0)
+    if not q or not d:
+        # Nothing varies, nothing can be learnt.
+        width = spread * np.sqrt(max(d, 1)) if length_scale is None else length_scale
+        ridge = np.full(q, 1.0 if alpha is None else alpha)
+        return Found(kernels[0], width, ridge, 0.0, 0.0)
+    center = np.average(X, axis=0, weights=weights)
+    task = Task(data._replace(X=X - center), spread, length_scale, isotropic, alpha)
 
     def draw(size):
+        n = len(X)
         return np.arange(n) if n <= size else np.sort(random_state.permutation(n)[:size])
 
-    most = min(n, SAMPLE_ROWS)
-    # The whole process on few rows. Even the nearest of many neighbours is about sqrt(d) standard
-    # deviations away, so that starts are in units of it.
-    rows = draw(COARSE_ROWS)
-    starts = [
-        np.append(np.full(n_widths, np.log(c * np.sqrt(d))), np.full(n_alphas, np.log(a)))
-        for c in (0.05, 0.2, 0.5, 1.0, 2.5)
-        for a in (1e-3, 1e-1)
-    ]
+    few, many = draw(COARSE_ROWS), draw(EXACT_ROWS)
+    ends = _coarse(task, kernels, few)
+    if len(many) > len(few):
+        ends = _refine(task, ends, few, many)
+    task, end = _accept(task, ends, many)
+    task, end = _leave_out(task, end, many)
+    if len(X) > len(many) and end.theta.size:
+        end = _extend(task, end, draw)
+    unit = task.data.n_total * q
+    log_width, log_alpha = task.unpack(end.theta)
+    width, ridge = np.exp(log_width), np.exp(log_alpha)
+    if task.n_widths and task.n_alphas and len(X) > 1 and _links_nothing(X / width, end.kernel):
+        # A kernel that links no row to another is noise by another name.
+        width, ridge = spread * np.sqrt(d), np.full(q, ALPHA_BOUNDS[1])
+    return Found(end.kernel, width, ridge, end.value / unit, end.start / unit)
+
+
+def _coarse(task, kernels, rows):
+    """One end for each kernel, from several starts on few rows."""
+    data, first = task.rows(rows), kernels[0]
+    starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
+    starts.sort(key=lambda theta: task.objective(theta, data, first)[0])
     # The likelihood may have several peaks: from the two best starts that differ in width.
-    starts.sort(key=lambda theta: objective(theta, rows, rows)[0])
-    second = [theta for theta in starts if n_widths and theta[0] != starts[0][0]][:1]
-    ends = [minimise(theta, rows, rows, 60) for theta in [starts[0], *second]]
-    if q > 1 and len(ends) > 1:
+    second = [t for t in starts if task.n_widths and t[0] != starts[0][0]][:1]
+    found = [
+        task.minimise(t, rows, first, COARSE_STEPS, kappa=LOOSE_KAPPA) for t in (starts[0], *second)
+    ]
+    if len(found) > 1 and abs(found[1].value - found[0].value) < SAME:
+        found = found[:1]
+    ends = [task.minimise(end.theta, rows, first, COARSE_STEPS) for end in found]
+    if data.Y.shape[1] > 1 and len(ends) > 1:
         # The likelihood may give up one output for the others' sake; the error of prediction,
         # averaged over outputs, does not.
-        data = X[rows], Y[rows], weights[rows], kernel
-        ends.sort(key=lambda end: leave_one_out_error(*data, *unpack(end[0])))
+        ends.sort(key=lambda e: leave_one_out(data, first, *task.unpack(e.theta)).squared_error)
     else:
-        ends.sort(key=lambda end: end[1])
-    theta, value, start = ends[0]
-    nothing = np.append(theta[:n_widths], np.full(n_alphas, np.log(ALPHA_BOUNDS[1])))
-    unclear = n_widths and n > len(rows) and objective(nothing, rows, rows)[0] - value < WEAK
+        ends.sort(key=lambda end: end.value)
+    others = [task.minimise(ends[0].theta, rows, k, COARSE_STEPS) for k in kernels[1:]]
+    return [ends[0], *others]
 
-    def improve(theta, rows, max_iter):
-        # Rows that would do for narrower widths too, lest the widths be held where they are, and
-        # so many that what they leave unexplained is small beside the noise.
-        log_width, log_alpha = unpack(theta)
-        tol = min(0.03 * np.exp(log_alpha.min()), 1e-2)
-        inducing = _inducing(X, rows, np.exp(log_width - MARGIN), kernel, tol)
-        return minimise(theta, rows, inducing, max_iter)
 
-    for size, max_iter in FINE if n > len(rows) else ():
-        before, rows = theta, draw(size)
-        theta, value, start = improve(theta, rows, max_iter)
-        if unclear:
-            # What few rows could not tell from noise: once more from a wide start on many.
-            wide = np.append(
-                np.full(n_widths, np.log(2.5 * np.sqrt(d))), np.full(n_alphas, np.log(0.1))
-            )
-            other = improve(wide, rows, max_iter)[0]
-            other, at_other, from_other = improve(other, rows, max_iter)
-            if at_other < value:
-                theta, value, start = other, at_other, from_other
-            unclear = False
-        # The inducing rows did for what has been found, unless a width fell by more than they
-        # allow for. Widths of ignored features drift without effect.
-        fell = np.append(before[:n_widths] < np.log(20), [True] * n_alphas) * (before - theta)
-        if len(rows) == most and not np.any(fell > MARGIN):
+def _score(task, end, data):
+    """Nats by which ends are compared: evidence, and leave-one-out density.
+
+    Evidence alone believes a wrong process too long, leave-one-out predictions alone are noisy.
+    """
+    return end.value + leave_one_out(data, end.kernel, *task.unpack(end.theta)).negative_log_density
+
+
+def _refine(task, ends, few, rows):
+    """The ends of the kernels that may be the best, on more rows."""
+    data = task.rows(few)
+    scores = np.array([_score(task, end, data) for end in ends])
+    refined = []
+    for end in (end for end, s in zip(ends, scores, strict=True) if s <= scores.min() + DOUBTFUL):
+        theta = end.theta.copy()
+        cap = np.log(REVIVED * np.sqrt(len(task.spread)))
+        theta[: task.n_widths] = np.minimum(theta[: task.n_widths], cap)
+        # The projected process is as good and quicker where few rows tell all of a smooth one.
+        Z = _inducing(task, theta, rows, end.kernel)
+        inducing = Z if len(Z) < CHEAP * len(rows) else None
+        refined.append(task.minimise(theta, rows, end.kernel, EXACT_STEPS, inducing=inducing))
+    return refined
+
+
+def _accept(task, ends, rows):
+    """The best kernel, if it is better than one width for all features and than noise alone."""
+    data = task.rows(rows)
+    scores = [_score(task, end, data) for end in ends]
+    scores[1:] = [s + KERNEL_MARGIN for s in scores[1:]]
+    best = int(np.argmin(scores))
+    end, score = ends[best], scores[best]
+    noise = noise_likelihood(data) + _noise_density(data)
+    few = data.n_total < FEW * task.n_widths
+    if task.n_alphas and task.n_widths > 1 and few:
+        other = task.variant(isotropic=True)
+        found = _coarse(other, [end.kernel], rows)[0]
+        value = _score(other, found, data)
+        if value < score:
+            task, end, score = other, found, value
+    # Leave-one-out predictions are fooled where the kernel links a few pairs of rows only.
+    worse = noise < score or noise_likelihood(data) < end.value + NOISE_MARGIN
+    if task.n_alphas and task.n_widths and worse:
+        theta = task.start(1.0, ALPHA_BOUNDS[1])
+        task = task.variant(
+            length_scale=np.exp(task.unpack(theta)[0]), isotropic=False, alpha=ALPHA_BOUNDS[1]
+        )
+        end = End(end.kernel, np.empty(0), noise_likelihood(data), end.start)
+    return task, end
+
+
+def _noise_density(data):
+    """Leave-one-out density where all is noise, as `leave_one_out` gives it."""
+    square = data.weights[:, None] * np.square(data.Y)
+    variance = np.maximum((square.sum(axis=0) + data.within) / data.n_total, 1e-300)
+    return 0.5 * np.sum(square / variance + np.log(variance))
+
+
+def _leave_out(task, end, rows):
+    """Features whose slope cannot be told from 0 are left out: their width becomes infinite."""
+    if not task.n_widths or task.isotropic:
+        return task, end
+    data = task.rows(rows)
+    # A feature in which the function is linear may be as wide, but has a slope.
+    out = task.used_share(end, data) < UNUSED
+    if not np.any(out) or np.all(out):
+        return task, end
+    other = task.variant(used=~out)
+    theta = end.theta[np.append(~out, np.ones(task.n_alphas, dtype=bool))]
+    value = other.objective(theta, data, end.kernel)[0]
+    if value > task.objective(end.theta, data, end.kernel)[0] + NEGLIGIBLE:
+        return task, end
+    return other, end._replace(theta=theta, value=value)
+
+
+def _extend(task, end, draw):
+    """The projected process on more rows than the exact one can take."""
+    rows, others = draw(SAMPLE_ROWS), task.rows(draw(EXACT_ROWS))
+    for _ in range(2):
+        Z = _inducing(task, end.theta, rows, end.kernel)
+        found = task.minimise(end.theta, rows, end.kernel, PROJECTED_STEPS, inducing=Z)
+        before, after = (task.objective(e.theta, others, end.kernel)[0] for e in (end, found))
+        if after > before:
             break
-    log_width, log_alpha = unpack(theta)
-    if n_widths and n_alphas and n > 1 and _links_nothing(X / np.exp(log_width), kernel):
-        # A kernel that links no row to another is noise by another name.
-        log_width = log_spread + 0.5 * np.log(d)
-        log_alpha = np.full(q, np.log(ALPHA_BOUNDS[1]))
-    return Tuned(np.exp(log_width), np.exp(log_alpha), float(value), float(start))
+        fell = end.theta - found.theta
+        end = found
+        # The inducing rows did for what has been found, unless a width fell by more than they
+        # allow for.
+        if not np.any(fell > MARGIN):
+            break
+    return end
+
+
+def robust_spread(X, weights):
+    """Standard deviation of every feature, values far out taken as the limit of what is not.
+
+    One sentinel value (9999 for a missing number) would otherwise set the scale of all.
+
+    Returns
+    -------
+    ndarray of shape (d,)
+        0 for a feature that does not vary.
+    """
+    low, high = np.quantile(X, TENTHS, axis=0, weights=weights, method="inverted_cdf")
+    far = OUTLYING * (high - low)
+    inside = np.where(far > 0, np.clip(X, low - far, high + far), X)
+    mean = np.average(inside, axis=0, weights=weights)
+    spread = np.sqrt(np.average((inside - mean) ** 2, axis=0, weights=weights))
+    spread[spread <= 1e-13 * np.abs(inside).max(axis=0, initial=0.0)] = 0.0
+    return spread
 
 
 def _links_nothing(Z, kernel):
     """Whether the kernel is all but 0 between most rows and their nearest neighbours."""
-    if not KERNELS[kernel].positive_definite:
-        return False
     some = Z[:: max(1, len(Z) // 1000)]
     nearest = cKDTree(Z).query(some, k=2)[0][:, 1]
     return np.median(KERNELS[kernel].function(nearest**2)) < 1e-3
 
 
-def _inducing(X, rows, length_scale, kernel, tol):
-    """Rows that the kernel spreads best: the first pivots of its Cholesky factor."""
-    if not KERNELS[kernel].positive_definite:
-        kernel = "gaussian"
-    factor = pivoted_cholesky(X[rows] / length_scale, kernel, tol=tol, max_rank=INDUCING)
-    return rows[factor.pivots]
+def _inducing(task, theta, rows, kernel):
+    """Rows that the kernel spreads best: the first pivots of its Cholesky factor.
+
+    They would do for narrower widths too, lest the widths be held where they are, and are so many
+    that what they leave unexplained is small beside the noise.
+    """
+    log_width, log_alpha = task.unpack(theta)
+    X = task.data.X[rows]
+    tol = min(0.03 * np.exp(log_alpha.min()), 1e-2)
+    factor = pivoted_cholesky(X / np.exp(log_width - MARGIN), kernel, tol=tol, max_rank=INDUCING)
+    return X[factor.pivots]

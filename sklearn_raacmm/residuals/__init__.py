@@ -6,21 +6,22 @@
 from sklearn_raacmm.residuals._cylindrical import (
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
+    direction_of,
     position_residuals,
     std_to_cartesian,
     to_cartesian,
     to_cylindrical,
 )
-from sklearn_raacmm.residuals._pose_features import MIN_LENGTH_MM, PoseFeatures, pose_columns
+from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
 
 __all__ = [
-    "MIN_LENGTH_MM",
     "NORM_TOLERANCE",
     "CylindricalResidualTarget",
     "PoseFeatures",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
+    "direction_of",
     "pose_columns",
     "position_residuals",
     "std_to_cartesian",

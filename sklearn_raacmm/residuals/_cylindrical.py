@@ -189,6 +189,16 @@ def _check_vectors(vectors):
     return vectors
 
 
+def direction_of(x, y):
+    """Cosine and sine of the azimuth of points; (1, 0) on the axis itself, as arctan2 has it."""
+    radius = np.hypot(x, y)
+    if radius.min(initial=np.inf) > 0:
+        return x / radius, y / radius
+    on_axis = radius == 0
+    radius[on_axis] = 1.0
+    return np.where(on_axis, 1.0, x / radius), y / radius
+
+
 def to_cylindrical(vectors, direction):
     cos, sin = direction
     x, y, z = vectors.T

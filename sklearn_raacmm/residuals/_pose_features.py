@@ -7,21 +7,23 @@ here are reconstructions, checked numerically.
 
 import numpy as np
 from sklearn.base import TransformerMixin
-from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns, probe_of
+from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, carried, check_angles, dh_theta, probe_points
 from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     check_feature_names_in,
     check_features,
+    check_fitted,
+    chunks,
     fit_context,
+    whole_fit,
 )
 
-# Frames take 96 bytes a joint and row; a batch of them stays within a few megabytes.
-_BATCH_ROWS = 8192
-# A nanometre: below it a direction is made of rounding, on any arm.
-MIN_LENGTH_MM = 1e-6
+# Rows computed at once: sines, cosines and points of a batch (about 200 bytes per row) stay in a
+# core's cache.
+_BATCH_ROWS = 4096
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 class PoseFeatures(TransformerMixin, VersionedEstimator):
@@ -111,6 +113,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         self.append_azimuth = append_azimuth
 
     @fit_context(prefer_skip_nested_validation=True)
+    @whole_fit
     def fit(self, X, y=None):
         """Check the number of joints; there is nothing to learn.
 
@@ -161,28 +164,28 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             If the wrist lies on the shoulder, which leaves `theta_dis` undefined, or, with
             `append_azimuth`, the probe on the base axis, which leaves its azimuth undefined.
         """
-        check_is_fitted(self)
+        check_fitted(self, "arm_")
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
-        for start in range(0, len(X), _BATCH_ROWS):
-            rows = slice(start, start + _BATCH_ROWS)
-            features[rows] = self._features(X[rows].astype(np.float64, copy=False), start)
+        # All rows at once: a unit cannot be told from some of them.
+        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=4)
+        for rows in chunks(len(X), _BATCH_ROWS):
+            for i, column in enumerate(self._columns(angles[rows], rows.start)):
+                features[rows, i] = column
         return features
 
-    def _features(self, X, first_row):
-        # The angles as they are: degrees taken for radians are warned of.
-        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=5)
-        if self.joints == "pose" or self.append_azimuth:
-            frames = frame_columns(self.arm_, dh_theta(self.arm_, angles))
-        if self.joints == "all":
-            columns = list(angles.T)
-        else:
-            columns = pose_columns(self.arm_, angles, frames, first_row)
+    def _columns(self, angles, first_row):
+        """Features of some rows of angles in rad, one array (n,) for each."""
+        columns, probe = list(angles.T), None
+        if self.joints == "pose":
+            columns, probe = pose_columns(self.arm_, angles, first_row)
+        elif self.append_azimuth:
+            probe = probe_points(self.arm_, dh_theta(self.arm_, angles))
         if self.encoding == "periodic":
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
-            columns += list(_azimuth_direction(probe_of(self.arm_, frames), first_row))
-        return np.stack(columns, axis=1)
+            columns += _checked_direction(probe, first_row)
+        return columns
 
     def get_feature_names_out(self, input_features=None):
         """Get the names of the features.
@@ -198,7 +201,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             `theta3`, `theta4`, `theta_dis` by the numbers of the arm's joints, or these with
             `_cos` and `_sin` for the periodic encoding.
         """
-        check_is_fitted(self)
+        check_fitted(self, "arm_")
         check_feature_names_in(self, input_features)
         return np.asarray(self._names(), dtype=object)
 
@@ -217,11 +220,34 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         return tags
 
 
-def pose_columns(arm, angles, frames, first_row=0):
-    """The pose's joint angles and theta_dis, each (n,), from angles and `frame_columns`."""
+def pose_columns(arm, angles, first_row=0):
+    """Compute the pose and the probe together: the sines and cosines of the joints serve both.
+
+    Parameters
+    ----------
+    arm : Arm
+    angles : ndarray of shape (n, n_joints)
+        Joint angles in rad, checked before.
+    first_row : int
+        Number of the first row, for messages.
+
+    Returns
+    -------
+    columns : list of ndarray of shape (n,)
+        The angles of the pose's joints and theta_dis, in rad.
+    probe : ndarray of shape (3, n)
+        Probe points in mm.
+
+    Raises
+    ------
+    ValueError
+        If the wrist lies on the shoulder.
+    """
     shoulder, wrist = arm.pose_frames
-    theta_dis = _elevation(frames[wrist, 3] - frames[shoulder, 3], arm.pose_frames, first_row)
-    return [angles[:, joint - 1] for joint in arm.pose_joints] + [theta_dis]
+    fixed = [(shoulder, _ORIGIN), (wrist, _ORIGIN), (arm.n_joints, arm.probe.tolist())]
+    start, end, probe = carried(arm, dh_theta(arm, angles), fixed)
+    theta_dis = _elevation(end - start, arm.pose_frames, first_row)
+    return [angles[:, joint - 1] for joint in arm.pose_joints] + [theta_dis], probe
 
 
 def _elevation(line, pose_frames, first_row=0):
@@ -229,7 +255,7 @@ def _elevation(line, pose_frames, first_row=0):
     x, y, z = line
     reach = np.hypot(x, y)
     length = np.hypot(reach, z)
-    if length.min(initial=np.inf) < MIN_LENGTH_MM:
+    if length.min() < MIN_LENGTH_MM:
         short = np.flatnonzero(length < MIN_LENGTH_MM)
         shoulder, wrist = pose_frames
         raise ValueError(
@@ -239,11 +265,11 @@ def _elevation(line, pose_frames, first_row=0):
     return np.arctan2(z, reach)
 
 
-def _azimuth_direction(points, first_row=0):
-    """Cosine and sine of the azimuth of points (3, n) about the base axis."""
+def _checked_direction(points, first_row=0):
+    """Cosine and sine of the azimuth of points (3, n) about the base axis, which has to exist."""
     x, y, _ = points
     radius = np.hypot(x, y)
-    if radius.min(initial=np.inf) < MIN_LENGTH_MM:
+    if radius.min() < MIN_LENGTH_MM:
         on_axis = np.flatnonzero(radius < MIN_LENGTH_MM)
         raise ValueError(
             f"The azimuth is undefined: the probe lies on the base axis, first in row "

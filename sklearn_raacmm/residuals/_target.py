@@ -17,9 +17,11 @@ from sklearn.base import RegressorMixin, clone
 from sklearn.linear_model import LinearRegression
 from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import validate_data
 
+from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.residuals._cylindrical import (
+    direction_of,
     std_to_cartesian,
     to_cartesian,
     to_cylindrical,
@@ -29,11 +31,14 @@ from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     check_feature_names,
+    check_fitted,
     check_n_features,
     fit_context,
+    is_plain,
     refuse_disguised,
     refuse_huge,
     safe_indexing,
+    whole_fit,
 )
 
 # A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
@@ -137,6 +142,8 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         self.azimuth = azimuth
 
     @fit_context(prefer_skip_nested_validation=False)
+    @whole_fit
+    @one_warning()
     def fit(self, X, y, **fit_params):
         """Fit the regressor on the residuals in the cylindrical frame.
 
@@ -189,9 +196,20 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             y = to_cylindrical(y, direction)
         if get_config()["enable_metadata_routing"]:
             fit_params = process_routing(self, "fit", **fit_params).regressor.fit
-        self.regressor_ = clone(self._get_regressor()).fit(features, y, **fit_params)
+        self.regressor_ = clone(self._get_regressor())
+        try:
+            self.regressor_.fit(features, y, **fit_params)
+        except ValueError as error:
+            if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
+                raise
+            raise ValueError(
+                f"{type(self.regressor_).__name__} learns one target at a time, but y has "
+                f"{y.shape[1]} columns: wrap the last estimator of it in "
+                f"sklearn.multioutput.MultiOutputRegressor. ({error})"
+            ) from error
         return self
 
+    @one_warning()
     def predict(self, X, **predict_params):
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
@@ -214,19 +232,19 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             are rotated as those of independent radial, tangential and axial components, which is
             how scikit-learn's Gaussian process predicts them.
         """
-        if "regressor_" not in vars(self):  # first, for it costs less than to ask for all tags
-            check_is_fitted(self)
+        check_fitted(self, "regressor_")
         if predict_params.get("return_cov"):
             raise ValueError(
                 "return_cov=True is not supported: a covariance between rows would have to be "
                 "turned by two azimuths at once. Use return_std=True."
             )
-        refuse_disguised("X", X)
-        if getattr(X, "ndim", 2) == 1:
-            check_array(X, estimator=self)  # for its sentence on how to reshape
-        # What validate_data does without checking the array, but for the tags of all steps within.
-        check_feature_names(self, X, reset=False)
-        check_n_features(self, X, reset=False)
+        if not is_plain(self, X):
+            refuse_disguised("X", X)
+            if getattr(X, "ndim", 2) == 1:
+                check_array(X, estimator=self)  # for its sentence on how to reshape
+            # As validate_data, which would also check the array and collect the tags of all steps.
+            check_feature_names(self, X, reset=False)
+            check_n_features(self, X, reset=False)
         features, direction = self._split(X)
         if get_config()["enable_metadata_routing"]:
             predict_params = process_routing(self, "predict", **predict_params).regressor.predict
@@ -248,6 +266,10 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
                     return X[:, :-2], (tail[:, 0], tail[:, 1])
             direction = _appended_direction(X)
             return safe_indexing(X, slice(None, -2), axis=1), direction
+        if self._rotates and getattr(self.azimuth, "__func__", None) is Arm.azimuth:
+            # The method of an arm: the direction of its points, without the angle in between.
+            x, y, _ = self.azimuth.__self__.forward(X).T
+            return X, direction_of(x, y)
         if self._rotates:
             azimuth = check_array(
                 self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"

@@ -7,15 +7,19 @@ from sklearn_raacmm.utils._checks import (
     LARGEST,
     check_data,
     check_features,
+    check_fitted,
     check_option,
     check_points,
     check_weights,
+    check_whole_number,
     floats,
+    is_plain,
     refuse_disguised,
     refuse_huge,
     refuse_masked,
     show,
 )
+from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import write_whole
 from sklearn_raacmm.utils._groups import (
     centred,
@@ -26,6 +30,8 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     group_weights,
 )
+from sklearn_raacmm.utils._html import html_table
+from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
     Interval,
@@ -39,6 +45,7 @@ from sklearn_raacmm.utils._sklearn import (
     validate_params,
 )
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
+from sklearn_raacmm.utils._whole_fit import whole_fit
 
 __all__ = [
     "LARGEST",
@@ -52,11 +59,15 @@ __all__ = [
     "check_feature_names",
     "check_feature_names_in",
     "check_features",
+    "check_fitted",
     "check_groups",
     "check_n_features",
     "check_option",
     "check_points",
     "check_weights",
+    "check_whole_number",
+    "chunk_size",
+    "chunks",
     "deviations_by_group",
     "encode_groups",
     "fit_context",
@@ -64,12 +75,16 @@ __all__ = [
     "group_means",
     "group_sums",
     "group_weights",
+    "html_table",
+    "is_plain",
     "one_blas_thread",
     "refuse_disguised",
     "refuse_huge",
     "refuse_masked",
     "safe_indexing",
     "show",
+    "stage",
     "validate_params",
+    "whole_fit",
     "write_whole",
 ]

@@ -3,10 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
+
 import numpy as np
 from scipy.sparse import issparse
 from sklearn.utils import check_array
-from sklearn.utils.validation import validate_data
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm.utils._sklearn import check_sample_weight
 
@@ -53,13 +55,18 @@ def _kinds(value):
 
 def refuse_huge(name, array):
     """Refuse numbers whose squares overflow, and what is not a number at all."""
-    largest = max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
+    largest = _largest(array)
     if largest <= LARGEST:  # false for NaN
         return
     n_bad = np.sum(~np.isfinite(array))
     if n_bad:
         raise ValueError(f"{name} holds {n_bad} values that are missing, NaN or infinity.")
     raise ValueError(f"{name} holds {largest:g}: numbers above {LARGEST:g} are refused.")
+
+
+def _largest(array):
+    """Largest absolute value; NaN where there is one. In two passes, and no mask of that size."""
+    return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
 
 
 def floats(name, value):
@@ -79,12 +86,38 @@ def floats(name, value):
     raise ValueError(f"{name} must hold numbers, got {show(value)}.")
 
 
+def check_fitted(estimator, attribute):
+    """scikit-learn's `check_is_fitted`, asked only where the fitted attribute is missing.
+
+    It collects the tags of all steps first, which takes longer than the prediction of one row.
+    """
+    if attribute not in vars(estimator):
+        check_is_fitted(estimator)
+
+
 def check_features(estimator, X, **options):
     """scikit-learn's check of X, and ours."""
+    if options.get("reset") is False and is_plain(estimator, X) and _largest(X) <= LARGEST:
+        return X
     refuse_disguised("X", X)
     X = validate_data(estimator, X, **options)
     refuse_huge("X", X)
     return X
+
+
+def is_plain(estimator, X):
+    """Whether X is an array as in `fit`, of which only the values remain to be checked.
+
+    scikit-learn's own checks take several times as long as the prediction of one row.
+    """
+    return (
+        type(X) is np.ndarray
+        and X.dtype == np.float64
+        and "feature_names_in_" not in vars(estimator)
+        and X.ndim == 2
+        and len(X) > 0
+        and X.shape[1] == estimator.n_features_in_
+    )
 
 
 def check_data(estimator, X, y):
@@ -113,6 +146,15 @@ def check_option(name, value, options):
     """Refuse what is not one of the options."""
     if not (value is None or isinstance(value, str)) or value not in options:
         raise ValueError(f"{name}={value!r} is not one of {', '.join(map(repr, options))}.")
+
+
+def check_whole_number(name, value, low, high=None):
+    """Refuse what is not a whole number from `low` to `high`, without an upper bound if None."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or value < low or (high is not None and value > high):
+        bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{name} must be a whole number {bounds}, got {show(value)}.")
+    return int(value)
 
 
 def check_points(points, n_coordinates=None):

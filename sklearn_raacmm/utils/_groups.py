@@ -8,8 +8,8 @@ from scipy.sparse import csc_array
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
 
-# What stands for a missing label in a list or table of text.
-_MISSING = ("", "nan", "NaN", "None", "NaT", "<NA>")
+# How a missing label that is no text prints: NaN, None, and those of pandas.
+_MISSING = ("nan", "None", "NaT", "<NA>")
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -20,7 +20,8 @@ def encode_groups(groups, n_samples=None):
     Parameters
     ----------
     groups : array-like of shape (n_samples,)
-        One label for each row: numbers or text.
+        One label for each row: numbers or text. The texts "nan" and "None" are labels as any
+        others; an empty text, NaN, None and pandas' NA are missing.
     n_samples : int, default=None
         Number of rows that the labels have to match. None: any number.
 
@@ -39,21 +40,10 @@ def encode_groups(groups, n_samples=None):
     if groups is None:
         raise ValueError("groups must give the position of each point, got None.")
     refuse_masked("groups", groups)
-    groups = np.asarray(groups)
-    if groups.ndim == 2 and groups.shape[1] == 1:  # a column of a table
-        groups = groups.ravel()
-    if groups.ndim != 1:
-        raise ValueError(
-            f"groups must be one label per point, got an array of shape {groups.shape}."
-        )
+    groups = _labels(groups)
     if n_samples is not None and len(groups) != n_samples:
         raise ValueError(f"groups names {len(groups)} samples, but there are {n_samples}.")
-    if groups.dtype.kind == "f":
-        missing = np.isnan(groups)
-    elif groups.dtype.kind in "iub":
-        missing = np.zeros(len(groups), dtype=bool)
-    else:  # as text: a list of names with a NaN among them is an array of text by now
-        missing = np.isin(groups.astype(str), _MISSING)
+    missing = _missing(groups)
     if missing.any():
         raise ValueError(
             f"groups has {missing.sum()} missing labels among {groups.size} "
@@ -66,6 +56,48 @@ def encode_groups(groups, n_samples=None):
         raise ValueError(
             f"groups must be labels of one kind, got {' and '.join(kinds)} mixed."
         ) from None
+
+
+def _labels(groups):
+    """Labels as an array of one dimension, in which what is missing can be told from text."""
+    try:
+        array = np.asarray(groups)
+        if array.dtype.kind == "U" and not isinstance(groups, np.ndarray):
+            # NumPy writes the NaN and the numbers of a list that holds text as text, too.
+            objects = np.array(groups, dtype=object)
+            if not all(isinstance(label, str) for label in objects.flat):
+                array = objects
+    except ValueError:
+        raise ValueError(
+            "groups must be one label per point, got sequences of different lengths."
+        ) from None
+    if array.ndim == 2 and array.shape[1] == 1:  # a column of a table
+        array = array.ravel()
+    has_parts = array.dtype.kind == "O" and any(
+        np.iterable(label) and not isinstance(label, str | bytes) for label in array.flat
+    )
+    if array.ndim != 1 or has_parts:
+        got = "sequences" if has_parts else f"an array of shape {array.shape}"
+        raise ValueError(
+            f"groups must be one label per point, got {got}. Of labels that have several parts, "
+            "make one text each."
+        )
+    return array
+
+
+def _missing(labels):
+    """Which labels are missing."""
+    if labels.dtype.kind in "iub":
+        return np.zeros(len(labels), dtype=bool)
+    if labels.dtype.kind == "f":
+        return np.isnan(labels)
+    if labels.dtype.kind in "mM":
+        return np.isnat(labels)
+    if labels.dtype.kind in "US":
+        return labels == labels.dtype.type()
+    return np.array(
+        [x == "" if isinstance(x, str) else str(x) in _MISSING for x in labels], dtype=bool
+    )
 
 
 def group_sums(values, codes, weights=None, n_groups=None):

@@ -2,6 +2,7 @@ import copy
 import json
 import pickle
 import warnings
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -277,6 +278,8 @@ def test_bad_angles_get_one_clear_sentence(angles, message):
         ({"pose_joints": (3, 7)}, r"pose_joints must be two different whole numbers from 1 to 6"),
         ({"pose_joints": (3.5, 4)}, r"got \(3\.5, 4\)"),
         ({"pose_frames": (2, 2)}, r"pose_frames .* from 0 to 6, got \(2, 2\)"),
+        (dict.fromkeys(("a", "d"), np.zeros(6)) | {"probe": (0, 0, 0)}, "no length above 1e-06 mm"),
+        (dict.fromkeys(("a", "d"), 1e-200 * np.ones(6)) | {"probe": (0, 0, 0)}, "no length above"),
         ({"name": 3}, "name must be a string"),
         ({"name": "half \ud800"}, "whole characters"),
         ({"name": "\udfff"}, "whole characters"),
@@ -285,6 +288,11 @@ def test_bad_angles_get_one_clear_sentence(angles, message):
 def test_bad_tables_get_one_clear_sentence(changes, message):
     with pytest.raises(ValueError, match=message):
         Arm.from_name("aacmm6").replace(**changes)
+
+
+def test_a_built_in_arm_under_a_name_of_ones_own():
+    arm = Arm.from_name("panda", name="mine")
+    assert (arm.name, arm.replace(name="panda")) == ("mine", Arm.from_name("panda"))
 
 
 def test_unknown_names():
@@ -318,10 +326,10 @@ def test_arm_is_a_value():
 
 
 def test_arm_does_not_follow_its_arguments():
-    a = np.zeros(6)
+    a = np.ones(6)
     arm = Arm(a, np.zeros(6), np.zeros(6))
-    a[0] = 1
-    assert arm.a[0] == 0
+    a[0] = 2
+    assert arm.a[0] == 1
 
 
 @pytest.mark.parametrize(
@@ -428,8 +436,72 @@ def test_bad_json_gets_one_clear_sentence(change, message, tmp_path):
     assert "arm.json" in str(error.value)
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        str.encode,
+        lambda text: ("\ufeff" + text).encode(),
+        lambda text: "\ufeff" + text,
+        lambda text: " \n" + text,
+        json.loads,
+    ],
+    ids=["bytes", "bytes with a mark", "a byte-order mark", "white space", "dict"],
+)
+def test_forms_of_json(form, tmp_path):
+    arm = Arm.from_name("ur10", name="Prüfarm")
+    source = form(arm.to_json())
+    assert Arm.from_json(source) == arm
+    if not isinstance(source, dict):
+        path = tmp_path / "arm.json"
+        path.write_bytes(source.encode() if isinstance(source, str) else source)
+        assert Arm.from_json(path) == arm
+
+
 def test_what_is_not_json(tmp_path):
-    with pytest.raises(ValueError, match="not valid JSON"):
-        Arm.from_json("{")
+    for text in ("{", b"\xff\xfe{", b"{}x"):
+        with pytest.raises(ValueError, match="the JSON text is not valid JSON"):
+            Arm.from_json(text)
+    with pytest.raises(IsADirectoryError, match="is a folder; the JSON file in it"):
+        Arm.from_json(tmp_path)
+    for source in (None, 3, ["a"]):
+        with pytest.raises(TypeError, match=f"got {type(source).__name__}"):
+            Arm.from_json(source)
     with pytest.raises(FileNotFoundError):
         Arm.from_json(tmp_path / "none.json")
+
+
+# -- units that are most likely wrong --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["forward", "frames", "jacobian", "azimuth"])
+def test_radians_given_as_degrees_are_warned_of(method):
+    arm = Arm.from_name("panda")
+    angles = np.random.default_rng(0).uniform(-3, 3, (20, 7))
+    with pytest.warns(UserWarning, match=r'reach 2.9\d+ only \(joint \d\): .* angle_unit="rad"'):
+        wrong = getattr(arm, method)(angles, angle_unit="deg")
+    np.testing.assert_array_equal(wrong, getattr(arm, method)(np.deg2rad(angles)))
+
+
+@pytest.mark.parametrize(
+    "angles",
+    [
+        np.eye(6) * [[3.0], [0.1], [0.1], [0.1], [0.1], [0.1]],  # one joint swings, the rest stand
+        np.array([[6.3, 1.0, 1.0, 1.0, 1.0, 1.0]]),
+        np.full((3, 6), 0.2),
+        np.empty((0, 6)),
+    ],
+)
+def test_small_degrees_are_degrees(angles):
+    arm = Arm.from_name("ur10")
+    expected = arm.forward(np.deg2rad(angles))
+    np.testing.assert_array_equal(arm.forward(angles, angle_unit="deg"), expected)
+
+
+def test_html_of_an_arm_is_a_table_of_its_joints_in_which_nothing_runs():
+    arm = Arm.from_name("panda", name="<script>alert(1)</script>")
+    text, table = ElementTree.fromstring(arm._repr_html_())  # well-formed, and no other element
+    assert text.text == repr(arm)
+    cells = [[cell.text for cell in row] for row in table]
+    assert cells[0] == ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
+    expected = [np.arange(1, 8), arm.joint_signs, arm.a, np.rad2deg(arm.alpha), arm.d, np.zeros(7)]
+    assert_allclose(np.array(cells[1:], dtype=float), np.transpose(expected), atol=1e-4)

@@ -124,13 +124,24 @@ def test_corrections_fade_away_from_the_data(cones):
     theta, y, _, _ = cones
     model = small(use="harmonics+network").fit(theta, y)
     free = clone(model).set_params(fade=0).fit(theta, y)
-    length, whole = (np.linalg.norm(m.predict(theta + 1.5), axis=1) for m in (model, free))
-    assert_allclose(model.fading(theta + 1.5), np.minimum(length / whole, 1), rtol=1e-6)
+    shares = [
+        fading.share(std)
+        for fading, (_, std) in zip(
+            model.fadings_,
+            [
+                model.linear_model_.predict(theta, return_std=True),
+                model.network_.predict(theta, return_std=True, with_noise=False),
+            ],
+            strict=True,
+        )
+    ]
+    assert_allclose(model.fading(theta), np.min(shares, axis=0), rtol=1e-6)
     assert model.fading(theta).mean() > 0.8
     assert model.fading(theta + 1.5).mean() < model.fading(theta).mean()
     assert_array_equal(free.fading(theta), 1)
     first = JointHarmonicRegressor(n_harmonics=1)
-    model = ArmResidualRegressor(ARM, harmonics=first, use="harmonics").fit(theta[:40], y[:40])
+    model = ArmResidualRegressor(ARM, harmonics=first, use="harmonics", fade=50.0)
+    model.fit(theta[:40], y[:40])
     with pytest.warns(UserWarning, match="60 of 60 poses lie where the model knows little") as seen:
         model.predict(theta[-60:] + 3)
     assert seen[0].filename == __file__

@@ -73,7 +73,7 @@ def test_poses_near_the_targets_are_chosen():
 
 def test_bad_input_is_refused(planned):
     model, X, groups = planned
-    with pytest.raises(ValueError, match="n_poses must be 1 to"):
+    with pytest.raises(ValueError, match="n_poses must be a whole number from 1 to"):
         next_poses(model, X, 41, groups=groups)
     with pytest.raises(ValueError, match='"I" or "D"'):
         next_poses(model, X, 2, groups=groups, criterion="A")

@@ -238,6 +238,83 @@ def test_small_errors_add_up_in_what_the_encoders_show():
     np.testing.assert_allclose(parts, whole, atol=1e-3)
 
 
+# -- sources that are off by default -----------------------------------------------------------
+
+
+def test_play_lags_behind_the_direction_of_each_joint(poses):
+    machine = SimulatedArm(ArmErrors.only(play_arcsec=20), random_state=2)
+    arm = machine.true_arm
+    np.testing.assert_array_equal(machine.forward(poses), arm.forward(poses))  # in the middle
+    moved = np.zeros((6, len(poses), 3))
+    for joint in range(6):
+        up = np.zeros(poses.shape)
+        up[:, joint] = 1
+        ends = [machine.forward(poses, directions=sign * up) for sign in (1, -1)]
+        # The same two points that the arm has where this joint alone stands a little back.
+        play = (
+            np.linalg.norm(ends[0] - ends[1], axis=1).sum()
+            / np.linalg.norm(arm.jacobian(poses)[:, :, joint], axis=1).sum()
+        )
+        assert 10 <= play / ARCSEC <= 30
+        np.testing.assert_allclose(ends[0], arm.forward(poses - play / 2 * up), atol=2e-5)
+        moved[joint] = ends[0] - arm.forward(poses)
+    together = machine.forward(poses, directions=np.ones(poses.shape))
+    np.testing.assert_allclose(together - arm.forward(poses), moved.sum(axis=0), atol=1e-9)
+
+
+def test_softening_grows_with_the_cube_of_the_load():
+    machine = SimulatedArm(ArmErrors.only(softening_arcsec=5))
+    out = np.tile(STRAIGHT_OUT, (3, 1))
+    out[:, 1] += [0, 0.5, 1.0]
+    load = machine.gravity_torques(out)[:, 3]
+    moved = np.linalg.norm(_moved(machine, out), axis=1)
+    beyond_elbow = 500.557 + 97.811
+    assert moved[0] == pytest.approx(5 * ARCSEC * beyond_elbow, rel=0.01)
+    np.testing.assert_allclose(moved / moved[0], np.abs(load / load[0]) ** 3, rtol=1e-6)
+    assert moved[2] < moved[0] / 2
+
+
+def test_drift_is_the_warming_that_the_thermometer_shows():
+    errors = ArmErrors.only(warming_k=1, drift_k=2)
+    test = make_single_point(3, 10, machine=errors)
+    assert test.temperature[[0, -1]] == pytest.approx([21, 23])
+    assert np.all(np.diff(test.temperature, 2) < 0)
+    machine = test.simulation.machine
+    for row in (0, 7, 29):
+        at = machine.forward(test.data[[row]], warming_k=test.temperature[row] - 20)
+        np.testing.assert_allclose(at, test.simulation.true_points[[row]], atol=2e-6)
+    steady = make_single_point(3, 10, machine=ArmErrors.only(warming_k=1))
+    assert set(steady.temperature) == {21.0}
+
+
+@pytest.mark.parametrize("source", [{"play_arcsec": 10}, {"softening_arcsec": 5}, {"drift_k": 3}])
+def test_a_perfect_model_knows_the_new_sources(source):
+    """Their own errors are larger than what is left once they are known."""
+    test = make_single_point(4, 10, machine=ArmErrors.only(**source))
+    perfect = test.points - test.simulation.perfect_correction
+    assert metrics.single_point_repeatability(perfect, test.groups) < 1e-5
+    assert metrics.single_point_repeatability(test.points, test.groups) > 1e-3
+
+
+def test_slipped_poses_have_left_their_seat():
+    errors = ArmErrors.only(slip_share=0.2, slip_mm=0.5)
+    test = make_single_point(4, 50, machine=errors, random_state=1)
+    slipped = test.simulation.slipped
+    assert 25 <= slipped.sum() <= 55  # binomial: 40 +- 5.7
+    apart = test.simulation.true_points - test.simulation.positions[test.groups]
+    np.testing.assert_allclose(np.linalg.norm(apart, axis=1), 0.5 * slipped, atol=1e-9)
+    assert np.linalg.norm(apart[slipped].mean(axis=0)) < 0.2  # in all directions
+    assert not make_single_point(2, 5).simulation.slipped.any()
+
+
+def test_directions_are_those_in_which_the_rows_follow():
+    test = make_single_point(2, 30, random_state=3)
+    moved = np.diff(test.data, axis=0)
+    clear = (np.abs(moved) > 0.01) & (np.abs(moved) < np.pi)
+    np.testing.assert_array_equal(test.directions[1:][clear], np.sign(moved[clear]))
+    np.testing.assert_array_equal(test.directions[0], test.directions[1])
+
+
 def test_readings_are_noisy_and_quantised_as_told():
     machine = SimulatedArm(ArmErrors.only(encoder_noise_arcsec=1.5, quantisation_arcsec=0.5))
     angles = np.random.default_rng(0).uniform(-3, 3, (3000, 6))

@@ -4,6 +4,7 @@ import functools
 import hashlib
 import socket
 import threading
+import time
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from types import SimpleNamespace
 
@@ -45,9 +46,9 @@ def serve(monkeypatch):
     monkeypatch.setenv("no_proxy", "127.0.0.1")  # a proxy would ask its own machine
     servers = []
 
-    def start(folder, *faults):
+    def start(folder, *faults, handler=Handler):
         server = ThreadingHTTPServer(
-            ("127.0.0.1", 0), functools.partial(Handler, directory=str(folder))
+            ("127.0.0.1", 0), functools.partial(handler, directory=str(folder))
         )
         server.faults, server.requests = list(faults), 0
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -107,6 +108,52 @@ def test_a_bad_download_changes_nothing(serve, published, tmp_path, faults, mess
         assert there is None or place.read_bytes() == there
 
 
+class Endless(Handler):
+    """Says that it sends little or nothing of the size, and never stops."""
+
+    def do_GET(self):
+        self.server.requests += 1
+        self.send_response(200)
+        if self.server.faults:
+            self.send_header("Content-Length", self.server.faults[0])
+        self.end_headers()
+        try:
+            while True:
+                self.wfile.write(b"0" * self.server.block)
+                time.sleep(self.server.pause)
+        except OSError:  # the client has hung up
+            pass
+
+
+@pytest.mark.parametrize(
+    ("header", "block", "pause", "message"),
+    [
+        ((), 1000, 0.0, r"it has 1\d{4} bytes or more, above the limit of 10000"),
+        (("700000000",), 1, 1.0, "it has 700000000 bytes or more, above the limit of 10000"),
+        ((), 1, 0.05, r"\d bytes came within the limit of 0.3 s"),
+    ],
+    ids=["no end", "announced", "slow"],
+)
+def test_a_download_ends_at_the_limits(serve, tmp_path, monkeypatch, header, block, pause, message):
+    monkeypatch.setattr(_download, "_MAX_BYTES", 10_000)
+    monkeypatch.setattr(_download, "_BLOCK_BYTES", 1000)
+    monkeypatch.setattr(_download, "_TOTAL_S", 0.3)
+    server, url = serve(tmp_path, *header, handler=Endless)
+    server.block, server.pause = block, pause
+    with pytest.raises(OSError, match=message):
+        cached_file(tmp_path / "table.csv", f"{url}/table.csv", SUM)
+    assert server.requests == 1  # not asked again
+    assert files(tmp_path) == []
+
+
+def test_files_and_folders_taken_for_one_another(tmp_path):
+    (tmp_path / "home").write_text("a file")
+    with pytest.raises(NotADirectoryError, match="home' is a file; a folder is needed"):
+        fetch_ur10_tracker(data_home=tmp_path / "home")
+    with pytest.raises(IsADirectoryError, match="is a folder, but a file"):
+        cached_file(tmp_path, "http://127.0.0.1", SUM)
+
+
 def test_what_is_not_there_is_not_asked_for_again(serve, published, tmp_path):
     server, url = serve(published)
     with pytest.raises(OSError, match=r"nothing\.csv cannot be downloaded: HTTP Error 404"):
@@ -118,7 +165,9 @@ def test_a_passing_fault_is_survived(serve, published, tmp_path, monkeypatch):
     server, url = serve(published, "busy", "cut in transfer")
     place = tmp_path / "table.csv"
     waited = []  # by when so many requests had come
-    clock = SimpleNamespace(sleep=lambda seconds: waited.append((server.requests, seconds)))
+    clock = SimpleNamespace(
+        monotonic=time.monotonic, sleep=lambda seconds: waited.append((server.requests, seconds))
+    )
     monkeypatch.setattr(_download, "time", clock)
     with pytest.warns(UserWarning, match="trying again") as caught:
         cached_file(place, f"{url}/table.csv", SUM, n_retries=2, delay=7.5)

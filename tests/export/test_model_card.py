@@ -1,6 +1,9 @@
 """The card says what is so, and its numbers are those of independent computations."""
 
+import datetime
+import hashlib
 import json
+import re
 
 import numpy as np
 import pytest
@@ -64,17 +67,23 @@ def test_facts(model, data):
     left = data.target - cross_val_predict(
         clone(model), data.data, data.target, groups=data.groups, cv=GroupKFold(5)
     )
+    # Single-point data: what is left has no position's mean, either.
+    for position in np.unique(data.groups):
+        left[data.groups == position] -= left[data.groups == position].mean(axis=0)
+    assert error["position_means_are_taken_off"]
     assert error["mean_after_mm"] == pytest.approx(np.linalg.norm(left, axis=1).mean(), rel=1e-9)
     expected = single_point_repeatability(left, data.groups)
     assert error["mean_2S_after_mm"] == pytest.approx(expected, rel=1e-9)
-    assert error["largest_before_mm"] == np.linalg.norm(data.target, axis=1).max()
+    assert error["largest_before_mm"] == pytest.approx(np.linalg.norm(data.target, axis=1).max())
     assert "not seen" in error["after_is_measured_at"]
 
 
 def test_an_error_at_the_training_rows_is_called_that(model, data):
+    target = data.target + np.array([0.02, 0, 0])  # measured against a reference: means are errors
     for params in ({}, {"groups": data.groups, "n_folds": 0}):
-        error = describe(model, data.data, data.target, **params)["error"]
-        left = data.target - model.predict(data.data)
+        error = describe(model, data.data, target, **params)["error"]
+        left = target - model.predict(data.data)
+        assert not error["position_means_are_taken_off"]
         assert error["largest_after_mm"] == np.linalg.norm(left, axis=1).max()
         assert "these rows" in error["after_is_measured_at"]
 
@@ -86,7 +95,7 @@ def test_as_json_and_markdown(model, data, tmp_path):
     text = str(again)
     assert text == str(card)
     assert "positions: 8" in text
-    assert f"{card['error']['mean_2S_before_mm']:.4g}" in text
+    assert f"{card['error']['mean_2S_before_mm']:.6g}" in text
     assert "hull corners" not in text
     source, header = export_c(model, tmp_path / "arm.c", card=card)
     assert "positions: 8" in source.read_text()
@@ -123,13 +132,97 @@ def test_models_that_are_fitted_with_groups(data):
         assert card["error"]["mean_2S_after_mm"] == pytest.approx(expected, rel=1e-6)
 
 
+def test_the_best_model_is_not_said_to_do_harm():
+    """Where each position has an offset, its size is no error of the model."""
+    test = make_single_point(n_positions=12, n_poses=30, random_state=0)
+    model = JointHarmonicRegressor(test.arm, n_harmonics=3)
+    model.fit(test.data, test.target, groups=test.groups)
+    # As they are in a file with micrometres.
+    for target in (test.target, test.target.round(3)):
+        error = describe(model, test.data, target, test.groups, n_folds=4)["error"]
+        assert error["position_means_are_taken_off"]
+        assert error["mean_2S_after_mm"] < 0.6 * error["mean_2S_before_mm"]
+        assert error["mean_after_mm"] < 0.6 * error["mean_before_mm"]
+    # The same poses against a tracker, noise alone: nothing is taken off.
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        y = rng.normal(size=test.target.shape)
+        error = describe(model, test.data, y, test.groups, n_folds=0)["error"]
+        assert not error["position_means_are_taken_off"]
+
+
+def test_a_table_with_names(data):
+    pandas = pytest.importorskip("pandas")
+    X = pandas.DataFrame(data.data, columns=[f"joint {i}" for i in range(6)])
+    network = RBFNetRegressor(12, length_scale=1.5, alpha=0.01)
+    model = make_pipeline(PoseFeatures(data.arm, joints="all"), network).fit(X, data.target)
+    plain = clone(model).fit(data.data, data.target)
+    # A warning of missing or unexpected names would be an error here.
+    cards = [
+        describe(fitted, table, data.target, data.groups, n_folds=2)
+        for fitted, table in ((model, X), (plain, X), (plain, data.data))
+    ]
+    assert cards[0]["error"] == cards[1]["error"] == cards[2]["error"]
+
+
+def test_fields_of_the_arm_and_the_data(model, data, tmp_path):
+    params = {"serial_number": "CMM-17", "date": datetime.date(2026, 5, 4)}
+    card = describe(model, data.data, data.target, data.groups, n_folds=0, **params)
+    assert (card["serial_number"], card["date"]) == ("CMM-17", "2026-05-04")
+    content = data.data.astype("<f8").tobytes(), data.target.astype("<f8").tobytes()
+    codes = np.unique(data.groups, return_inverse=True)[1].astype("<i8").tobytes()
+    digest = hashlib.sha256(
+        b"(120, 6)" + content[0] + b"(120, 3)" + content[1] + b"(120,)" + codes
+    ).hexdigest()
+    assert card["training"]["data_fingerprint"] == digest
+    header = export_c(model, tmp_path / "arm.c", card=card)[1].read_text()
+    assert '#define ARM_SERIAL_NUMBER "CMM-17"' in header
+    assert '#define ARM_DATE "2026-05-04"' in header
+    assert f'#define ARM_DATA_FINGERPRINT "{digest}"' in header
+    for params in ({"serial_number": 17}, {"date": " "}, {"date": 2026}):
+        with pytest.raises(ValueError, match=r"(serial_number|date) must be text, got"):
+            describe(model, **params)
+
+
+def test_the_arm_in_full_digits(data):
+    arm = data.arm.replace(a=np.array([600.0224371, 1 / 3, 0, 0, 0, 0]))
+    model = PoseFeatures(arm).fit(data.data)
+    text = str(describe(model))
+    assert "- a, mm: 600.0224371, 0.3333333333333333, 0.0" in text
+
+
+def test_a_name_cannot_forge_a_line(data, tmp_path):
+    names = ["Arm 7\n- mean 2S after, mm: 0.0010", "Arm 7\r\n## error", "a\u2028- b", "a\x0b- b"]
+    names += ["<script>alert(1)</script>", "[x](javascript:alert(1))", "`a` *b* _c_ ![d](e)"]
+    names += ["\u202egnirts", "x" * 200]
+    for name in names:
+        arm = data.arm.replace(name=name)
+        network = RBFNetRegressor(3, length_scale=1.5, alpha=0.01)
+        model = make_pipeline(PoseFeatures(arm), network).fit(data.data, data.target)
+        card = describe(model, serial_number=name)
+        assert card["serial_number"] == card["arm"]["name"] == name  # as it is, for JSON
+        text = str(card)
+        plain = describe(make_pipeline(PoseFeatures(data.arm), network).fit(data.data, data.target))
+        assert len(text.splitlines()) == len(str(plain).splitlines()) + 1  # the serial number
+        assert "<" not in text
+        assert not re.search(r"(?<!\\)[`*\[]|\u202e", text)
+        for path in export_c(model, tmp_path / "arm.c", card=card):
+            content = path.read_text(encoding="ascii")
+            assert not re.search(r"^ \* - mean 2S", content, re.MULTILINE)
+            assert content.count("/*") == content.count("*/")
+
+
 def test_without_an_arm_and_without_volume():
     rng = np.random.default_rng(0)
     X, y = rng.normal(size=(40, 3)), rng.normal(size=40)
     card = describe(LinearSVR(random_state=0).fit(X, y), X, y)
     assert card["fingerprint"] is None
     assert "arm" not in card
-    assert card["training"] == {"rows": 40, "positions": None}
+    assert {**card["training"], "data_fingerprint": ""} == {
+        "rows": 40,
+        "positions": None,
+        "data_fingerprint": "",
+    }
     assert card["error"]["mean_before_mm"] == np.abs(y).mean()
     assert "unknown" in str(card)
     arm = Arm(a=[300, 200], alpha=[0, 0], d=[100, 0], pose_joints=(1, 2), pose_frames=(0, 2))

@@ -171,8 +171,9 @@ def test_scorer_in_cross_validation_and_search(routing, container):
     by_hand = {a: _scores_by_hand(Ridge(a), X, y, groups) for a in (0.01, 100.0)}
     if container == "pandas":
         X = pytest.importorskip("pandas").DataFrame(X, columns=list("abc"))
-    scoring = metrics.repeatability_scorer() if routing else metrics.repeatability_scorer(X, groups)
     with sklearn.config_context(enable_metadata_routing=routing):
+        known = () if routing else (X, groups)
+        scoring = metrics.repeatability_scorer(*known)
         passed = {"params": {"groups": groups}} if routing else {"groups": groups}
         scores = cross_val_score(Ridge(0.01), X, y, cv=GroupKFold(4), scoring=scoring, **passed)
         search = GridSearchCV(
@@ -191,10 +192,10 @@ def test_scorer_travels_to_other_processes_and_keeps_its_options(routing):
         y, 0 * y, groups=groups, statistic="max", aggregate="max"
     )
     known = () if routing else (X, groups)
-    scorer = metrics.repeatability_scorer(*known, statistic="max", aggregate="max")
-    scorer = pickle.loads(pickle.dumps(scorer))
     zero = Ridge(1e30, fit_intercept=False).fit(X, y)
     with sklearn.config_context(enable_metadata_routing=routing):
+        scorer = metrics.repeatability_scorer(*known, statistic="max", aggregate="max")
+        scorer = pickle.loads(pickle.dumps(scorer))
         score = scorer(zero, X, y, groups=groups) if routing else scorer(zero, X, y)
     assert score == pytest.approx(expected)
 
@@ -211,8 +212,12 @@ def test_scorer_knows_a_row_in_another_number_type(first, then):
 def test_scorer_refuses_to_guess_the_groups():
     X, y, groups = _regression_problem()
     model = Ridge().fit(X, y)
-    with pytest.raises(ValueError, match="got no groups"):
-        metrics.repeatability_scorer()(model, X, y)
+    with pytest.raises(RuntimeError, match="needs metadata routing, which is off"):
+        metrics.repeatability_scorer()
+    with sklearn.config_context(enable_metadata_routing=True):
+        scorer = metrics.repeatability_scorer()
+        with pytest.raises(ValueError, match="got no groups"):
+            scorer(model, X, y)
     with pytest.raises(ValueError, match="2 of 80 rows were not in the X"):
         metrics.repeatability_scorer(X[2:], groups[2:])(model, X, y)
     with pytest.raises(ValueError, match="belongs to the groups 0 and 1"):

@@ -31,7 +31,6 @@ SETTINGS = {
     "linear tail": {"degree": 1},
     "no tail, plain": {"degree": -1, "n_centers": 20, "length_scale": 0.5, "alpha": 0.0},
     "leave one out": {"criterion": "loo", "max_centers": 40},
-    "not definite": {"kernel": "thin_plate", "degree": 1, "n_centers": 15, "length_scale": 1.0},
     "newrb": {"selection": "newrb", "n_centers": 10, "length_scale": 0.5, "alpha": 0.0},
 }
 

@@ -250,3 +250,20 @@ def test_shoulder_and_wrist_that_coincide(monkeypatch):
     angles = np.array([[0, 0, 0], [0.5, 1, 1], [0.3, 0.4, np.pi]])
     with pytest.raises(ValueError, match="frames 1 and 3 coincide, first in row 2"):
         PoseFeatures(arm).fit_transform(angles)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+def test_one_row_is_the_same_to_the_last_bit_as_among_others(name, encoding):
+    arm = Arm.from_name(name)
+    angles = angles_of(arm, n=300)
+    pose = PoseFeatures(arm, encoding=encoding, append_azimuth=True).fit(angles)
+    together = pose.transform(angles)
+    alone = np.concatenate([pose.transform(row[None]) for row in angles])
+    assert_array_equal(alone, together)
+
+
+def test_rows_of_a_table_without_names_still_warn():
+    pose = PoseFeatures().fit(pd.DataFrame(np.zeros((2, 6)), columns=list("abcdef")))
+    with pytest.warns(UserWarning, match="does not have valid feature names"):
+        pose.transform(np.zeros((1, 6)))

@@ -10,22 +10,28 @@ from scipy.spatial.transform import Rotation
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.dummy import DummyRegressor
+from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.exceptions import NotFittedError, UnsetMetadataPassedError
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.impute import SimpleImputer
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import BayesianRidge, HuberRegressor, LinearRegression, Ridge
+from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, Normalizer, StandardScaler
 from sklearn.utils import get_tags
 
 from sklearn_raacmm import (
+    Arm,
     CylindricalResidualTarget,
+    PoseFeatures,
+    RBFNetRegressor,
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
     position_residuals,
 )
+from sklearn_raacmm.residuals import direction_of
 
 
 def first_column(X):
@@ -526,3 +532,72 @@ def test_parameters_are_validated(isotropic):
     for bad in ({"azimuth": "last"}, {"azimuth": 0}, {"regressor": 3}):
         with pytest.raises(ValueError, match=f"The '{next(iter(bad))}' parameter"):
             CylindricalResidualTarget(**bad).fit(X, y)
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_regressor_of_one_target_is_told_what_wraps_it(scaled):
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (30, 4)), rng.normal(size=(30, 3))
+    trees = HistGradientBoostingRegressor(max_iter=2)
+    inner = make_pipeline(StandardScaler(), trees) if scaled else trees
+    with pytest.raises(ValueError, match=r"y has 3 columns: wrap .* in sklearn.*MultiOutputRegr"):
+        CylindricalResidualTarget(inner, azimuth=first_column).fit(X, y)
+    wrapped = CylindricalResidualTarget(MultiOutputRegressor(trees), azimuth=first_column)
+    assert wrapped.fit(X, y).predict(X).shape == (30, 3)
+    # What else is wrong with the data is said by the regressor itself.
+    with pytest.raises(ValueError, match=r"^boom$"):
+        CylindricalResidualTarget(Broken(), azimuth=first_column).fit(X, y)
+
+
+class Broken(Ridge):
+    def fit(self, X, y):
+        raise ValueError("boom")
+
+
+@pytest.mark.parametrize("appended", [True, False])
+@pytest.mark.parametrize(("unit", "factor"), [("rad", 60.0), ("deg", 1.0)])
+def test_a_chain_warns_of_a_unit_once(unit, factor, appended):
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    X, y = factor * rng.uniform(-1, 1, (40, 6)), rng.normal(size=(40, 3))
+    pose = PoseFeatures(arm, angle_unit=unit, append_azimuth=appended)
+    if appended:
+        model = make_pipeline(pose, CylindricalResidualTarget(Ridge()))
+    else:
+        azimuth = functools.partial(arm.azimuth, angle_unit=unit) if unit == "deg" else arm.azimuth
+        model = CylindricalResidualTarget(make_pipeline(pose, Ridge()), azimuth=azimuth)
+    for use in (lambda: model.fit(X, y), lambda: model.predict(np.tile(X, (300, 1)))):
+        with pytest.warns(UserWarning, match="degrees") as caught:
+            use()
+        assert len(caught) == 1
+
+
+# -- speed without other results -----------------------------------------------------------------
+
+
+def test_azimuth_of_an_arm_is_the_same_by_its_method_and_by_a_function():
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (40, 6)), rng.normal(size=(40, 3))
+    X[3] = [0, np.pi / 2, 0, 0, 0, 0]
+    direct = CylindricalResidualTarget(Ridge(), azimuth=arm.azimuth).fit(X, y)
+    by_angle = CylindricalResidualTarget(Ridge(), azimuth=functools.partial(Arm.azimuth, arm))
+    assert_allclose(direct.predict(X), by_angle.fit(X, y).predict(X), rtol=1e-12)
+
+
+def test_direction_of_points_is_that_of_the_angle_also_on_the_axis():
+    x, y = np.array([[0.0, 3.0, -1e-200, 0.0], [0.0, -4.0, 0.0, 5.0]])
+    expected = np.cos(np.arctan2(y, x)), np.sin(np.arctan2(y, x))
+    assert_allclose(direction_of(x, y), expected, atol=1e-15)
+
+
+def test_no_estimator_here_asks_for_its_own_tags_in_predict(monkeypatch):
+    # scikit-learn's pipelines ask for tags once a step, which is most of the time of one row.
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (40, 6)), rng.normal(size=(40, 3))
+    pose = PoseFeatures(arm, append_azimuth=True).fit(X)
+    model = CylindricalResidualTarget(RBFNetRegressor(5, length_scale=1.0, alpha=0.1))
+    expected = model.fit(pose.transform(X), y).predict(pose.transform(X))[:1]
+    monkeypatch.delattr("sklearn.base.BaseEstimator.__sklearn_tags__")
+    assert_allclose(model.predict(pose.transform(X[:1])), expected, rtol=1e-12)

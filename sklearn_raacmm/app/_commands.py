@@ -1,0 +1,225 @@
+"""What the command `raacmm` does, one function for each of its words."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import sys
+import webbrowser
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._figures import picture_of
+from sklearn_raacmm.app._files import (
+    in_rad,
+    load_arm,
+    load_correction,
+    write_corrected,
+)
+from sklearn_raacmm.app._report import judge_limit, write_report
+from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.correction import learn_correction
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import describe, export_c, to_onnx
+from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.utils import write_whole
+
+# Exit codes; 1 is Python's own, for a fault of this program.
+OK, BAD_INPUT, NO_HELP = 0, 2, 3
+# Draws of the positions that today's are compared with, and the chance of a false alarm.
+_N_DRAWS = 20_000
+_FALSE_ALARM = 0.01
+
+
+def learn(options):
+    """Calibrate, learn, judge, and write everything into a folder."""
+    arm = load_arm(options.arm)
+    table = read_table(options.table, arm.n_joints, **_columns(options, points=options.points))
+    _say_notes(table.notes)
+    lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else ()
+    facts = {"file": Path(options.table).name}
+    for name, value in (("serial number", options.serial), ("operator", options.operator)):
+        if value:
+            facts[name] = value
+    return _learn(options, arm, table, lengths, facts)
+
+
+def _learn(options, arm, table, lengths, facts):
+    if options.limit_2s is not None and table.points is not None:
+        raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
+    if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
+        raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
+    result = learn_correction(
+        arm, in_rad(table), table.positions, table.points, lengths,
+        cv=options.folds, n_jobs=options.jobs, progress=_progress,
+    )  # fmt: skip
+    out = Path(options.out)
+    result.save(out)
+    write_report(
+        result, out / "report.html", limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows
+    )
+    card = describe(result.model, result.angles)
+    write_whole({out / "card.md": f"{card}\n## Verdict\n\n- {result.verdict}\n"})
+    layout = find_layout(options.table, arm.n_joints, **_columns(options))
+    write_corrected(layout, result.correct, out / "corrected.csv")
+    print(result.scores)
+    rows = table.rows[result.outliers["row"]].tolist()
+    for row, (_, label, distance) in zip(rows[:10], result.outliers.tolist(), strict=False):
+        print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
+    print()
+    print(result.verdict)
+    if options.limit_2s is not None:
+        print(": ".join(judge_limit(result.scores, options.limit_2s)))
+    print(
+        f"Written to {out}: report.html, model, arm.json, correction.json, card.md, corrected.csv"
+    )
+    if options.open:
+        webbrowser.open((out / "report.html").resolve().as_uri())
+    return OK if result.helps else NO_HELP
+
+
+def correct(options):
+    """Correct a table of any length."""
+    saved = load_correction(options.model)
+    _warn_if_it_does_not_help(saved)
+    layout = find_layout(options.table, saved.arm.n_joints, **_columns(options, labelled=False))
+    _say_notes(layout.notes)
+    n_rows = write_corrected(layout, lambda angles: saved.correct(angles)[1:], options.out)
+    print(f"{n_rows} rows corrected, written to {options.out}")
+    return OK
+
+
+def check(options):
+    """Compare today's single-point test with what was promised at positions left out."""
+    saved = load_correction(options.model)
+    if saved.facts["measure"] != "2S":
+        raise TableError("check needs a correction that was learnt from a single-point test.")
+    table = read_table(options.table, saved.arm.n_joints, **_columns(options))
+    _say_notes(table.notes)
+    measured, corrected, _ = saved.correct(in_rad(table))
+    before, after = (
+        single_point_repeatability(points, table.positions, aggregate=None)
+        for points in (measured, corrected)
+    )
+    for label, one, other in zip(np.unique(table.positions), before, after, strict=True):
+        print(f"{label}: 2S {one:.4f} -> {other:.4f} mm")
+    learnt = np.array(saved.facts["positions"]["after"])
+    rng = np.random.default_rng(0)
+    draws = rng.choice(learnt, size=(_N_DRAWS, len(after))).mean(axis=1)
+    expected = float(np.quantile(draws, 1 - _FALSE_ALARM))
+    change = f"mean 2S {before.mean():.3f} -> {after.mean():.3f} mm"
+    if after.mean() >= before.mean():
+        print(f"It does not hold: {change}. Calibrate and learn again.")
+        return NO_HELP
+    if after.mean() > expected:
+        print(
+            f"It helps less than it did: {change}; of {len(after)} positions as when it was learnt "
+            f"99 % have a mean below {expected:.3f} mm. Look at probe and base, or learn again."
+        )
+        return NO_HELP
+    print(f"It holds: {change}; expected below {expected:.3f} mm.")
+    return OK
+
+
+def export(options):
+    """Write a saved correction as C or ONNX."""
+    saved = load_correction(options.model)
+    if not (options.c or options.onnx):
+        raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
+    _warn_if_it_does_not_help(saved)
+    if options.c:
+        folder = Path(options.c)
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = export_c(saved.model, folder / f"{options.name}.c", std=options.std)
+        print("Written:", *paths)
+    if options.onnx:
+        to_onnx(saved.model, options.onnx)
+        print("Written:", options.onnx)
+    return OK
+
+
+def arm(options):
+    """Show an arm, and write its file."""
+    if options.lengths_222 or options.lengths_223:
+        layout = "2-2-2" if options.lengths_222 else "2-2-3"
+        shown = Arm.from_lengths(layout, *(options.lengths_222 or options.lengths_223))
+    elif options.source and Path(options.source).suffix.lower() == ".urdf":
+        shown = Arm.from_urdf(options.source, base=options.base, tip=options.tip)
+    elif options.source:
+        shown = load_arm(options.source)
+    else:
+        shown = _ask_for_an_arm()
+    print(shown)
+    if options.out:
+        shown.to_json(options.out)
+        print(f"Written to {options.out}")
+    if options.picture:
+        write_whole({options.picture: picture_of(shown)})
+        print(f"Written to {options.picture}")
+    return OK
+
+
+def _ask_for_an_arm():
+    if not sys.stdin.isatty():
+        raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
+    print("Lengths in mm, as in the drawing of the arms page of the documentation.")
+    layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
+    names = ("height of the shoulder", "shoulder to elbow", "elbow to wrist", "wrist to probe")
+    return Arm.from_lengths(layout, *(_number(input(f"{name}: ")) for name in names))
+
+
+def _number(text):
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        raise TableError(f"{text!r} is not a number.") from None
+
+
+def demo(options):
+    """Run the main job on a simulated arm, from the table on."""
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    test = make_single_point(n_positions=10, n_poses=25, random_state=0)
+    lines = ["simulated arm;no real measurement", "position;" + ";".join(
+        f"q{i} [deg]" for i in range(1, 7))]  # fmt: skip
+    for label, angles in zip(test.groups, np.rad2deg(test.data), strict=True):
+        cells = (f"{angle:.6f}".replace(".", ",") for angle in angles)
+        lines.append(f"cone {label + 1};" + ";".join(cells))
+    options.table, options.arm = out / "cone_test.csv", out / "nominal_arm.json"
+    write_whole({options.table: "\r\n".join(lines) + "\r\n"})
+    test.nominal_arm.to_json(options.arm)
+    print(f"A simulated single-point test: {options.table}")
+    print(f"raacmm learn {options.table} --arm {options.arm} --out {out}")
+    return learn(options)
+
+
+def _columns(options, points=None, labelled=True):
+    """Options of `read_table` as the command line has them."""
+    parts = {
+        name: value.split(",") if value else None
+        for name, value in (("angles", options.angles), ("points", points))
+    }
+    if parts["points"] and len(parts["points"]) != 3:
+        raise TableError(f"--points needs three columns, such as x,y,z, got {points!r}.")
+    position = options.position if labelled else None
+    return parts | {"position": position, "angle_unit": options.unit, "labelled": labelled}
+
+
+def _say_notes(notes):
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+
+
+def _warn_if_it_does_not_help(saved):
+    if not saved.facts["helps"]:
+        print(f"note: {saved.facts['verdict']}", file=sys.stderr)
+
+
+def _progress(done, total):
+    if sys.stderr.isatty():
+        bar = "#" * (30 * done // total)
+        print(f"\r[{bar:<30}] fold {done} of {total}", end="", file=sys.stderr, flush=True)
+        if done == total:
+            print(file=sys.stderr)

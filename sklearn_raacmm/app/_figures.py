@@ -1,0 +1,198 @@
+"""Figures of the report, as SVG text that takes the page's colour."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import io
+import re
+
+import numpy as np
+
+# Replaced by the colour of the page's text, so that figures are read in the dark, too.
+_INK = "#010203"
+_BEFORE, _AFTER = "#c2571a", "#2a78c2"
+_STYLE = {
+    "svg.fonttype": "none",
+    "text.color": _INK,
+    "axes.edgecolor": _INK,
+    "axes.labelcolor": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "legend.facecolor": "none",
+    "legend.edgecolor": "none",
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+# Points drawn at most in a cloud: more make the file large and the cloud no clearer.
+_MOST_POINTS = 600
+_MOST_ARMS = 12
+
+
+def figures_of(result, limit_mm=None):
+    """Figures of a LearnedCorrection.
+
+    Parameters
+    ----------
+    result : LearnedCorrection
+    limit_mm : float, default=None
+        Limit of 2S, drawn into the first figure.
+
+    Returns
+    -------
+    dict of str to str
+        ``positions``, ``joints``, ``volume`` and, where there are any, ``lengths``: SVG elements.
+    """
+    try:
+        import matplotlib
+    except ImportError:
+        raise ImportError("The report needs matplotlib: pip install matplotlib.") from None
+    drawn = {}
+    makers = {
+        "positions": lambda figure: _positions(figure, result.scores, limit_mm),
+        "joints": lambda figure: _joints(figure, result),
+        "volume": lambda figure: _volume(figure, result),
+    }
+    if result.scores.lengths:
+        makers["lengths"] = lambda figure: _lengths(figure, result.scores)
+    for name, make in makers.items():
+        # Names of clipping paths come from the salt: figures on one page must not share them.
+        with matplotlib.rc_context(_STYLE | {"svg.hashsalt": name}):
+            drawn[name] = _svg(make)
+    return drawn
+
+
+def _svg(make):
+    from matplotlib.figure import Figure
+
+    figure = Figure(layout="constrained")
+    make(figure)
+    file = io.StringIO()
+    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    text = file.getvalue()
+    text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    # Groups are named alike in every figure, and nothing refers to them.
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
+    # The figure is as wide as the page, not as matplotlib's inches.
+    for side in ("width", "height"):
+        text = re.sub(rf'(<svg[^>]*?) {side}="[^"]*"', r"\1", text, count=1)
+    return text
+
+
+def _positions(figure, scores, limit_mm):
+    figure.set_size_inches(7.2, 2.8)
+    ax = figure.subplots()
+    table, place = scores.table, np.arange(len(scores.table["position"]))
+    for name, color, shift in (("before", _BEFORE, -0.2), ("after", _AFTER, 0.2)):
+        ax.bar(place + shift, 1000 * table[name], 0.4, color=color, label=name)
+    if limit_mm is not None:
+        ax.axhline(1000 * limit_mm, color=_INK, linestyle="--", linewidth=1, label="limit")
+    step = -(-len(place) // 20)
+    labels = [str(label) for label in table["position"]][::step]
+    long = max(map(len, labels)) > 4
+    ax.set_xticks(place[::step], labels, rotation=45 * long, ha="right" if long else "center")
+    ax.set_ylabel(f"{scores.measure}, µm")
+    ax.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1))
+
+
+def _joints(figure, result):
+    """Left-out deviations against every joint angle."""
+    n = result.arm.n_joints
+    columns = 4 if n > 6 else 3
+    figure.set_size_inches(7.2, 1.9 * -(-n // columns))
+    axes = figure.subplots(-(-n // columns), columns, sharey=True, squeeze=False).ravel()
+    rows = np.flatnonzero(np.isfinite(result.scores.left_before[:, 0]))
+    rows = rows[:: -(-len(rows) // _MOST_POINTS)]
+    for j, ax in enumerate(axes):
+        if j >= n:
+            ax.remove()
+            continue
+        angle = np.rad2deg(result.angles[rows, j])
+        for left, color in (
+            (result.scores.left_before, _BEFORE),
+            (result.scores.left_after, _AFTER),
+        ):
+            size = 1000 * np.linalg.norm(left[rows], axis=1)
+            ax.plot(angle, size, ".", color=color, markersize=2.5, alpha=0.7)
+        ax.set_xlabel(f"joint {j + 1}, °")
+        ax.set_ylim(bottom=0)
+        if j % columns == 0:
+            ax.set_ylabel("deviation, µm")
+
+
+def _volume(figure, result):
+    """Where the probe has been, from above and from the side, with some poses of the arm."""
+    figure.set_size_inches(7.2, 3.4)
+    rows = np.arange(len(result.angles))[:: -(-len(result.angles) // _MOST_POINTS)]
+    points = result.arm.forward(result.angles[rows])
+    some = rows[:: max(1, len(rows) // _MOST_ARMS)]
+    frames = result.arm.frames(result.angles[some])[:, :, :, 3]
+    chains = np.concatenate([frames, result.arm.forward(result.angles[some])[:, None]], axis=1)
+    left, right = figure.subplots(1, 2)
+    for chain in chains:
+        left.plot(chain[:, 0], chain[:, 1], color="0.6", linewidth=0.8, alpha=0.6)
+        right.plot(np.hypot(*chain[:, :2].T), chain[:, 2], color="0.6", linewidth=0.8, alpha=0.6)
+    left.plot(points[:, 0], points[:, 1], ".", color=_AFTER, markersize=3)
+    right.plot(np.hypot(*points[:, :2].T), points[:, 2], ".", color=_AFTER, markersize=3)
+    left.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
+    right.set(xlabel="distance from the base axis, mm", ylabel="z, mm", title="from the side")
+    right.set_aspect("equal")
+
+
+def _lengths(figure, scores):
+    figure.set_size_inches(7.2, 2.4)
+    ax = figure.subplots()
+    nominal = np.array([entry[2] for entry in scores.lengths])
+    for errors, color, name in (
+        (scores.length_errors_before, _BEFORE, "before"),
+        (scores.length_errors_after, _AFTER, "after"),
+    ):
+        ax.plot(nominal, 1000 * errors, "o", color=color, markersize=4, label=name)
+    ax.axhline(0, color=_INK, linewidth=0.8)
+    ax.set(xlabel="calibrated length, mm", ylabel="error, µm")
+    ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
+
+
+def picture_of(arm):
+    """Picture of an arm with all angles at zero: links, axes of the joints and the probe, as SVG.
+
+    Parameters
+    ----------
+    arm : Arm
+
+    Returns
+    -------
+    str
+        A whole SVG file.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError("Pictures need matplotlib: pip install matplotlib.") from None
+    zero = np.zeros((1, arm.n_joints))
+    frames, probe = arm.frames(zero)[0], arm.forward(zero)
+    corners = np.concatenate([frames[:, :, 3], probe])
+    # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
+    first = 0 if arm.convention == "standard" else 1
+    length = 0.08 * max(np.ptp(corners, axis=0).max(), 1.0)
+    file = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "arm", "font.size": 9}):
+        figure = Figure(figsize=(8, 4), layout="constrained")
+        for ax, (across, title) in zip(
+            figure.subplots(1, 2), ((0, "x and z, mm"), (1, "y and z, mm")), strict=True
+        ):
+            ax.plot(corners[:, across], corners[:, 2], color="0.5", linewidth=3)
+            for i in range(arm.n_joints):
+                axis, origin = frames[i + first, :, 2], frames[i + first, :, 3]
+                ends = origin + length * np.outer([-1, 1], axis)
+                ax.plot(ends[:, across], ends[:, 2], color=_AFTER, linewidth=1)
+                # Seen along itself an axis is a point.
+                ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
+                ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
+            ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
+            ax.set(title=title, aspect="equal")
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue()

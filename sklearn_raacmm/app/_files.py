@@ -1,0 +1,116 @@
+"""Files of the command: arms by name or file, saved corrections, corrected tables."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import csv
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.correction import predict_with_std
+from sklearn_raacmm.export import TRUSTED_TYPES
+
+# Rows corrected at a time: some ten MB, whatever the size of the file.
+_BLOCK_ROWS = 8192
+_NEW_COLUMNS = ("x [mm]", "y [mm]", "z [mm]", "sd x [mm]", "sd y [mm]", "sd z [mm]")
+
+
+def load_arm(source):
+    """Arm from a JSON file, a URDF or the name of a built-in one."""
+    path = Path(source)
+    if path.suffix.lower() == ".urdf":
+        return Arm.from_urdf(path)
+    if path.exists():
+        return Arm.from_json(path)
+    try:
+        return Arm.from_name(str(source))
+    except ValueError as error:
+        raise TableError(f"--arm: there is no file {source}, and as a {error}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class SavedCorrection:
+    """What `LearnedCorrection.save` wrote."""
+
+    arm: Arm
+    model: object
+    facts: dict
+
+    def correct(self, angles):
+        """Measured and corrected points (n, 3), and standard deviations; angles in rad."""
+        measured = self.arm.forward(angles)
+        correction, std = predict_with_std(self.model, angles, self.facts["noise_mm"])
+        return measured, measured - correction, self.facts["std_factor"] * std
+
+
+def load_correction(source):
+    """Saved correction from its folder, or from a file in it."""
+    folder = Path(source)
+    if folder.is_file():
+        folder = folder.parent
+    facts, arm, model = (folder / name for name in ("correction.json", "arm.json", "model.skops"))
+    for path in (facts, arm):
+        if not path.is_file():
+            raise TableError(f"--model: {folder} has no {path.name}; raacmm learn writes one.")
+    if not model.is_file():
+        raise TableError(
+            f"--model: {folder} has no model.skops. Only these are loaded, since other files can "
+            "run code: install skops (pip install skops) and learn again."
+        )
+    try:
+        import skops.io
+    except ImportError:
+        raise TableError("To load a model, install skops: pip install skops.") from None
+    try:
+        loaded = skops.io.load(model, trusted=TRUSTED_TYPES)
+        return SavedCorrection(
+            Arm.from_json(arm), loaded, json.loads(facts.read_text(encoding="utf-8"))
+        )
+    except Exception as error:  # of a damaged file, anything
+        raise TableError(f"--model: {folder} cannot be loaded: {error}") from None
+
+
+def write_corrected(layout, correct, path):
+    """Copy a table with the corrected points beside its columns, block by block.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the table.
+    correct : callable
+        Takes angles in rad, returns points and standard deviations (n, 3).
+    path : path-like
+        Written beside its place and renamed when complete.
+
+    Returns
+    -------
+    int
+        Number of rows.
+    """
+    path, dialect, n_rows = Path(path), layout.dialect, 0
+    beside = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(beside, "w", encoding=dialect.encoding, newline="") as file:
+            writer = csv.writer(file, delimiter=dialect.separator or " ")
+            writer.writerow([*layout.header, *_NEW_COLUMNS])
+            for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
+                numbers = np.hstack(correct(in_rad(block)))
+                for row, values in zip(cells, numbers.tolist(), strict=True):
+                    writer.writerow([*row, *map(dialect.text, values)])
+                n_rows += len(cells)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return n_rows
+
+
+def in_rad(table):
+    """Angles of a table in rad, within one turn."""
+    angles = np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles
+    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi

@@ -1,0 +1,248 @@
+"""The report: one HTML file, to be read on a screen or printed, of what a correction is worth."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import datetime
+import hashlib
+import platform
+from importlib.resources import files
+
+import numpy as np
+import scipy
+import sklearn
+
+from sklearn_raacmm._version import __version__
+from sklearn_raacmm.app._figures import figures_of
+from sklearn_raacmm.export import fingerprint
+from sklearn_raacmm.metrics import articulated_location_error, length_error
+from sklearn_raacmm.utils import write_whole
+
+# Rows shown of tables that may be long.
+_MOST_ROWS = 40
+_MOST_HARMONICS = 12
+
+
+def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
+    """Write what was learnt as one HTML file that needs no network and prints on A4.
+
+    Parameters
+    ----------
+    result : LearnedCorrection
+        What `learn_correction` returned.
+    path : str or path-like
+        File to write, beside its place and renamed when complete.
+    limit_2s : float, default=None
+        Limit of the mean 2S after the correction, mm: the report says whether it is kept.
+    facts : dict of str to str, default=None
+        What else to put at the top, such as serial number and operator.
+    row_numbers : array-like of shape (n_samples,), default=None
+        Numbers that outliers are listed by, such as those of the rows in a file. None: from 0.
+
+    Returns
+    -------
+    str
+        The text of the file.
+
+    Raises
+    ------
+    ImportError
+        Without jinja2 or matplotlib: ``pip install -e ".[app]"`` in the project's folder.
+    ValueError
+        If a limit of 2S is given for a result without 2S, or is not positive.
+
+    Notes
+    -----
+    Quantities are named as in ASME B89.4.22-2004 and ISO 10360-12:2016, as secondary sources
+    describe these; the report is no statement of conformance to them.
+
+    Examples
+    --------
+    ::
+
+        from sklearn_raacmm import learn_correction
+        from sklearn_raacmm.app import write_report
+
+        learned = learn_correction(arm, angles, positions)
+        write_report(learned, "report.html", limit_2s=0.05, facts={"serial number": "17"})
+    """
+    try:
+        import jinja2
+    except ImportError:
+        raise ImportError("The report needs jinja2: pip install jinja2.") from None
+    limit = None if limit_2s is None else judge_limit(result.scores, limit_2s)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
+    template = files("sklearn_raacmm.app").joinpath("_report.html").read_text(encoding="utf-8")
+    text = environment.from_string(template).render(
+        result=result,
+        scores=result.scores,
+        limit=limit,
+        limit_2s=limit_2s,
+        facts=_facts(result) | (facts or {}),
+        positions=_positions(result.scores),
+        sheet=_sheet(result.scores),
+        parameters=_parameters(result.calibration),
+        harmonics=_harmonics(result.model),
+        outliers=_outliers(result.outliers, row_numbers),
+        row_numbers=row_numbers,
+        figures=figures_of(result, limit_2s),
+        most_rows=_MOST_ROWS,
+    )
+    write_whole({path: text})
+    return text
+
+
+def micrometres(mm):
+    """Millimetres as text in micrometres."""
+    return f"{1000 * mm:.1f}"
+
+
+def judge_limit(scores, limit):
+    """Judge the mean 2S at positions left out against a limit.
+
+    Parameters
+    ----------
+    scores : CorrectionScores
+    limit : float
+        In mm.
+
+    Returns
+    -------
+    word : {"PASS", "FAIL", "OPEN"}
+        "OPEN" where the limit lies in the 95 % interval.
+    sentence : str
+
+    Raises
+    ------
+    ValueError
+        If the scores have no 2S, or the limit is not positive.
+    """
+    if scores.measure != "2S":
+        raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
+    if not 0 < limit < np.inf:
+        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r}.")
+    mean, low, high = scores.summary["after"]
+    word = "PASS" if high <= limit else "FAIL" if low > limit else "OPEN"
+    what = {
+        "PASS": "is within the limit",
+        "FAIL": "is above the limit",
+        "OPEN": "cannot be told from the limit",
+    }[word]
+    above = int(np.sum(scores.table["after"] > limit))
+    return word, (
+        f"Mean 2S after correction, {micrometres(mean)} µm (95 %: {micrometres(low)} to "
+        f"{micrometres(high)} µm), {what} of {micrometres(limit)} µm; {above} of "
+        f"{len(scores.table['after'])} positions are above it."
+    )
+
+
+def _facts(result):
+    """What was measured, with what, and the fingerprints of both."""
+    try:
+        model = fingerprint(result.model)[:16]
+    except ValueError:  # a model of a kind that cannot be written out
+        model = "none for a model of this kind"
+    digest = hashlib.sha256(np.ascontiguousarray(result.angles).tobytes())
+    digest.update("\n".join(map(str, result.positions.tolist())).encode())
+    return {
+        "arm": result.arm.name or "without a name",
+        "date": datetime.date.today().isoformat(),
+        "rows": len(result.angles),
+        "positions": len(np.unique(result.positions)),
+        "fingerprint of the data": digest.hexdigest()[:16],
+        "fingerprint of the model": model,
+        "model": type(result.model).__name__,
+        "versions": f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}, NumPy "
+        f"{np.__version__}, SciPy {scipy.__version__}, Python {platform.python_version()}",
+    }
+
+
+def _positions(scores):
+    """Rows of the table of positions, the worst first."""
+    table = scores.table
+    order = np.argsort(-table["after"], kind="stable")
+    return [{name: column[i] for name, column in table.items()} for i in order]
+
+
+def _sheet(scores):
+    """Quantities of single-point articulation and length tests: name, standard, before, after."""
+    rows = []
+    if scores.measure == "2S":
+        for name, how in (("mean over positions", np.mean), ("worst position", np.max)):
+            values = [float(how(scores.table[when])) for when in ("before", "after")]
+            rows.append((f"2S, {name}", "single-point articulation, ASME B89.4.22", *values))
+        values = [float(scores.table[f"{when}_max"].max()) for when in ("before", "after")]
+        rows.append(("largest deviation", "single-point articulation, ASME B89.4.22", *values))
+        values = [_largest_location_error(scores, when) for when in ("before", "after")]
+        name = "articulated location error, worst position"
+        rows.append((name, "diameter L_Dia, ISO 10360-12", *values))
+    if scores.lengths:
+        errors = scores.length_errors_before, scores.length_errors_after
+        nominal = np.array([entry[2] for entry in scores.lengths])
+        for name, standard, statistic in (
+            ("length error, largest", "E_Uni, ISO 10360-12", "max"),
+            ("length error, range", "volumetric performance, ASME B89.4.22", "range"),
+            ("length error, 2 rms", "volumetric performance, ASME B89.4.22", "2rms"),
+        ):
+            values = [length_error(nominal + e, nominal, statistic=statistic) for e in errors]
+            rows.append((name, standard, *values))
+    return rows
+
+
+def _largest_location_error(scores, when):
+    left = scores.left_before if when == "before" else scores.left_after
+    return max(articulated_location_error(left[rows]) for rows in scores.rows_by_position)
+
+
+def _outliers(outliers, row_numbers):
+    """Number of the row, position, distance in mm."""
+    rows = outliers["row"] if row_numbers is None else np.asarray(row_numbers)[outliers["row"]]
+    return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
+
+
+def _parameters(calibration):
+    """The calibrated table: name, nominal, value, standard deviation, unit, note."""
+    rows = []
+    for name, nominal, value, sd in zip(
+        calibration.names,
+        calibration.nominal,
+        calibration.values,
+        calibration.standard_deviations,
+        strict=True,
+    ):
+        angle = name.startswith(("alpha", "theta"))
+        factor, unit = (180 / np.pi, "°") if angle else (1.0, "mm")
+        note = "not identified" if name in calibration.unidentified else ""
+        rows.append((name, factor * nominal, factor * value, factor * sd, unit, note))
+    return rows
+
+
+def _harmonics(model):
+    """The largest harmonics that the model found: joint, order, amplitude, its sd, cause."""
+    table = getattr(getattr(model, "harmonics_", None), "harmonics_", None)
+    if table is None:
+        table = getattr(model, "harmonics_", None)
+    if not isinstance(table, np.ndarray) or getattr(model, "use_", "") == "none":
+        return []
+    rows = []
+    for row in table[:_MOST_HARMONICS]:
+        c, s = row["cos_arcsec"], row["sin_arcsec"]
+        size = max(float(np.hypot(c, s)), 1e-300)
+        sd = float(np.hypot(c * row["cos_sd_arcsec"], s * row["sin_sd_arcsec"]) / size)
+        order = int(row["order"])
+        rows.append((int(row["joint"]), order, float(row["amplitude_arcsec"]), sd, cause_of(order)))
+    return rows
+
+
+def cause_of(order):
+    """What most often makes an encoder's error of this order a turn."""
+    if order == 1:
+        return "eccentric disc or bearing"
+    if order == 2:
+        return "oval or tilted disc, or what two reading heads leave"
+    if order < 20:
+        return "bearing or run-out of several lobes"
+    return "teeth of a gear, or the scale of the encoder"

@@ -1,0 +1,225 @@
+"""What `calibrate` is given, checked, and what it warns of."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+
+import numpy as np
+
+from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
+from sklearn_raacmm.calibration._problem import Problem, encode_labels
+from sklearn_raacmm.calibration._result import is_angle
+from sklearn_raacmm.utils import encode_groups, floats, refuse_huge
+
+# For warnings: each is given by a function that `calibrate` calls, which two decorators wrap.
+CALLER = 5
+# Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
+_LENGTH_OUTLIER = 5.0
+# A picometre: smaller than any length is known, large enough to divide by.
+_LEAST_SD_MM = 1e-9
+# What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
+# part of the reach; a reach.
+_FAR = 10.0
+_SHARE_OF_REACH = 0.02
+_LEAST_REACH_MM = 20.0
+# Departure from orthonormal of a rotation matrix that was written with four digits.
+_NOT_ROTATION = 1e-3
+
+
+def check_problem(angles, groups, points, lengths, tools, stations, orientations):
+    """The data of a calibration as a `Problem`, and the labels of tools and stations."""
+    n = len(angles)
+    if n == 0:
+        raise ValueError("angles are empty: there is nothing to calibrate with.")
+    if (groups is None) == (points is None):
+        raise ValueError("give either groups, or points that were measured.")
+    tool_labels, tools = (None, None) if tools is None else encode_labels("tools", tools, n)
+    station_labels, stations = (
+        (None, None) if stations is None else encode_labels("stations", stations, n)
+    )
+    if points is not None:
+        points = _check_points(points, n, lengths)
+        turns = None if orientations is None else _check_turns(orientations, n)
+        problem = Problem(None, points, [], tools=tools, stations=stations, turns=turns)
+        return problem, tool_labels, station_labels
+    for name, value in (("stations", stations), ("orientations", orientations)):
+        if value is not None:
+            raise ValueError(
+                f"{name} are of measured points. In a test without a tracker, a fixed point that "
+                "is measured from another place is another group: give it a label of its own."
+            )
+    labels, index = encode_groups(groups, n)
+    labels = labels.tolist()
+    lengths = [check_length(entry, labels) for entry in lengths]
+    problem = Problem(index, None, lengths, tools=tools)
+    if problem.n_informative == 0:
+        raise ValueError(f"each of the {len(labels)} groups has one point: none can scatter.")
+    tied = {i for entry in lengths for i in entry[:2]}
+    lonely = [i for i, c in enumerate(np.bincount(index)) if c == 1 and i not in tied]
+    if lonely:
+        warnings.warn(
+            f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}.",
+            UserWarning,
+            stacklevel=CALLER,
+        )
+    return problem, tool_labels, None
+
+
+def _check_points(points, n, lengths):
+    points = floats("points", points)
+    if points.shape != (n, 3):
+        raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
+    if not np.all(np.isfinite(points)):
+        row = np.argwhere(~np.isfinite(points))[0, 0]
+        raise ValueError(f"points hold NaN or infinity, first in row {row}.")
+    refuse_huge("points", points)
+    if lengths:
+        raise ValueError("lengths are between groups; measured points have no use for them.")
+    return points
+
+
+def _check_turns(turns, n):
+    """Rotation matrices (n, 3, 3), or rotation objects of SciPy."""
+    turns = turns.as_matrix() if hasattr(turns, "as_matrix") else floats("orientations", turns)
+    if turns.shape != (n, 3, 3):
+        raise ValueError(
+            f"orientations must be {n} rotation matrices, shape ({n}, 3, 3), got {turns.shape}."
+        )
+    error = np.abs(np.swapaxes(turns, 1, 2) @ turns - np.eye(3)).max(axis=(1, 2))
+    bad = ~(error <= _NOT_ROTATION) | ~(np.linalg.det(turns) > 0)
+    if bad.any():
+        raise ValueError(
+            f"orientations hold {bad.sum()} matrices that are no rotations, first in row "
+            f"{np.argmax(bad)}."
+        )
+    return turns
+
+
+def check_correction(correction, angles, angle_unit):
+    """Predicted residuals (n, 3) of the rows."""
+    if not hasattr(correction, "predict"):
+        raise TypeError(
+            "correction must be a fitted model with predict(angles), got "
+            f"{type(correction).__name__}."
+        )
+    # A model that was trained in degrees is asked in degrees.
+    if getattr(correction, "angle_unit", "rad") == "deg":
+        angles = np.asarray(angles) if angle_unit == "deg" else np.rad2deg(angles)
+    elif angle_unit == "deg":
+        angles = np.deg2rad(angles)
+    residuals = np.asarray(correction.predict(angles), dtype=float)
+    if residuals.shape != (len(angles), 3) or not np.all(np.isfinite(residuals)):
+        raise ValueError(
+            f"correction.predict must give finite residuals of shape ({len(angles)}, 3) in mm, "
+            f"got shape {residuals.shape}."
+        )
+    return residuals
+
+
+def check_arm_angles(arm, angles, angle_unit):
+    """Angles in rad within one turn, lest a warning of far angles be said again by what follows."""
+    angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=CALLER + 1)
+    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+
+
+def listed(name, value):
+    """Several, as a list; one text is not several letters, and an array is its rows."""
+    try:
+        return [value] if isinstance(value, str) else list(value)
+    except TypeError:
+        raise ValueError(f"{name} must be a list, got {value!r}.") from None
+
+
+def check_free(free):
+    free = listed("free", free)
+    if not all(isinstance(name, str) and name in FIELDS for name in free):
+        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r}.")
+    return free
+
+
+def check_length(entry, labels):
+    """A known length as (position, position, length, sd), positions by their index."""
+    try:
+        first, second, length, sd = entry
+        length, sd = float(length), float(sd)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"each of lengths must be (label, label, length, standard deviation), got {entry!r}."
+        ) from None
+    for label in (first, second):
+        if label not in labels:
+            raise ValueError(f"lengths name the group {label!r}, which has no samples.")
+    in_bounds = 0 < length <= 2 * MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
+    if not in_bounds or first == second:
+        raise ValueError(
+            f"a length must join two different groups, it must be positive and at most "
+            f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
+            f"got {entry!r}."
+        )
+    return labels.index(first), labels.index(second), length, sd
+
+
+def warn_of_wrong_lengths(lengths, errors, sigma):
+    wrong = [
+        f"{first} to {second} is {float(length) + error:.6g} mm, given as {float(length):g} +- "
+        f"{float(sd):g} mm"
+        for (first, second, length, sd), error in zip(lengths, errors, strict=True)
+        if abs(error) > _LENGTH_OUTLIER * max(float(sd), sigma)
+    ]
+    if wrong:
+        warnings.warn(
+            f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
+            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}.",
+            UserWarning,
+            stacklevel=CALLER,
+        )
+
+
+def warn_of_few_rows(seen, names, problem):
+    """Say that the rows cannot carry what is asked of them."""
+    n, rank, spare = problem.n_coordinates, seen.rank, problem.n_coordinates - seen.rank
+    if not names or spare >= rank:
+        return
+    rows = int(np.ceil((n + rank - spare) / n * problem.n_informative))
+    what = "measured points" if problem.points is not None else "groups of points"
+    known = (
+        "The noise, and with it every standard deviation, is unknown."
+        if spare <= 0
+        else "The noise and the standard deviations are hardly known, and the arm may be far off "
+        "at other poses."
+    )
+    warnings.warn(
+        f"{problem.n_informative} {what} give {max(n, 0)} coordinates for {len(names)} free "
+        f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
+        f"with. {known} Measure about {rows} rows or more, or let fewer fields change (free=).",
+        UserWarning,
+        stacklevel=CALLER + 1,
+    )
+
+
+def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after):
+    """Say that a fit which has settled makes no sense: wrong input can be fitted, too."""
+    signs = []
+    reach = reach_mm(arm)
+    if reach < _LEAST_REACH_MM:
+        signs.append(
+            f"The nominal arm reaches {reach:.3g} mm: are its lengths in metres, not millimetres?"
+        )
+    departure = np.abs(values - nominal) / prior_sd
+    worst = int(np.argmax(departure))
+    if departure[worst] > _FAR:
+        unit = "rad" if is_angle(names[worst]) else "mm"
+        signs.append(
+            f"{names[worst]} is {values[worst]:.6g} {unit}, nominally {nominal[worst]:.6g} {unit}, "
+            f"{departure[worst]:.3g} times the prior standard deviation away: look at the known "
+            "lengths, their unit, and the nominal table."
+        )
+    if after > min(_SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
+        signs.append(
+            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
+            f"{reach:.4g} mm): look at the labels, known lengths, the order and sense of the "
+            "joints, the convention of the table, and the unit of the angles."
+        )
+    if signs:
+        warnings.warn(" ".join(signs), UserWarning, stacklevel=CALLER)

@@ -1,0 +1,399 @@
+"""The fit under `calibrate`: parameters, residuals, weights, and what they are worth."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi
+
+from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
+from sklearn_raacmm.calibration._problem import (
+    align,
+    jacobian_of_all,
+    left_jacobian,
+    points_of_all,
+    unpack,
+)
+
+# Weight of a point whose distance is u standard deviations of one coordinate.
+WEIGHTS = {
+    "linear": np.ones_like,
+    "soft_l1": lambda u: 1 / np.sqrt(1 + (u / 2) ** 2),
+    "huber": lambda u: 2.5 / np.maximum(u, 2.5),
+    "cauchy": lambda u: 1 / (1 + (u / 4) ** 2),
+}
+# Median length of a vector of three standard normal numbers.
+_MEDIAN_NORM = 1.5382
+_MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
+MAX_ROUNDS = 20
+# Rounds in which prior standard deviations are found; two digits of them are enough.
+_EVIDENCE_ROUNDS = 8
+# What a prior variance is worth before any data, as a number of parameters that were seen. Chosen
+# with the guesses of `calibrate` on simulated arms.
+_GUESS_COUNTS = 4.0
+# Steps of one iteration at the start, of a base and of a target's orientation: rad and mm.
+_STEP_RAD, _STEP_MM = 1e-2, 10.0
+# A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
+_MOST_LEVERAGE = 0.99
+# Rows that are named: this many on the average in a set that has no outliers.
+_FALSE_NAMES = 0.05
+# The part of the distances whose size tells how long the tail of the others is.
+_TAIL = 0.9
+
+
+class Fit:
+    """State of the fit.
+
+    The parameters x are the table, the probe of each tool, base (rotation vector and shift) of
+    each station, and orientation of each target on the last link; beside them stand the weights of
+    the rows, `sigma` (mm) and `sigma_turn` (rad), and the prior standard deviations.
+
+    families : list of (ndarray of int, float, float, float)
+        Parameters whose common prior standard deviation is found by the evidence, a guess of it,
+        and its bounds.
+    """
+
+    def __init__(self, arm, angles, problem, nominal, prior_sd, loss, families=()):
+        self.nominal_arm, self.angles, self.problem = arm, angles, problem
+        self.nominal, self.prior_sd, self.loss = nominal, prior_sd.astype(float), loss
+        self.families = families
+        self.x = nominal.copy()
+        self.rotations, self.targets = np.empty((0, 3, 3)), np.empty((0, 3, 3))
+        self.converged = False
+        points, jac = jacobian_of_all(arm, angles, self.x, problem, len(nominal))
+        if problem.points is not None:
+            self._place(points)
+        # The common scale of the links, each as much as the data feel it: an offset along the
+        # first axis, which a single-point test cannot feel, has no say.
+        n = arm.n_joints
+        felt = np.sum((jac - problem.mean(jac, np.ones(len(angles)))) ** 2, axis=(0, 1))
+        length = np.zeros_like(nominal)
+        for rows in (slice(0, n), slice(2 * n, 3 * n)):
+            length[rows] = felt[rows] * nominal[rows]
+        total = length @ nominal
+        self.scale = length / total if total > 0 else length
+        self.reset_weights()
+
+    def _place(self, points):
+        """First guess of every base, and of every target's orientation."""
+        problem, shifts = self.problem, []
+        self.rotations = np.empty((problem.n_stations, 3, 3))
+        for s in range(problem.n_stations):
+            rows = problem.rows_of_station(s)
+            self.rotations[s], shift = align(points[rows], problem.points[rows])
+            shifts += [np.r_[0, 0, 0, shift]]
+        self.x = np.concatenate([self.x, *shifts])
+        if problem.turns is not None:
+            flange = flange_turns(self.nominal_arm, self.angles)[0]
+            away = np.swapaxes(self._rotation_of_rows() @ flange, 1, 2) @ problem.turns
+            self.targets = np.stack(
+                [mean_turn(away[problem.rows_of_tool(t)]) for t in range(problem.n_tools)]
+            )
+            self.x = np.concatenate([self.x, np.zeros(3 * problem.n_tools)])
+
+    def _rotation_of_rows(self):
+        """Rotation of the base of each row, (n, 3, 3) or one for all."""
+        stations = self.problem.stations
+        return self.rotations[0] if stations is None else self.rotations[stations]
+
+    def base_columns(self, station):
+        """Columns of a station's base: rotation, then shift."""
+        return len(self.nominal) + 6 * station + np.arange(6)
+
+    def _target_columns(self, tool):
+        return len(self.nominal) + 6 * self.problem.n_stations + 3 * tool + np.arange(3)
+
+    def reset_weights(self):
+        self.weights = np.ones(len(self.angles))
+        self.turn_weights = np.ones(len(self.angles))
+        self.length_weights = self._new_length_weights()
+        self.sigma = self.sigma_turn = None
+
+    def arm(self, tool=0):
+        return unpack(self.nominal_arm, self.x, tool)
+
+    def mask_of(self, is_free):
+        """Free parameters of x: bases and targets always are."""
+        return np.r_[is_free, np.ones(len(self.x) - len(is_free), bool)]
+
+    def run(self, is_free):
+        """Alternate least squares, and the weights and variances they imply, until they settle."""
+        mask = self.mask_of(is_free)
+        for rounds in range(MAX_ROUNDS):
+            if self.sigma is None:
+                self._weigh()
+            before = self.sigma
+            if mask.any():
+                self._solve(mask)
+            settled = self._judge(mask, find_priors=rounds < _EVIDENCE_ROUNDS)
+            weights, self.length_weights = self.length_weights, self._new_length_weights()
+            change = np.max(np.abs(weights - self.length_weights), initial=0.0)
+            self.converged = bool(
+                abs(self.sigma - before) <= 1e-3 * before and change <= 0.02 and settled
+            )
+            if self.converged:
+                break
+
+    def _judge(self, mask, find_priors):
+        """New weights and variances; returns whether the prior variances have settled."""
+        if not mask.any():
+            self._weigh()
+            return True
+        is_free = mask[: len(self.nominal)]
+        share = np.ones(len(is_free))  # of the prior's variance that the data leave
+        rows, jac = self._residuals_and_jacobian(self.x, mask)
+        covariance = covariance_of(jac)
+        variance = np.diag(covariance)[: is_free.sum()]
+        share[is_free] = np.minimum(variance / self.prior_sd[is_free] ** 2, 1.0)
+        self._weigh(self._spread(covariance, rows, jac))
+        settled = True
+        for members, guess, least, most in self.families if find_priors else ():
+            members = members[is_free[members]]
+            if not len(members):
+                continue
+            square = np.sum((self.x[members] - self.nominal[members]) ** 2)
+            counts = np.sum(1 - share[members]) + _GUESS_COUNTS
+            sd = np.sqrt((square + _GUESS_COUNTS * guess**2) / counts)
+            sd = np.clip(sd, least, most)
+            settled &= bool(abs(np.log(sd / self.prior_sd[members[0]])) < 0.05)
+            self.prior_sd[members] = sd
+        return settled
+
+    def _spread(self, covariance, rows, jac):
+        """Lengths (k, n) that the residuals would have had the fit not followed them.
+
+        The covariance of a row's residual is that of the noise less its block of the hat matrix;
+        the inverse root of the two takes a residual back to the size of the noise. The first line
+        is of positions, the second of orientations where there are some; in standard deviations.
+        """
+        n = len(self.angles)
+        parts = 1 if self.problem.turns is None else 2
+        jac = jac[: 3 * n * parts].reshape(parts * n, 3, -1)
+        finite = np.where(np.isfinite(covariance), covariance, 0.0)
+        taken = (jac.reshape(-1, jac.shape[2]) @ finite).reshape(jac.shape) @ jac.swapaxes(1, 2)
+        if self.problem.points is None:
+            index = self.problem.index
+            own = self.weights / np.bincount(index, self.weights)[index]
+            taken += own[:, None, None] * np.eye(3)
+        values, axes = np.linalg.eigh(taken)
+        along = np.einsum("nji,nj->ni", axes, rows[: 3 * n * parts].reshape(-1, 3))
+        along /= np.sqrt(1 - np.clip(values, 0, _MOST_LEVERAGE))
+        return np.linalg.norm(along, axis=1).reshape(parts, n)
+
+    def _weigh(self, spread=None):
+        """Standard deviations of the data, and the weights of the rows."""
+        distances = self.robust_distances()
+        seen = distances if spread is None else spread[0] * self.sigma / np.sqrt(self.weights)
+        self.sigma = self._new_sigma(seen)
+        self.weights = WEIGHTS[self.loss](distances / self.sigma)
+        if self.problem.turns is not None:
+            sizes = np.linalg.norm(self.turn_residuals(), axis=1)
+            seen = sizes
+            if spread is not None:
+                seen = spread[1] * self.sigma_turn / np.sqrt(self.turn_weights)
+            self.sigma_turn = self._new_sigma(seen)
+            self.turn_weights = WEIGHTS[self.loss](sizes / self.sigma_turn)
+
+    def _solve(self, mask):
+        start = self.x.copy()
+        n = len(self.nominal)
+        bases = self.problem.n_stations
+        step = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)]
+        step = np.r_[step, np.full(len(self.x) - len(step), _STEP_RAD)]
+        memory = {}
+
+        def evaluate(z):
+            if memory.get("z") != z.tobytes():
+                x = start.copy()
+                x[mask] += step[mask] * z
+                residuals, jac = self._residuals_and_jacobian(x, mask)
+                memory.update(z=z.tobytes(), x=x, r=residuals, j=jac * step[mask])
+            return memory
+
+        solution = least_squares(
+            lambda z: evaluate(z)["r"],
+            np.zeros(mask.sum()),
+            jac=lambda z: evaluate(z)["j"],
+            xtol=1e-10,
+            ftol=1e-10,
+            max_nfev=100,
+        )
+        self.x = evaluate(solution.x)["x"].copy()
+        # Rotations are small ones about the last: take them over.
+        for s in range(bases):
+            turn = n + 6 * s + np.arange(3)
+            self.rotations[s] = Rotation.from_rotvec(self.x[turn]).as_matrix() @ self.rotations[s]
+            self.x[turn] = 0
+        for t in range(len(self.targets)):
+            turn = self._target_columns(t)
+            self.targets[t] = Rotation.from_rotvec(self.x[turn]).as_matrix() @ self.targets[t]
+            self.x[turn] = 0
+
+    def _data_residuals(self, x):
+        """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
+        problem, n = self.problem, len(self.nominal)
+        points, jac = jacobian_of_all(self.nominal_arm, self.angles, x, problem, len(x))
+        if problem.points is None:
+            centres, centres_jac = (problem.sums(v, self.weights) for v in (points, jac))
+            residuals, jac = points - centres[problem.index], jac - centres_jac[problem.index]
+            scale = self.scale @ x
+            if scale > 0:
+                jac = jac / scale - residuals[:, :, None] * (self.scale / scale**2)
+                residuals = residuals / scale
+            return residuals, jac, centres, centres_jac
+        residuals = np.empty_like(points)
+        for s in range(problem.n_stations):
+            rows, columns = problem.rows_of_station(s), self.base_columns(s)
+            rotvec = x[columns[:3]]
+            turn = Rotation.from_rotvec(rotvec).as_matrix() @ self.rotations[s]
+            turned = points[rows] @ turn.T
+            residuals[rows] = turned + x[columns[3:]] - problem.points[rows]
+            jac[rows, :, :n] = turn @ jac[rows, :, :n]
+            for column, axis in zip(columns[:3], left_jacobian(rotvec).T, strict=True):
+                jac[rows, :, column] = np.cross(axis, turned)
+            jac[rows, :, columns[3] : columns[5] + 1] = np.eye(3)
+        return residuals, jac, None, None
+
+    def _turn_residuals_and_jacobian(self, x):
+        """Differences of orientation (n, 3) in rad, in the frame of the points."""
+        problem, n = self.problem, self.nominal_arm.n_joints
+        flange, axes = flange_turns(unpack(self.nominal_arm, x), self.angles)
+        measured = np.swapaxes(problem.turns, 1, 2)
+        residuals, jac = np.empty((len(flange), 3)), np.zeros((len(flange), 3, len(x)))
+        rotation = np.empty_like(flange)
+        for s in range(problem.n_stations):
+            rows, columns = problem.rows_of_station(s), self.base_columns(s)[:3]
+            rotation[rows] = Rotation.from_rotvec(x[columns]).as_matrix() @ self.rotations[s]
+            jac[rows, :, columns[0] : columns[2] + 1] = left_jacobian(x[columns])
+        turned = rotation @ axes
+        jac[:, :, n : 2 * n], jac[:, :, 3 * n : 4 * n] = turned[:, :, :n], turned[:, :, n:]
+        for t in range(problem.n_tools):
+            rows, columns = problem.rows_of_tool(t), self._target_columns(t)
+            target = Rotation.from_rotvec(x[columns]).as_matrix() @ self.targets[t]
+            carried = rotation[rows] @ flange[rows]
+            residuals[rows] = turn_vectors(carried @ target @ measured[rows])
+            jac[rows, :, columns[0] : columns[2] + 1] = carried @ left_jacobian(x[columns])
+        return residuals, jac
+
+    def _data_rows(self, x):
+        """Weighted residuals of data and known lengths, and their Jacobian, without the prior."""
+        residuals, jac, centres, centres_jac = self._data_residuals(x)
+        weight = np.sqrt(self.weights)[:, None] / self.sigma
+        rows = [(weight * residuals).ravel()]
+        jacs = [(weight[:, :, None] * jac).reshape(-1, len(x))]
+        if self.problem.turns is not None:
+            residuals, jac = self._turn_residuals_and_jacobian(x)
+            weight = np.sqrt(self.turn_weights)[:, None] / self.sigma_turn
+            rows.append((weight * residuals).ravel())
+            jacs.append((weight[:, :, None] * jac).reshape(-1, len(x)))
+        for (i, j, length, sd), length_weight in zip(
+            self.problem.lengths, self.length_weights, strict=True
+        ):
+            sd = sd / np.sqrt(length_weight)
+            gap = centres[i] - centres[j]
+            distance = max(np.linalg.norm(gap), 1e-12)
+            rows.append([(distance - length) / sd])
+            jacs.append((gap @ (centres_jac[i] - centres_jac[j]) / (distance * sd))[None])
+        return np.concatenate(rows), np.concatenate(jacs)
+
+    def _residuals_and_jacobian(self, x, mask):
+        rows, jac = self._data_rows(x)
+        n, is_free = len(self.nominal), mask[: len(self.nominal)]
+        prior = np.zeros((is_free.sum(), mask.sum()))
+        prior[:, : is_free.sum()] = np.diag(1 / self.prior_sd[is_free])
+        departure = ((x[:n] - self.nominal) / self.prior_sd)[is_free]
+        return np.concatenate([rows, departure]), np.concatenate([jac[:, mask], prior])
+
+    def data_jacobian(self, mask):
+        """Derivatives of the weighted data, in standard deviations, by the free parameters."""
+        return self._data_rows(self.x)[1][:, mask]
+
+    def points(self):
+        """Corrected points (n, 3) in mm, in the arm's base frame."""
+        return points_of_all(self.nominal_arm, self.angles, self.x, self.problem)
+
+    def residuals(self, weights=None):
+        """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
+        points, problem = self.points(), self.problem
+        if problem.points is None:
+            weights = np.ones(len(points)) if weights is None else weights
+            return points - problem.mean(points, weights)
+        for s in range(problem.n_stations):
+            rows, shift = problem.rows_of_station(s), self.x[self.base_columns(s)[3:]]
+            points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]
+        return points
+
+    def turn_residuals(self):
+        """Differences of orientation (n, 3) in rad, in the frame of the points."""
+        return self._turn_residuals_and_jacobian(self.x)[0]
+
+    def distances(self):
+        """Distances (n,) in mm from the plain mean of the group: what scatter is made of."""
+        return np.linalg.norm(self.residuals(), axis=1)
+
+    def robust_distances(self):
+        """Distances (n,) in mm from the weighted mean of the group, which outliers do not pull."""
+        return np.linalg.norm(self.residuals(self.weights), axis=1)
+
+    def length_errors(self):
+        """Lengths between the centres of groups less the known ones, mm."""
+        if not self.problem.lengths:
+            return np.empty(0)
+        centres = self.problem.sums(self.points(), self.weights)
+        i, j, length, _ = zip(*self.problem.lengths, strict=True)
+        return np.linalg.norm(centres[list(i)] - centres[list(j)], axis=1) - length
+
+    def _new_length_weights(self):
+        # A wrong length (one hole of a plate beside the right one) must not bend the arm.
+        sd = np.array([entry[3] for entry in self.problem.lengths])
+        return WEIGHTS[self.loss](np.abs(self.length_errors()) / sd)
+
+    def _new_sigma(self, distances):
+        """Standard deviation of one coordinate of vectors of these lengths."""
+        distances = distances[self.problem.informative]
+        if self.loss == "linear":
+            sigma = np.sqrt(np.mean(distances**2) / 3)
+        else:
+            # Outliers would shift the median to larger ones of the others.
+            kept = distances[distances <= outlier_limit(distances, 0.0)]
+            sigma = np.median(kept) / _MEDIAN_NORM
+        return max(sigma, _MIN_SIGMA_MM)
+
+    def covariance(self, mask):
+        """Posterior covariance of the free parameters; infinite where nothing is known."""
+        return covariance_of(self._residuals_and_jacobian(self.x, mask)[1])
+
+
+def covariance_of(jac):
+    """Inverse of ``jac.T @ jac``, with infinite variances where it is singular."""
+    size = np.linalg.norm(jac, axis=0)
+    size[size == 0] = 1
+    # The singular values of scaled columns: mm and rad differ by orders of magnitude.
+    _, values, vectors = np.linalg.svd(np.linalg.qr(jac / size, mode="r"))
+    values = np.r_[values, np.zeros(len(vectors) - len(values))]
+    known = values > 1e-12 * values.max()
+    root = vectors[known].T / values[known] / size[:, None]
+    covariance = root @ root.T
+    open_ = np.abs(vectors[~known]).max(axis=0, initial=0.0) > 1e-6
+    covariance[open_, open_] = np.inf
+    return covariance
+
+
+def outlier_limit(distances, sigma):
+    """Distance beyond which a row is an outlier.
+
+    Of vectors of three normal numbers the longest of n is at the quantile 1 - 1 / n of the chi
+    distribution. What an arm does beside its noise makes the tail longer: the logarithm of the
+    distance is taken as linear in that of chi, through the median and the 90 % quantile.
+    """
+    n = len(distances)
+    if not n:
+        return np.inf
+    middle, tail, far = chi.ppf([0.5, _TAIL, 1 - _FALSE_NAMES / n], 3)
+    at_middle, at_tail = np.quantile(distances, [0.5, _TAIL])
+    if not at_middle > 0:
+        return np.inf
+    power = max(np.log(at_tail / at_middle) / np.log(tail / middle), 1.0)
+    return max(at_middle * (far / middle) ** power, far * sigma)

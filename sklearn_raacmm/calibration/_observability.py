@@ -1,0 +1,87 @@
+"""What measurements can show of an arm's parameters, from the Jacobian alone."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import NamedTuple
+
+import numpy as np
+
+# Singular values below this part of the largest are rounding.
+_RANK = 1e-9
+# Terms of a combination that move the probe by less than this part of its largest are not written.
+_SMALL_TERM = 0.05
+# A combination is open where its posterior standard deviation is above half the prior's, which is
+# 1 / sqrt(1 + s^2) of it for a singular value s of the data in prior units.
+_OPEN = np.sqrt(3.0)
+
+
+class Observability(NamedTuple):
+    """What the data, without the prior, say of the free parameters."""
+
+    rank: int
+    condition_number: float
+    index: float
+    open_combinations: tuple
+
+
+def observability(jac, names, prior_sd, unit, sigma):
+    """Rank, condition, observability index and open combinations.
+
+    Parameters
+    ----------
+    jac : ndarray of shape (m, p)
+        Derivatives of the data, in standard deviations, by the free parameters.
+    names : list of str
+    prior_sd : ndarray of shape (p,)
+        What counts as knowing nothing of each.
+    unit : ndarray of shape (p,)
+        Change of each parameter that moves the probe by about 1 mm.
+    sigma : float
+        Standard deviation of a coordinate, mm.
+
+    Returns
+    -------
+    Observability
+    """
+    if not len(names):
+        return Observability(0, 1.0, 0.0, ())
+    root = np.linalg.qr(jac, mode="r")
+    values = np.linalg.svd(root * unit * sigma, compute_uv=False)
+    rank = int(np.sum(values > _RANK * values.max(initial=0.0)))
+    values = values[:rank]
+    index = float(np.exp(np.log(values).mean()) / np.sqrt(len(jac) / 3)) if rank else 0.0
+    condition = float(values[0] / values[-1]) if rank == len(names) else np.inf
+    _, strength, directions = np.linalg.svd(root * prior_sd, full_matrices=True)
+    strength = np.r_[strength, np.zeros(len(names) - len(strength))]
+    combinations = _readable(directions[strength < _OPEN], names, prior_sd, unit)
+    return Observability(rank, condition, index, combinations)
+
+
+def _readable(basis, names, prior_sd, unit):
+    """A basis (k, p), in prior units, as sums with few terms: its reduced echelon form."""
+    basis, lines, pivots = basis.copy(), [], []
+    for i in range(len(basis)):
+        rest = np.abs(basis[i:])
+        row, pivot = np.unravel_index(np.argmax(rest), rest.shape)
+        basis[[i, i + row]] = basis[[i + row, i]]
+        basis[i] /= basis[i, pivot]
+        others = np.arange(len(basis)) != i
+        basis[others] -= basis[others, pivot][:, None] * basis[i]
+        pivots.append(pivot)
+    for row, pivot in sorted(zip(basis, pivots, strict=True), key=lambda pair: pair[1]):
+        moves = np.abs(row * prior_sd / unit)  # mm at the probe, about
+        large = moves > _SMALL_TERM * moves.max()
+        factors = row * prior_sd / prior_sd[pivot]
+        order = [pivot, *(i for i in np.flatnonzero(large) if i != pivot)]
+        lines.append(_sum_of(factors[order], [names[i] for i in order]))
+    return tuple(lines)
+
+
+def _sum_of(factors, names):
+    text = ""
+    for factor, name in zip(factors, names, strict=True):
+        sign = ("-" if factor < 0 else "") if not text else (" - " if factor < 0 else " + ")
+        size = abs(factor)
+        text += sign + (name if abs(size - 1) < 0.005 else f"{size:.3g} {name}")
+    return text

@@ -1,0 +1,152 @@
+"""What a calibration has to explain: checked data, and how parameters are laid out."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sklearn_raacmm.arm import FIELDS, parameter_jacobian
+from sklearn_raacmm.utils import encode_groups
+
+
+@dataclass
+class Problem:
+    """Checked data of one calibration.
+
+    Attributes
+    ----------
+    index : ndarray of shape (n,) or None
+        Number of the fixed point of each row; None for measured points.
+    points : ndarray of shape (n, 3) or None
+        Measured points, mm.
+    lengths : list of (int, int, float, float)
+        Known lengths between two fixed points, mm.
+    correction : ndarray of shape (n, 3) or None
+        What is subtracted from the arm's points, mm, in the arm's base frame.
+    tools, stations : ndarray of shape (n,) or None
+        Number of the tool and of the station of each row; None where all rows share one.
+    turns : ndarray of shape (n, 3, 3) or None
+        Measured orientations of the target, as rotation matrices in the frame of the points.
+    """
+
+    index: np.ndarray | None
+    points: np.ndarray | None
+    lengths: list
+    correction: np.ndarray | None = None
+    tools: np.ndarray | None = None
+    stations: np.ndarray | None = None
+    turns: np.ndarray | None = None
+    n_tools: int = field(init=False)
+    n_stations: int = field(init=False)
+
+    def __post_init__(self):
+        self.n_tools = 1 if self.tools is None else int(self.tools.max()) + 1
+        if self.points is not None:
+            self.n_informative, self.informative = len(self.points), slice(None)
+            self.n_stations = 1 if self.stations is None else int(self.stations.max()) + 1
+            return
+        self.n_stations = 0
+        self.order = np.argsort(self.index, kind="stable")
+        count = np.bincount(self.index)
+        self.starts = np.r_[0, np.cumsum(count)[:-1]]
+        # One point is its own mean: its zero residual must not pass for precision.
+        self.informative = count[self.index] > 1
+        self.n_useful = int((count > 1).sum())
+        self.n_informative = int(self.informative.sum())
+
+    @property
+    def n_coordinates(self):
+        """Coordinates that were measured, less those that the unknown fixed points take."""
+        if self.points is not None:
+            return (3 if self.turns is None else 6) * self.n_informative
+        return 3 * (self.n_informative - self.n_useful)
+
+    def rows_of_tool(self, tool):
+        return slice(None) if self.tools is None else np.flatnonzero(self.tools == tool)
+
+    def rows_of_station(self, station):
+        return slice(None) if self.stations is None else np.flatnonzero(self.stations == station)
+
+    def sums(self, values, weights):
+        """Weighted mean of each group, (n_groups, ...)."""
+        weights = weights[self.order].reshape(-1, *[1] * (values.ndim - 1))
+        total = np.add.reduceat(weights * values[self.order], self.starts)
+        return total / np.add.reduceat(weights, self.starts)
+
+    def mean(self, values, weights):
+        """Weighted mean of each sample's group, (n, ...), or the mean of all samples."""
+        if self.index is None:
+            return values.mean(axis=0)
+        return self.sums(values, weights)[self.index]
+
+
+def encode_labels(name, labels, n):
+    """Different labels and the number of each row's, as `encode_groups`, for another name."""
+    try:
+        return encode_groups(labels, n)
+    except ValueError as error:
+        raise ValueError(str(error).replace("groups", name, 1)) from None
+
+
+def pack(arm):
+    """The arm's parameters as one vector (4 n_joints + 3,)."""
+    return np.concatenate([getattr(arm, name) for name in FIELDS])
+
+
+def unpack(arm, x, tool=0):
+    """The arm with the parameters of one vector; further tools follow the first one's probe."""
+    n = arm.n_joints
+    start = 4 * n + 3 * tool
+    return arm.replace(
+        a=x[:n],
+        alpha=x[n : 2 * n],
+        d=x[2 * n : 3 * n],
+        theta_offset=x[3 * n : 4 * n],
+        probe=x[start : start + 3],
+    )
+
+
+def points_of_all(arm, angles, x, problem):
+    """Corrected points (n, 3) in the arm's base frame."""
+    points = np.empty((len(angles), 3))
+    for tool in range(problem.n_tools):
+        rows = problem.rows_of_tool(tool)
+        points[rows] = unpack(arm, x, tool).forward(angles[rows])
+    return points if problem.correction is None else points - problem.correction
+
+
+def jacobian_of_all(arm, angles, x, problem, n_parameters):
+    """Corrected points (n, 3) and their derivatives (n, 3, n_parameters) by table and probes."""
+    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, n_parameters))
+    n_table = 4 * arm.n_joints
+    for tool in range(problem.n_tools):
+        rows = problem.rows_of_tool(tool)
+        points[rows], own = parameter_jacobian(unpack(arm, x, tool), angles[rows])
+        jac[rows, :, :n_table] = own[:, :, :n_table]
+        start = n_table + 3 * tool
+        jac[rows, :, start : start + 3] = own[:, :, n_table:]
+    return (points if problem.correction is None else points - problem.correction), jac
+
+
+def align(points, target):
+    """Rotation and shift that take points to target with the least squares of what is left."""
+    centre, target_centre = points.mean(axis=0), target.mean(axis=0)
+    u, _, vt = np.linalg.svd((target - target_centre).T @ (points - centre))
+    rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return rotation, target_centre - rotation @ centre
+
+
+def left_jacobian(rotvec):
+    """Rotation that a small change of a rotation vector adds on the left, (3, 3)."""
+    angle = np.linalg.norm(rotvec)
+    x, y, z = rotvec
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    if angle < 1e-6:
+        return np.eye(3) + cross / 2
+    return (
+        np.eye(3)
+        + (1 - np.cos(angle)) / angle**2 * cross
+        + (angle - np.sin(angle)) / angle**3 * cross @ cross
+    )

@@ -1,0 +1,257 @@
+"""What a calibration returns."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.calibration._problem import encode_labels
+from sklearn_raacmm.utils import centred, check_points, encode_groups
+
+# Rows and combinations that are printed.
+_N_SHOWN = 10
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
+    """What a calibration found, and what it could not find.
+
+    Attributes
+    ----------
+    arm : Arm
+        The calibrated arm; with several tools, with the probe of the first.
+    names : tuple of str
+        Names of the parameters: the field of `Arm` and the row of the table from 1, such as
+        ``"a2"`` or ``"theta_offset4"``, and ``"probe_x"`` to ``"probe_z"``. For measured points
+        then the base: ``"base_rx"`` to ``"base_rz"`` (a rotation vector) and ``"base_x"`` to
+        ``"base_z"``. Where there are several tools or stations, the label follows in brackets.
+    nominal, values : ndarray of shape (n_parameters,)
+        Before and after, mm and rad. A base has no nominal value: NaN.
+    standard_deviations : ndarray of shape (n_parameters,)
+        Of `values`, the prior included, mm and rad; 0 for parameters that were not free, infinite
+        for those of which nothing is known, NaN where there are no more coordinates than
+        parameters. They suppose independent errors: where the arm bends, they are too small.
+    unidentified : tuple of str
+        Parameters that stay where the prior has them because the data do not know better, and
+        ``"scale"`` if this is so of the common scale of all links.
+    unidentified_combinations : tuple of str
+        The sums of parameters that the data leave open, such as ``"d2 - d3"``: every parameter
+        may be known only together with others. mm and rad.
+    prior_sd : dict
+        Prior standard deviations that were used: ``"length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
+    rank, n_free, n_coordinates : int
+        How many combinations of the free parameters the data can show at all, how many parameters
+        were free (bases included), and how many coordinates there are, less three for each unknown
+        fixed point.
+    condition_number : float
+        Of the data's Jacobian, a turn counting as what moves the stretched arm's end by its
+        length; infinite if `rank` is below `n_free`.
+    observability_index : float
+        O1 of Borm and Menq [1]_ in the same units: the geometric mean of the singular values that
+        are not zero, over the square root of the number of rows. Larger is better.
+    scale_sd : float
+        Relative standard deviation of the common scale of all links.
+    scatter_given_mm : float
+        Scatter with the arm as it was given.
+    scatter_before_mm : float
+        Scatter with nothing but the probe fitted (and the base, for measured points).
+    scatter_after_mm : float
+        Scatter of the calibrated arm: the mean distance of the points, outliers included, from the
+        mean of their group, or from their measured positions. With a correction, of the corrected
+        points, like the two above.
+    residuals_mm : ndarray of shape (n_samples, 3)
+        Those differences, in the arm's base frame.
+    length_errors_mm : ndarray of shape (n_lengths,)
+        Distances between the centres of groups less the known lengths.
+    sigma_mm : float
+        Standard deviation of one coordinate that the fit found and weighted with.
+    sigma_rad : float or None
+        The same of one component of the orientation, where orientations were given.
+    outliers : tuple of int
+        Rows farther than `outlier_limit_mm` from where they belong (the weighted mean of their
+        group, which they hardly pull), the farthest first.
+    outlier_limit_mm : float
+        Distance that one set in twenty exceeds by chance, from the number of rows and from how
+        long the tail of the distances is.
+    sample_weight : ndarray of shape (n_samples,)
+        0 for outliers, 1 for all others: for the fit of a correction to the same rows.
+    groups : ndarray of shape (n_samples,) or None
+        The labels, as given.
+    arms : dict
+        The calibrated arm with the probe of each label of `tools`; empty without.
+    bases : dict
+        Rotation and translation of each label of `stations`; empty without.
+    base_rotation, base_translation : ndarray of shape (3, 3) and (3,), or None
+        For measured points, the arm's base in their frame:
+        ``points = arm.forward(angles) @ base_rotation.T + base_translation``. With several
+        stations, of the first.
+    target_rotation : ndarray of shape (3, 3) or None
+        Orientation of the first tool's target in the last link's frame, where orientations were
+        given.
+    converged : bool
+        Whether weights and parameters settled.
+
+    See Also
+    --------
+    calibrate : Makes one.
+
+    References
+    ----------
+    .. [1] J. H. Borm, C. H. Menq, "Determination of optimal measurement configurations for robot
+       calibration based on observability measure", Int. J. Robotics Research 10(1), 1991, 51-63.
+    """
+
+    arm: Arm
+    names: tuple = field(repr=False)
+    nominal: np.ndarray = field(repr=False)
+    values: np.ndarray = field(repr=False)
+    standard_deviations: np.ndarray = field(repr=False)
+    unidentified: tuple
+    unidentified_combinations: tuple = field(repr=False)
+    prior_sd: dict = field(repr=False)
+    rank: int = field(repr=False)
+    n_free: int = field(repr=False)
+    n_coordinates: int = field(repr=False)
+    condition_number: float = field(repr=False)
+    observability_index: float = field(repr=False)
+    scale_sd: float
+    scatter_given_mm: float
+    scatter_before_mm: float
+    scatter_after_mm: float
+    residuals_mm: np.ndarray = field(repr=False)
+    length_errors_mm: np.ndarray = field(repr=False)
+    sigma_mm: float
+    sigma_rad: float | None = field(repr=False)
+    outliers: tuple
+    outlier_limit_mm: float = field(repr=False)
+    sample_weight: np.ndarray = field(repr=False)
+    groups: np.ndarray | None = field(repr=False)
+    arms: dict = field(repr=False)
+    bases: dict = field(repr=False)
+    base_rotation: np.ndarray | None = field(repr=False)
+    base_translation: np.ndarray | None = field(repr=False)
+    target_rotation: np.ndarray | None = field(repr=False)
+    converged: bool
+
+    def residuals(
+        self, angles, points=None, groups=None, *, tools=None, stations=None, angle_unit="rad"
+    ):
+        """Residuals of rows, old or new, in the arm's base frame: what a correction learns.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        points : array-like of shape (n_samples, 3), default=None
+            Measured points in mm, in the frame of those that the calibration was given.
+        groups : array-like of shape (n_samples,), default=None
+            Instead of points, the label of the fixed point of each sample.
+        tools, stations : array-like of shape (n_samples,), default=None
+            Labels as :func:`calibrate` was given them; None where it was given none.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3)
+            What the calibrated arm shows, without any correction, minus the measured point, or
+            minus the mean of its group, mm.
+
+        Raises
+        ------
+        ValueError
+            If shapes or labels do not fit, if points are given to a calibration that found no
+            base, or if neither or both of points and groups are given.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_raacmm import Arm, calibrate
+        >>> arm = Arm.from_name("aacmm6")
+        >>> angles = np.random.default_rng(0).uniform(-2, 2, (60, 6))
+        >>> tracker = arm.forward(angles) + [1000, 0, 0]
+        >>> result = calibrate(arm, angles[:40], points=tracker[:40], free=["probe"])
+        >>> bool(np.abs(result.residuals(angles[40:], tracker[40:])).max() < 1e-3)
+        True
+        """
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        if (points is None) == (groups is None):
+            raise ValueError("Give either points, measured positions, or groups, labels.")
+        shown = np.empty((len(angles), 3))
+        for rows, arm in self._parts("tools", tools, self.arms, self.arm, len(angles)):
+            shown[rows] = arm.forward(angles[rows])
+        if groups is not None:
+            return centred(shown, encode_groups(groups, len(angles))[1])
+        points = check_points(points, 3)
+        if len(points) != len(angles):
+            raise ValueError(f"There are {len(points)} points, but {len(angles)} rows of angles.")
+        if self.base_rotation is None:
+            raise ValueError(
+                "This calibration was made with groups and knows no frame of measured points. "
+                "Give groups, or calibrate with points."
+            )
+        one = (self.base_rotation, self.base_translation)
+        for rows, base in self._parts("stations", stations, self.bases, one, len(angles)):
+            rotation, translation = base
+            shown[rows] -= (points[rows] - translation) @ rotation
+        return shown
+
+    @staticmethod
+    def _parts(name, labels, known, single, n):
+        """Yield the rows of each label and what belongs to it."""
+        if labels is None:
+            if len(known) > 1:
+                raise ValueError(f"The calibration has {len(known)} {name}: give {name}=labels.")
+            yield slice(None), single
+            return
+        found, codes = encode_labels(name, labels, n)
+        for i, label in enumerate(found.tolist()):
+            if label not in known:
+                raise ValueError(
+                    f"{name} name {label!r}, which the calibration did not see; it has "
+                    f"{', '.join(map(repr, known)) or 'none'}."
+                )
+            yield np.flatnonzero(codes == i), known[label]
+
+    def __str__(self):
+        lines = [
+            f"Calibration of {self.arm!r}, {len(self.residuals_mm)} points",
+            f"mean scatter: {self.scatter_given_mm:.4g} mm as given, "
+            f"{self.scatter_before_mm:.4g} mm with the probe fitted, "
+            f"{self.scatter_after_mm:.4g} mm calibrated",
+            f"common scale of the links: +-{100 * self.scale_sd:.2g} %",
+            f"{self.n_coordinates} coordinates, {self.n_free} free parameters, rank {self.rank}, "
+            f"condition {self.condition_number:.3g}, O1 {self.observability_index:.3g}",
+            f"{'parameter':<15}{'nominal':>12}{'value':>12}{'sd':>11}",
+        ]
+        for name, nominal, value, sd in zip(
+            self.names, self.nominal, self.values, self.standard_deviations, strict=True
+        ):
+            factor, unit = (180 / np.pi, "deg") if is_angle(name) else (1.0, "mm")
+            note = "  not identified" if name in self.unidentified else ""
+            before = f"{nominal * factor:12.4f}" if np.isfinite(nominal) else f"{'':12}"
+            sd_text = f"{'held':>11}" if sd == 0 else f"{sd * factor:11.4f}"
+            lines.append(f"{name:<15}{before}{value * factor:12.4f}{sd_text} {unit}{note}")
+        if self.unidentified_combinations:
+            lines.append(f"open combinations: {len(self.unidentified_combinations)}")
+            lines += _first([f"  {text}" for text in self.unidentified_combinations])
+        distance = np.linalg.norm(self.residuals_mm, axis=1)
+        lines.append(f"outliers beyond {self.outlier_limit_mm:.3g} mm: {len(self.outliers)}")
+        rows = []
+        for row in self.outliers:
+            label = "" if self.groups is None else f" ({self.groups[row]})"
+            rows.append(f"  row {row}{label}: {distance[row]:.3g} mm")
+        return "\n".join(lines + _first(rows))
+
+
+def _first(lines):
+    more = len(lines) - _N_SHOWN
+    return lines if more <= 0 else [*lines[:_N_SHOWN], f"  and {more} more"]
+
+
+def is_angle(name):
+    """Whether the parameter of this name is an angle."""
+    return name.startswith(("alpha", "theta", "base_r"))

@@ -1,0 +1,189 @@
+"""What is wrong with a table whose points scatter by centimetres: sense, order, unit."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.utils import centred, encode_groups
+
+# Rows that candidates are ranked on, and how many of them are then calibrated.
+_RANKED_ROWS = 400
+_CALIBRATED = 6
+# A change is proposed where it leaves less than this share of the scatter; of several that leave
+# about the same, up to this factor, the one with the fewest changes.
+_WORTH_SAYING = 0.2
+_ABOUT_THE_SAME = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class TableChange:
+    """A change of the arm's description that makes points coincide.
+
+    Attributes
+    ----------
+    change : str
+        What was changed, such as ``"joint 4 reversed"``.
+    scatter_mm : float
+        Mean scatter after calibration with the change.
+    scatter_given_mm : float
+        The same without.
+    arm : Arm
+        The changed nominal arm.
+    columns : tuple of int
+        Columns of the angles, from 0, in the order that the arm has its joints.
+    angle_unit : {"rad", "deg"}
+        Unit that the angles then are in.
+    """
+
+    change: str
+    scatter_mm: float
+    scatter_given_mm: float
+    arm: Arm
+    columns: tuple
+    angle_unit: str
+
+    def __str__(self):
+        return (
+            f"With {self.change} the points scatter by {self.scatter_mm:.2g} mm instead of "
+            f"{self.scatter_given_mm:.3g}."
+        )
+
+
+def search_table(arm, angles, positions=None, points=None, *, angle_unit="rad"):
+    """Search for what is wrong with an arm whose points scatter much after calibration.
+
+    Tried are all senses of the joints, two joints exchanged and all in reverse order, the other
+    convention of the table, and the other unit of the angles.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    angles : array-like of shape (n_samples, n_joints)
+        Joint angles.
+    positions : array-like of shape (n_samples,), default=None
+        Label of the position of each row. Needed unless `points` is given.
+    points : array-like of shape (n_samples, 3), default=None
+        Positions measured by a tracker, mm.
+    angle_unit : {"rad", "deg"}, default="rad"
+        Unit that `angles` are taken to be in.
+
+    Returns
+    -------
+    TableChange or None
+        The change with which the points coincide best, the simplest of equals; None where none
+        leaves less than a fifth of the scatter.
+
+    Raises
+    ------
+    ValueError
+        As :func:`calibrate`.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import search_table
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> test = make_single_point(n_positions=6, n_poses=15, random_state=0)  # simulated
+    >>> wrong = test.nominal_arm.replace(joint_signs=[1, 1, 1, -1, 1, 1])
+    >>> search_table(wrong, test.data, test.groups).change
+    'joint 4 reversed'
+    """
+    given = _scatter(arm, angles, positions, points, angle_unit)
+    raw = np.asarray(angles, dtype=float)
+    rows = _some_rows(raw, positions)
+    few = None if positions is None else encode_groups(np.asarray(positions)[rows])[1]
+    few_points = None if points is None else np.asarray(points, dtype=float)[rows]
+    ranked = []
+    for n_changes, change, other, columns, unit in _candidates(arm, angle_unit, np.abs(raw).max()):
+        radians = np.deg2rad(raw[rows]) if unit == "deg" else raw[rows]
+        size = _quick_scatter(other, radians[:, columns], few, few_points)
+        ranked.append((size, n_changes, change, other, columns, unit))
+    ranked.sort(key=lambda entry: entry[:2])
+    # Of those that coincide about as well as the best, the simple ones first.
+    best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
+    best = sorted(best, key=lambda entry: entry[1:3])[:_CALIBRATED]
+    found = [
+        TableChange(
+            change, _scatter(other, raw[:, columns], positions, points, unit), given, other,
+            tuple(columns), unit,
+        )
+        for _, _, change, other, columns, unit in [*best, *ranked[:1]]
+    ]  # fmt: skip
+    least = min(entry.scatter_mm for entry in found)
+    if least > _WORTH_SAYING * given:
+        return None
+    return next(entry for entry in found if entry.scatter_mm <= _ABOUT_THE_SAME * least)
+
+
+def _scatter(arm, angles, positions, points, unit):
+    with warnings.catch_warnings():
+        # Of the wrong tables, nearly all have something to be warned of.
+        warnings.simplefilter("ignore", UserWarning)
+        radians = check_angles(angles, arm.n_joints, unit)
+        where = {"groups": positions} if points is None else {"points": points}
+        return calibrate(arm, radians, **where).scatter_after_mm
+
+
+def _some_rows(angles, positions):
+    """Rows to rank on: whole positions, as many as fit."""
+    if positions is None:
+        return np.arange(len(angles))[:: -(-len(angles) // _RANKED_ROWS)]
+    _, codes = encode_groups(positions, len(angles))
+    order = np.argsort(codes, kind="stable")
+    return order[:_RANKED_ROWS]
+
+
+def _candidates(arm, unit, largest):
+    """Yield (number of changes, words, arm, order of columns, unit) of every candidate."""
+    n = arm.n_joints
+    straight = list(range(n))
+    orders = [(0, [], straight), (1, ["the joints in reverse order"], straight[::-1])]
+    for i, j in combinations(range(n), 2):
+        columns = straight.copy()
+        columns[i], columns[j] = j, i
+        orders.append((1, [f"joints {i + 1} and {j + 1} exchanged"], columns))
+    signs = []
+    for flips in product((False, True), repeat=n):
+        which = [str(i + 1) for i in range(n) if flips[i]]
+        words = [f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"] if which else []
+        signs.append((len(which), words, np.where(flips, -1.0, 1.0)))
+    other = {"standard": "modified", "modified": "standard"}[arm.convention]
+    conventions = [(0, [], arm.convention), (1, [f"the {other} convention"], other)]
+    other = {"rad": ("degrees", "deg"), "deg": ("radians", "rad")}[unit]
+    units = [(0, [], unit)]
+    # Read as degrees, an arm in radians hardly moves, and its points scatter little for that.
+    if (largest > 2 * np.pi) == (unit == "rad"):
+        units.append((1, [f"the angles in {other[0]}"], other[1]))
+    # Orders with the given senses, and senses in the given order: both wrong at once is rare.
+    pairs = [(order, signs[0]) for order in orders] + [(orders[0], sign) for sign in signs[1:]]
+    for (order, sign), convention, angle_unit in product(pairs, conventions, units):
+        parts = (order, sign, convention, angle_unit)
+        words = [word for part in parts for word in part[1]]
+        if not words:
+            continue
+        changed = arm.replace(joint_signs=arm.joint_signs * sign[2], convention=convention[2])
+        yield sum(p[0] for p in parts), " and ".join(words), changed, order[2], angle_unit[2]
+
+
+def _quick_scatter(arm, angles, codes, points):
+    """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
+    frames = frame_columns(arm, dh_theta(arm, angles))[-1]
+    # Points are linear in the probe: origin + turn @ probe.
+    turn, origin = frames[:3].transpose(2, 1, 0), frames[3].T
+    if points is None:
+        A, b = centred(turn.reshape(-1, 9), codes).reshape(-1, 3), centred(origin, codes)
+        probe = np.linalg.lstsq(A, -b.ravel(), rcond=None)[0]
+        left = b + (A @ probe).reshape(-1, 3)
+        return float(np.linalg.norm(left, axis=1).mean())
+    ours = origin + turn @ arm.probe
+    a, b = ours - ours.mean(axis=0), points - points.mean(axis=0)
+    u, _, vt = np.linalg.svd(b.T @ a)
+    rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return float(np.linalg.norm(a @ rotation.T - b, axis=1).mean())

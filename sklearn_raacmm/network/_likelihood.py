@@ -1,0 +1,318 @@
+r"""Marginal likelihood of a Gaussian process, and its gradient with respect to widths and ridge.
+
+With kernel matrix K, weights w and ridge :math:`\alpha` (noise variance over signal variance) the
+targets of an output have the covariance :math:`s^2 (K + \alpha W^{-1})`. The signal variance
+:math:`s^2` of every output is set to its optimum, so that outputs of any scale count alike. What
+remains is a smooth function of the logarithms of the widths and of :math:`\alpha` [1]_.
+
+`exact_likelihood` takes one Cholesky factor of all rows. `projected_likelihood` takes the process
+that knows the function through its values on some inducing rows only: linear in the number of rows.
+
+References
+----------
+.. [1] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
+   2006, sections 5.4 and 8.3.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError, blas, lapack
+
+from sklearn_raacmm.network._kernels import KERNELS, squared_distances
+
+# Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
+# matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
+LEAST_RIDGE = 1e-9
+# Outputs from which one eigenvector decomposition (9 n^3) is cheaper than n^3 for each of them.
+MANY_OUTPUTS = 8
+# Ridge below which the projected process is solved by eigenvectors: its normal equations square
+# the condition, and with a Cholesky factor the gradient then agreed with differences to 1e-3 only.
+LEAST_PROJECTED_RIDGE = 1e-5
+# Added to the inducing rows' kernel matrix for its Cholesky factor to exist: the first that does.
+JITTER = (1e-10, 1e-8, 1e-6)
+
+
+class Data(NamedTuple):
+    """Rows and targets of a likelihood."""
+
+    X: np.ndarray  # (n, d)
+    Y: np.ndarray  # (n, q) without their polynomial tail
+    weights: np.ndarray  # (n,)
+    within: np.ndarray  # (q,) sum of squares that merging repeated rows took out of Y
+
+    @property
+    def n_total(self):
+        """Number of observations."""
+        return self.weights.sum()
+
+
+class Likelihood(NamedTuple):
+    """Value and gradient; gradients are with respect to (log_width, log_alpha), (d + q,)."""
+
+    value: float  # negative log marginal likelihood, up to a constant
+    gradient: np.ndarray
+    signal: float  # signal variance, summed over outputs
+    signal_gradient: np.ndarray
+
+
+def noise_likelihood(data):
+    """Negative log marginal likelihood where all is noise: the limit of an infinite ridge."""
+    total = data.weights @ np.square(data.Y) + data.within
+    return 0.5 * data.n_total * np.sum(np.log(np.maximum(total, np.finfo(float).tiny)))
+
+
+def exact_likelihood(data, kernel, log_width, log_alpha):
+    """Negative log marginal likelihood of the process itself.
+
+    Parameters
+    ----------
+    data : Data
+    kernel : str
+    log_width : ndarray of shape (d,)
+    log_alpha : ndarray of shape (q,)
+
+    Returns
+    -------
+    Likelihood
+    """
+    X, Y, weights, within = data
+    n, n_total = len(X), data.n_total
+    root, alphas = np.sqrt(weights), np.exp(log_alpha)
+    Xs = X * np.exp(-log_width)
+    K, slope = KERNELS[kernel].with_slope(squared_distances(Xs, Xs))
+    slope *= root[:, None] * root
+    K *= root[:, None] * root
+    Yw = root[:, None] * Y
+    solved, log_det, trace, inverse = _inverses(K, Yw, alphas)
+    of_noise = within / alphas
+    quadratic = np.maximum((Yw * solved).sum(axis=0) + of_noise, np.finfo(float).tiny)
+    value = log_det + (n_total - n) * log_alpha + n_total * np.log(quadratic)
+    # Derivatives of the quadratic form: a'K'a, the weights a being the solution.
+    d_quadratic = -alphas * np.square(solved).sum(axis=0) - of_noise
+    d_alpha = 0.5 * (alphas * trace + n_total - n + n_total * d_quadratic / quadratic)
+    inverse *= slope
+    d_width = 0.5 * _width_gradient(inverse, Xs, Xs)
+    of_signal = np.zeros(len(log_width))
+    for a, form in zip(solved.T, quadratic, strict=True):
+        part = -_rank_one_gradient(slope, a, Xs)
+        of_signal += part / n_total
+        d_width += 0.5 * n_total * part / form
+    return Likelihood(
+        0.5 * value.sum(),
+        np.append(d_width, d_alpha),
+        quadratic.sum() / n_total,
+        np.append(of_signal, d_quadratic / n_total),
+    )
+
+
+def _inverses(K, Y, alphas):
+    """Solve with every K + alpha_i I.
+
+    Returns
+    -------
+    solved : ndarray of shape (n, q)
+    log_det, trace : ndarray of shape (q,)
+        Of the matrix, and of its inverse.
+    inverse : ndarray of shape (n, n)
+        Sum of the inverses.
+    """
+    n, q = Y.shape
+    if alphas.min() < LEAST_RIDGE or q >= MANY_OUTPUTS:
+        values, vectors = np.linalg.eigh(K)
+        inverses = 1 / (np.maximum(values, 0.0)[:, None] + alphas)
+        solved = vectors @ (inverses * (vectors.T @ Y))
+        inverse = (vectors * inverses.sum(axis=1)) @ vectors.T
+        return solved, -np.log(inverses).sum(axis=0), inverses.sum(axis=0), inverse
+    solved, log_det, trace = np.empty((n, q)), np.empty(q), np.empty(q)
+    inverse = None
+    for i, alpha in enumerate(alphas):
+        C = np.array(K, order="F")
+        C[np.diag_indices(n)] += alpha
+        factor, failed = lapack.dpotrf(C, lower=1, overwrite_a=1)
+        if failed:
+            raise LinAlgError("kernel matrix is not positive definite to working precision")
+        log_det[i] = 2 * np.log(factor.diagonal()).sum()
+        solved[:, i] = lapack.dpotrs(factor, Y[:, i], lower=1)[0]
+        one = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        trace[i] = np.trace(one)
+        inverse = one if inverse is None else np.add(inverse, one, out=inverse)
+    lower = np.tril(inverse, -1)
+    diagonal = inverse.diagonal().copy()
+    inverse = lower + lower.T
+    inverse[np.diag_indices(n)] = diagonal
+    return solved, log_det, trace, inverse
+
+
+class LeaveOneOut(NamedTuple):
+    """What the process predicts for every row from all others."""
+
+    squared_error: float  # weighted sum of squares, over rows and outputs
+    negative_log_density: float  # of the targets, summed, up to a constant
+
+
+def leave_one_out(data, kernel, log_width, log_alpha):
+    """Leave-one-out predictions in closed form (section 5.4.2 of the reference).
+
+    Parameters
+    ----------
+    data : Data
+    kernel : str
+    log_width : ndarray of shape (d,)
+    log_alpha : ndarray of shape (q,)
+
+    Returns
+    -------
+    LeaveOneOut
+    """
+    X, Y, weights, within = data
+    root, alphas = np.sqrt(weights), np.exp(log_alpha)
+    Xs = X * np.exp(-log_width)
+    K = KERNELS[kernel].function(squared_distances(Xs, Xs)) * (root[:, None] * root)
+    Yw = root[:, None] * Y
+    error, density = 0.0, 0.0
+    for i, alpha in enumerate(alphas):
+        y, one = Yw[:, i : i + 1], alphas[i : i + 1]
+        solved, _, _, inverse = _inverses(K, y, one)
+        share = inverse.diagonal()
+        residual = solved[:, 0] / share
+        signal = ((y * solved).sum() + within[i] / alpha) / data.n_total
+        variance = np.maximum(signal / share, np.finfo(float).tiny)
+        error += np.sum(np.square(residual))
+        density += 0.5 * np.sum(np.square(residual) / variance + np.log(variance))
+    return LeaveOneOut(error, density)
+
+
+def projected_likelihood(data, Z, kernel, log_width, log_alpha):
+    """Negative log marginal likelihood of the projected process.
+
+    Parameters
+    ----------
+    data : Data
+    Z : ndarray of shape (m, d)
+        Inducing rows.
+    kernel : str
+    log_width : ndarray of shape (d,)
+    log_alpha : ndarray of shape (q,)
+
+    Returns
+    -------
+    Likelihood
+    """
+    X, Y, weights, within = data
+    m, q, n_total = len(Z), Y.shape[1], data.n_total
+    inverse_width, alphas = np.exp(-log_width), np.exp(log_alpha)
+    with_slope = KERNELS[kernel].with_slope
+    root = np.sqrt(weights)
+    Zs, Xs = Z * inverse_width, X * inverse_width
+    Kw, slope_mn = with_slope(squared_distances(Zs, Xs))
+    Kw *= root
+    slope_mn *= root
+    Yw = root[:, None] * Y
+    K, slope_mm = with_slope(squared_distances(Zs, Zs))
+    L = _root(K)
+    L_inverse = lapack.dtrtri(L, lower=1)[0]
+    # A = L^-1 Kw, as its transpose, which is in the order that BLAS wants.
+    A = blas.dtrsm(1.0, L, Kw.T, side=1, lower=1, trans_a=1).T
+    # The derivatives (the reference's section 5.4.1) go through S = alpha Kmm + Kw Kw', whose
+    # inverse is L^-T B^-1 L^-1 with B = A A' + alpha I.
+    shrunk = _shrink_stably if alphas.min() < LEAST_PROJECTED_RIDGE else _shrink
+    solved, log_det, trace, left, right, weighted = shrunk(A, Yw, alphas)
+    beta = L_inverse.T @ solved
+    residual = Yw - Kw.T @ beta
+    prior = np.square(solved).sum(axis=0)
+    # As a sum of squares, not as a difference: right to second order in what beta is off.
+    unexplained = np.square(residual).sum(axis=0) + within
+    quadratic = np.maximum(unexplained / alphas + prior, np.finfo(float).tiny)
+    scale = n_total / quadratic
+    value = 0.5 * np.sum(log_det + (n_total - m) * log_alpha + n_total * np.log(quadratic))
+    d_quadratic = prior - quadratic
+    d_alpha = 0.5 * (alphas * trace + n_total - m + scale * d_quadratic)
+
+    G = (L_inverse.T @ left) @ right
+    G -= (beta * (scale / alphas)) @ residual.T
+    d_width = _width_gradient(G * slope_mn, Zs, Xs)
+    weighted[np.diag_indices(m)] -= q
+    H = L_inverse.T @ weighted @ L_inverse
+    H += (beta * scale) @ beta.T
+    d_width += 0.5 * _width_gradient(H * slope_mm, Zs, Zs)
+    # The quadratic form alone, for the signal variance.
+    across = (beta / alphas) @ residual.T
+    across *= slope_mn
+    of_signal = -2 * _width_gradient(across, Zs, Xs)
+    of_signal += _width_gradient((beta @ beta.T) * slope_mm, Zs, Zs)
+    return Likelihood(
+        value,
+        np.append(d_width, d_alpha),
+        quadratic.sum() / n_total,
+        np.append(of_signal, d_quadratic) / n_total,
+    )
+
+
+def _root(K):
+    """Lower Cholesky factor of a kernel matrix that may be singular to working precision."""
+    for jitter in JITTER:
+        jittered = np.array(K, order="F")
+        jittered[np.diag_indices(len(K))] += jitter
+        root, failed = lapack.dpotrf(jittered, lower=1, clean=1, overwrite_a=1)
+        if not failed:
+            return root
+    raise LinAlgError("kernel matrix of the inducing rows is not positive definite")
+
+
+def _shrink(A, Y, alphas):
+    """What the likelihood needs of B_i = A A' + alpha_i I, by Cholesky.
+
+    Returns
+    -------
+    solved : ndarray of shape (m, q)
+        B_i^-1 A Y_i.
+    log_det, trace : ndarray of shape (q,)
+        Of B_i, and of its inverse.
+    left, right : ndarray of shape (m, m) and (m, n)
+        The product is the sum of B_i^-1 A.
+    weighted : ndarray of shape (m, m)
+        Sum of alpha_i B_i^-1.
+    """
+    m, q = len(A), len(alphas)
+    AA, AY = A @ A.T, A @ Y
+    solved, log_det, trace = np.empty((m, q)), np.empty(q), np.empty(q)
+    summed, weighted = np.zeros((m, m)), np.zeros((m, m))
+    for i, alpha in enumerate(alphas):
+        of_output = _inverses(AA, AY[:, i : i + 1], alphas[i : i + 1])
+        solved[:, i], log_det[i], trace[i], inverse = (
+            of_output[0][:, 0],
+            of_output[1][0],
+            of_output[2][0],
+            of_output[3],
+        )
+        summed += inverse
+        weighted += alpha * inverse
+    return solved, log_det, trace, summed, A, weighted
+
+
+def _shrink_stably(A, Y, alphas):
+    """The same by eigenvectors, which lose nothing where alpha is small beside A A'."""
+    values, vectors = np.linalg.eigh(A @ A.T)
+    values = np.maximum(values, 0.0)
+    rotated = vectors.T @ A
+    inverse = 1 / (values[:, None] + alphas)
+    solved = vectors @ (inverse * (rotated @ Y))
+    weighted = (vectors * (inverse @ alphas)) @ vectors.T
+    log_det = -np.log(inverse).sum(axis=0)
+    left = vectors * inverse.sum(axis=1)
+    return solved, log_det, inverse.sum(axis=0), left, rotated, weighted
+
+
+def _width_gradient(G, A, B):
+    """Sum over pairs of G_ij times d s_ij / d log width, for every feature."""
+    return -2 * (
+        G.sum(axis=1) @ (A * A) + G.sum(axis=0) @ (B * B) - 2 * np.einsum("ik,ik->k", A, G @ B)
+    )
+
+
+def _rank_one_gradient(slope, a, A):
+    """The same of the symmetric G = slope * a a', without forming it."""
+    aA = a[:, None] * A
+    along = slope @ np.column_stack([a, aA])
+    return -2 * (2 * (a * along[:, 0]) @ (A * A) - 2 * np.einsum("ik,ik->k", aA, along[:, 1:]))

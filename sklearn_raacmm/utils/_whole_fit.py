@@ -1,0 +1,34 @@
+"""Fits that are whole or have not happened."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from functools import wraps
+
+
+def whole_fit(fit):
+    """Make a `fit` that leaves the estimator as it was until it is complete.
+
+    The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
+    assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
+
+    Parameters
+    ----------
+    fit : callable
+        Method that sets fitted attributes of its first argument. What it returns is ignored.
+
+    Returns
+    -------
+    callable
+        The method that returns the estimator.
+    """
+
+    @wraps(fit)
+    def wrapper(self, *args, **kwargs):
+        aside = object.__new__(type(self))
+        aside.__dict__ = dict(vars(self))
+        fit(aside, *args, **kwargs)
+        self.__dict__ = aside.__dict__
+        return self
+
+    return wrapper

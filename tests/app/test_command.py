@@ -1,0 +1,284 @@
+"""The command on the log of an arm of another make, and of one that no correction helps."""
+
+import csv
+import functools
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, JointHarmonicRegressor, learn_correction
+from sklearn_raacmm.app import _commands, _files, main
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
+
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+skops_io = pytest.importorskip("skops.io")
+
+JOINTS = [
+    (0, 0.3, "0 0 1"),
+    (0, 0, "0 1 0"),
+    (0, 0, "1 0 0"),
+    (0.42, 0, "0 1 0"),
+    (0, 0, "1 0 0"),
+    (0.38, 0, "0 1 0"),
+    (0, 0, "1 0 0"),
+]
+URDF = (
+    '<robot name="other make">'
+    + "".join(
+        f'<joint name="A{i}" type="revolute"><parent link="l{i - 1}"/><child link="l{i}"/>'
+        f'<origin xyz="{x} 0 {z}"/><axis xyz="{axis}"/></joint>'
+        for i, (x, z, axis) in enumerate(JOINTS, 1)
+    )
+    + '<joint name="tip" type="fixed"><parent link="l7"/><child link="tip"/>'
+    '<origin xyz="0.12 0 0"/></joint></robot>'
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_model():
+    """The first stage alone: the whole default takes half a minute, and is tested elsewhere."""
+    with pytest.MonkeyPatch.context() as patch:
+        model = JointHarmonicRegressor(n_harmonics=3)
+        patch.setattr(
+            _commands, "learn_correction", functools.partial(learn_correction, model=model)
+        )
+        yield
+
+
+@pytest.fixture(scope="module")
+def other_make():
+    """The simulator's module, beside this one."""
+    import importlib.util
+    from pathlib import Path
+
+    spec = importlib.util.spec_from_file_location(
+        "_other_make", Path(__file__).with_name("_other_make.py")
+    )
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def machine(other_make):
+    return other_make.OtherMake(1)
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory, other_make, machine):
+    """Folder that ``raacmm learn`` has written for the other make, and what it was given."""
+    folder = tmp_path_factory.mktemp("other")
+    readings, cones = machine.test(8, 16)
+    readings[37, 3] += 0.004  # a slipped probe
+    other_make.write_log(folder / "log.csv", readings, cones)
+    (folder / "arm.urdf").write_text(URDF)
+    arguments = f"learn {folder}/log.csv --arm {folder}/arm.urdf --out {folder}/out --folds 4"
+    code = main([*arguments.split(), "--limit-2s", "0.05", "--serial", "S 17", "--operator", "Jö"])
+    return folder / "out", code, readings, cones
+
+
+def read_csv(path, encoding="cp1252"):
+    with open(path, encoding=encoding, newline="") as file:
+        header, *rows = csv.reader(file, delimiter=";")
+    numbers = [[float(cell.replace(",", ".")) for cell in row[-6:]] for row in rows]
+    return header, rows, np.array(numbers)
+
+
+def test_the_drawing_is_that_of_the_simulator(other_make):
+    """The test's own premise: the URDF says of the nominal arm what the simulator says."""
+    ideal = other_make.OtherMake(0, error=0)
+    ideal.lengths = other_make.DRAWING
+    readings = np.random.default_rng(0).uniform(-2, 2, (20, 7))
+    np.testing.assert_allclose(
+        Arm.from_urdf(URDF).forward(readings), ideal.points(readings), atol=1e-9
+    )
+
+
+def test_learn_writes_everything_and_finds_the_slip(learned):
+    folder, code, readings, _ = learned
+    assert code == 0
+    assert {path.name for path in folder.iterdir()} == {
+        "report.html", "arm.json", "model.skops", "correction.json", "card.md", "corrected.csv",
+    }  # fmt: skip
+    facts = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
+    assert facts["helps"]
+    assert [row[:2] for row in facts["outliers"]] == [[37, "Kegel Süd 3"]]
+    report = (folder / "report.html").read_text(encoding="utf-8")
+    assert "S 17" in report
+    assert "Jö" in report
+    assert '<td class="n">41</td><td>Kegel Süd 3</td>' in report  # its row in the file
+    header, rows, numbers = read_csv(folder / "corrected.csv")
+    assert header[1] == "Kegel"
+    assert header[-6:-3] == ["x [mm]", "y [mm]", "z [mm]"]
+    assert len(rows) == len(readings)
+    assert np.all(numbers[:, 3:] > 0)
+
+
+def test_the_verdict_is_true(learned, machine, other_make, tmp_path):
+    """On new readings of the simulated arm the correction does what the verdict promises."""
+    folder, *_ = learned
+    facts = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
+    machine.rng = np.random.default_rng(8)
+    readings, cones = machine.test(6, 15)
+    other_make.write_log(tmp_path / "today.csv", readings, cones)
+    arguments = f"correct {tmp_path}/today.csv --model {folder} --out {tmp_path}/corrected.csv"
+    assert main(arguments.split()) == 0
+    _, _, numbers = read_csv(tmp_path / "corrected.csv")
+    after = single_point_repeatability(numbers[:, :3], cones)
+    arm = Arm.from_json(folder / "arm.json")
+    before = single_point_repeatability(arm.forward(readings), cones)
+    assert after < 0.6 * before
+    assert after < 1.3 * facts["summary"]["after"][2]
+    # Whole points are near to the truth, but for the base and the scale, which no cone shows.
+    truth = machine.points(readings)
+    a, b = numbers[:, :3] - numbers[:, :3].mean(axis=0), truth - truth.mean(axis=0)
+    u, size, vt = np.linalg.svd(b.T @ a)
+    scale = size.sum() / np.square(a).sum()
+    assert abs(scale - 1) < 2e-3
+    off = np.linalg.norm(scale * a @ (u @ vt).T - b, axis=1)
+    assert off.mean() < 0.1
+
+
+def test_correct_streams_and_repeats_itself(learned, monkeypatch, tmp_path, capsys):
+    """Blocks of any size give the same file, and one block is in memory at a time."""
+    folder, *_ = learned
+    correct = ["correct", f"{folder.parent}/log.csv", "--model", str(folder), "--out"]
+    for size, name in ((8192, "one.csv"), (7, "many.csv")):
+        monkeypatch.setattr(_files, "_BLOCK_ROWS", size)
+        assert main([*correct, str(tmp_path / name)]) == 0
+    assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "many.csv").read_bytes()
+    assert (tmp_path / "one.csv").read_bytes() == (folder / "corrected.csv").read_bytes()
+    assert "128 rows corrected" in capsys.readouterr().out
+
+
+def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, tmp_path, capsys):
+    folder, *_ = learned
+    machine.rng = np.random.default_rng(9)
+    readings, cones = machine.test(5, 12)
+    for change, code, said in ((0.0, 0, "It holds"), (2e-3, 3, "It does not hold|It helps less")):
+        knocked = readings.copy()
+        knocked[:, 3] += change * np.cos(readings[:, 3])
+        other_make.write_log(tmp_path / "today.csv", knocked, cones)
+        assert main(["check", f"{tmp_path}/today.csv", "--model", str(folder)]) == code
+        assert re.search(said, capsys.readouterr().out)
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
+def test_export_compiles_and_says_the_same(learned, tmp_path):
+    folder, _, readings, _ = learned
+    assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
+    written = np.deg2rad(np.rad2deg(readings[0]).round(5))  # as the log has it
+    values = ", ".join(repr(float(v)) for v in written)
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "arm_correction.h"\n'
+        f"int main(void) {{ double q[7] = {{{values}}}, p[3]; arm_correction_point(q, p);\n"
+        'printf("%.9f %.9f %.9f", p[0], p[1], p[2]); return 0; }\n'
+    )
+    sources = [str(tmp_path / name) for name in ("main.c", "arm_correction.c")]
+    subprocess.run(["cc", "-std=c99", *sources, "-o", str(tmp_path / "main"), "-lm"], check=True)
+    said = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
+    expected = read_csv(folder / "corrected.csv")[2][0, :3]
+    np.testing.assert_allclose([float(v) for v in said.split()], expected, atol=1e-6)
+
+
+def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
+    """Its lengths are off, its probe seats badly, and there is nothing else: exit code 3."""
+    machine = other_make.OtherMake(2, error=0)
+    readings, cones = machine.test(6, 12)
+    readings += machine.rng.normal(scale=5e-5, size=readings.shape)
+    other_make.write_log(tmp_path / "log.csv", readings, cones)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    arguments = f"learn {tmp_path}/log.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --folds 3"
+    assert main(arguments.split()) == 3
+    assert "Do not use it: at new positions 2S" in capsys.readouterr().out
+    report = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert '<p class="verdict "><strong>Do not use it' in report
+    # Whoever uses it all the same is told so.
+    assert main(["export", "--model", str(tmp_path), "--c", str(tmp_path / "c")]) == 0
+    assert "note: Do not use it" in capsys.readouterr().err
+
+
+def test_demo(monkeypatch, tmp_path, capsys):
+    small = functools.partial(make_single_point)
+    monkeypatch.setattr(
+        _commands, "make_single_point", lambda **_: small(n_positions=5, n_poses=12, random_state=0)
+    )
+    opened = []
+    monkeypatch.setattr(_commands.webbrowser, "open", opened.append)
+    main(["demo", "--out", str(tmp_path / "demo"), "--open"])
+    said = capsys.readouterr()
+    assert "A simulated single-point test" in said.out
+    assert "decimal commas, utf-8; header in row 2" in said.err
+    assert opened == [(tmp_path / "demo" / "report.html").as_uri()]
+
+
+def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
+    (tmp_path / "arm.urdf").write_text(URDF)
+    for source in ([f"{tmp_path}/arm.urdf", "--tip", "tip"], ["ur10"]):
+        out = ["--out", f"{tmp_path}/arm.json", "--picture", f"{tmp_path}/arm.svg"]
+        assert main(["arm", *source, *out]) == 0
+    assert Arm.from_json(tmp_path / "arm.json") == Arm.from_name("ur10")
+    assert (tmp_path / "arm.svg").read_text().lstrip().startswith("<?xml")
+    assert main(["arm", "--lengths-223", "300", "420", "380", "120"]) == 0
+    assert "2-2-3 arm" in capsys.readouterr().out
+    answers = iter(["2-2-2", "300", "420,5", "380", "120"])
+    monkeypatch.setattr(_commands.sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    assert main(["arm"]) == 0
+    assert "420.5" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            "learn {log} --arm nothing --out {out}",
+            "there is no file nothing, and as a name must be",
+        ),
+        ("learn {log} --arm ur10 --out {out}", "which 6 columns hold the joint angles"),
+        ("learn none.csv --arm ur10 --out {out}", "There is no file none.csv"),
+        ("learn {log} --arm {arm} --out {out} --points x,y", "--points needs three columns"),
+        ("learn {log} --arm {arm} --out {out} --limit-2s -1", "must be a positive number"),
+        ("correct {log} --model {arm} --out {out}", "has no correction.json"),
+        ("export --model {model}", "say what to write: --c FOLDER"),
+        ("arm", "give an arm: a file"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_code_2(learned, tmp_path, capsys, arguments, message):
+    folder, *_ = learned
+    places = {
+        "log": folder.parent / "log.csv",
+        "arm": folder.parent / "arm.urdf",
+        "model": folder,
+        "out": tmp_path / "out",
+    }
+    assert main(arguments.format(**places).split()) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert message in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_model_is_not_loaded(learned, tmp_path, capsys):
+    folder, *_ = learned
+    for name in ("arm.json", "correction.json"):
+        shutil.copy(folder / name, tmp_path)
+    model = ["correct", str(folder.parent / "log.csv"), "--model", str(tmp_path), "--out", "x.csv"]
+    assert main(model) == 2
+    assert "has no model.skops" in capsys.readouterr().err
+    (tmp_path / "model.skops").write_bytes(b"no zip")
+    assert main(model) == 2
+    assert "cannot be loaded" in capsys.readouterr().err
+
+
+def test_help_and_usage(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    assert "Exit codes: 0 done, 2 bad input, 3" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        main(["learn"])

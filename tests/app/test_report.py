@@ -1,0 +1,167 @@
+"""The report: every number in it is one of the result's, and it needs no network."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import JointHarmonicRegressor, learn_correction
+from sklearn_raacmm.app import judge_limit, write_report
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.metrics import articulated_location_error
+
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+
+
+class Words(HTMLParser):
+    """Text of a page, its figures and style left out; tags that are left open."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text, self.links, self.ids = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.links += [attrs[k] for k in ("src", "href", "xlink:href") if k in attrs]
+        self.ids += [attrs["id"]] if "id" in attrs else []
+        if tag not in ("meta", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"svg", "style"} & set(self.open):
+            self.text.append(data)
+
+
+def read(text):
+    page = Words()
+    page.feed(text)
+    assert page.open == []
+    return page
+
+
+@pytest.fixture(scope="module")
+def result():
+    data = make_gauge(400, n_placements=6, n_poses=12, random_state=3)
+    lengths = [(int(a), int(b), 400.0, 0.01) for a, b in data.pairs]
+    angles = data.data.copy()
+    angles[17, 2] += 0.004
+    model = JointHarmonicRegressor(n_harmonics=4)
+    return learn_correction(
+        data.nominal_arm, angles, data.groups, lengths=lengths, model=model, cv=3
+    )
+
+
+@pytest.fixture(scope="module")
+def page(result, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    facts = {"serial number": "<17>"}
+    text = write_report(result, path, limit_2s=0.04, facts=facts, row_numbers=np.arange(144) + 500)
+    assert path.read_text(encoding="utf-8") == text
+    return text
+
+
+def numbers_of(result):
+    """All numbers that a reader may see, in the units they are shown in."""
+    scores, calibration = result.scores, result.calibration
+    um = [1000 * v for name in ("before", "after") for v in scores.summary[name]]
+    for name, column in scores.table.items():
+        if name not in ("position", "n_points"):
+            um += (1000 * column).tolist()
+    for errors in (scores.length_errors_before, scores.length_errors_after):
+        size = np.abs(errors).max(), np.ptp(errors), 2 * np.sqrt(np.mean(errors**2))
+        um += [1000 * v for v in size]
+    for left in (scores.left_before, scores.left_after):
+        every = [left[(result.positions == p) & np.isfinite(left[:, 0])] for p in range(12)]
+        um += [1000 * max(articulated_location_error(some) for some in every)]
+    um += (1000 * result.outliers["distance"]).tolist()
+    um += [1000 * calibration.scatter_before_mm, 1000 * calibration.scatter_after_mm]
+    angle = np.array([name.startswith(("alpha", "theta")) for name in calibration.names])
+    factor = np.where(angle, 180 / np.pi, 1)
+    table = [factor * v for v in (calibration.nominal, calibration.values)]
+    table.append(factor * calibration.standard_deviations)
+    harmonics = result.model.harmonics_
+    found = [*harmonics["amplitude_arcsec"], *harmonics["order"], *harmonics["joint"]]
+    c, s = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
+    sds = np.hypot(c * harmonics["cos_sd_arcsec"], s * harmonics["sin_sd_arcsec"])
+    found += (sds / np.hypot(c, s)).tolist()
+    counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 517, 0]
+    shown = [100 * scores.coverage, *scores.summary["ratio"], 40.0]
+    return np.concatenate([um, *table, found, counts, shown])
+
+
+def test_every_number_is_one_of_the_result(result, page):
+    text = " ".join(read(page).text)
+    text = text.replace(result.verdict, "")  # a sentence of the result itself
+    # Names, dates and versions are no numbers of the result.
+    for fixed in (
+        r"ASME B89\.4\.22", r"ISO 10360-12", r"\b95 %", r"\b2S\b", r"\b2 rms", r"aacmm6", r"<17>",
+        r"\b(a|alpha|d|theta_offset)\d\b", r"\d{4}-\d\d-\d\d", r"\b[0-9a-f]{16}\b",
+        r"(sklearn_raacmm|scikit-learn|NumPy|SciPy|Python) [\d.a-z]+",
+    ):  # fmt: skip
+        assert re.search(fixed, text), fixed
+        text = re.sub(fixed, " ", text)
+    known = numbers_of(result)
+    seen = re.findall(r"-?\d+(?:\.\d+)?", text)
+    assert len(seen) > 150
+    for word in seen:
+        digits = len(word.partition(".")[2])
+        assert np.abs(known - float(word)).min() <= 0.5001 * 10.0**-digits, word
+
+
+def test_the_page_says_what_it_is_about(result, page):
+    text = " ".join(" ".join(read(page).text).split())
+    for said in (
+        result.verdict,
+        "<17>",
+        "serial number",
+        "no statement of conformance",
+        "Scale: points of one position say nothing of lengths",
+        "E_Uni",
+        "517 1",
+    ):
+        assert said in text, said
+    assert judge_limit(result.scores, 0.04)[1] in text
+
+
+def test_no_network_and_no_names_twice(page):
+    found = read(page)
+    assert [link for link in found.links if not link.startswith("#")] == []
+    assert len(found.ids) == len(set(found.ids))
+    assert "@import" not in page
+    assert "<script" not in page
+    # Only names of XML's own grammar look like addresses.
+    addresses = set(re.findall(r"https?://[^\s\"'<]+", page))
+    assert all("w3.org" in a or "purl.org" in a or "creativecommons" in a for a in addresses)
+
+
+def test_a_tracker_and_a_model_without_harmonics(tmp_path):
+    from sklearn.linear_model import Ridge
+
+    data = make_single_point(5, 10, random_state=2)
+    tracker = data.simulation.true_points[:, [1, 2, 0]]
+    result = learn_correction(
+        data.nominal_arm, data.data, data.groups, tracker, model=Ridge(), cv=3
+    )
+    text = " ".join(read(write_report(result, tmp_path / "report.html")).text)
+    assert "mean deviation before" in text
+    assert "Harmonics" not in text
+    assert "Scale:" not in text
+    with pytest.raises(ValueError, match="needs a single-point test"):
+        write_report(result, tmp_path / "report.html", limit_2s=0.1)
+
+
+@pytest.mark.parametrize("shift", [-1e-6, 1e-6])
+def test_the_limit_is_judged_with_its_doubt(result, shift):
+    _, low, high = result.scores.summary["after"]
+    above, below = judge_limit(result.scores, high - shift), judge_limit(result.scores, low - shift)
+    assert above[0] == ("PASS" if shift < 0 else "OPEN")
+    assert below[0] == ("OPEN" if shift < 0 else "FAIL")
+    count = np.sum(result.scores.table["after"] > high - shift)
+    assert f"{count} of 12 positions are above it" in above[1]
+    with pytest.raises(ValueError, match="positive number"):
+        judge_limit(result.scores, 0.0)

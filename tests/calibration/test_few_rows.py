@@ -1,0 +1,204 @@
+"""What the rows can carry: rank, open combinations, warnings, outliers, the found noise."""
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm, calibrate
+from sklearn_raacmm.calibration._fit import outlier_limit
+from sklearn_raacmm.datasets import make_single_point
+
+ARM = Arm.from_name("aacmm6")
+
+
+def tracker_rows(arm, n, noise_mm=0.1, seed=0):
+    """Angles and points of a tracker whose frame is turned and shifted."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2, 2, (n, 6))
+    points = arm.forward(angles)[:, [1, 2, 0]] + [1000, 0, 0]
+    return angles, points + rng.normal(0, noise_mm, (n, 3))
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_too_few_rows_for_base_and_probe_are_told_with_the_numbers(n):
+    angles, points = tracker_rows(ARM.replace(probe=(10, 5, 120)), n)
+    rank = min(9, 3 * n)
+    sentence = f"{n} measured points give {3 * n} coordinates for 9 free .* show {rank}: "
+    with pytest.warns(UserWarning, match=sentence):
+        result = calibrate(ARM, angles, points=points, free=["probe"])
+    assert (result.rank, result.n_free, result.n_coordinates) == (rank, 9, 3 * n)
+    if n <= 3:  # exactly as many coordinates as parameters: nothing shows the noise
+        assert np.isnan(result.standard_deviations[-9:]).all()
+
+
+def test_enough_rows_are_not_doubted_and_base_and_tool_have_standard_deviations():
+    z = []
+    for seed in range(20):
+        angles, points = tracker_rows(ARM, 40, seed=seed)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            result = calibrate(ARM, angles, points=points, free=["probe"], loss="linear")
+        assert result.names[-6:] == tuple(f"base_{c}" for c in ("rx", "ry", "rz", "x", "y", "z"))
+        true = np.r_[ARM.probe, [1000, 0, 0]]
+        found = np.r_[result.values[-9:-6], result.values[-3:]]
+        sd = np.r_[result.standard_deviations[-9:-6], result.standard_deviations[-3:]]
+        z.append((found - true) / sd)
+    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.25
+    assert np.isnan(result.nominal[-6:]).all()
+    assert np.isfinite(result.condition_number)
+    assert result.rank == result.n_free == 9
+
+
+def test_few_groups_are_told():
+    data = make_single_point(n_positions=3, n_poses=4, random_state=0)
+    with pytest.warns(UserWarning, match="12 groups of points give 27 coordinates for 27 free"):
+        calibrate(ARM, data.data, data.groups)
+
+
+def test_combinations_that_nothing_shows_are_named():
+    # All of the arm's later joints stand still: only joint 1 turns.
+    angles = np.zeros((60, 6))
+    angles[:, 0] = np.linspace(-3, 3, 60)
+    angles[:, 1:] += [0.3, 0.5, 0.2, 0.4, 0.1]
+    points = ARM.forward(angles) + np.random.default_rng(0).normal(0, 0.05, (60, 3))
+    result = calibrate(ARM, angles, points=points, free=["probe"])
+    # A circle fixes its centre, radius, plane and phase; the probe has a part of each.
+    assert result.rank < result.n_free
+    assert result.condition_number == np.inf
+    assert result.unidentified_combinations
+    text = " ".join(result.unidentified_combinations)
+    assert "probe" in text
+    assert "base" in text
+    assert "open combinations" in str(result)
+
+
+def test_parallel_axes_share_their_offsets():
+    ur10 = Arm.from_name("ur10")
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-2.5, 2.5, (300, 6))
+    points = ur10.forward(angles) + rng.normal(0, 0.05, (300, 3))
+    result = calibrate(ur10, angles, points=points, free=["d", "probe"])
+    # Of d2, d3, d4 only the sum shows: two differences stay open, and d1 is the base's height.
+    expected = {"d1 - base_z", "d2 - d3", "d4 - d3", "d6 - probe_z"}
+    assert set(result.unidentified_combinations) == expected
+    assert result.rank == result.n_free - 4
+
+
+def test_observability_index_against_its_definition():
+    angles, points = tracker_rows(ARM, 50, noise_mm=0.0)
+    result = calibrate(ARM, angles, points=points, free=["probe"], loss="linear")
+    reach = np.hypot(ARM.a, ARM.d).sum() + np.linalg.norm(ARM.probe)
+    # Columns by hand, in the base frame: the singular values do not depend on the frame.
+    p = ARM.forward(angles)
+    columns = np.zeros((50, 3, 9))
+    for i in range(3):
+        step = np.eye(3)[i] * 1e-3
+        moved = ARM.replace(probe=ARM.probe + step).forward(angles)
+        columns[:, :, i] = (moved - p) / 1e-3
+        columns[:, :, 3 + i] = np.cross(np.eye(3)[i], p) / reach
+        columns[:, :, 6 + i] = np.eye(3)[i]
+    values = np.linalg.svd(columns.reshape(-1, 9), compute_uv=False)
+    assert result.condition_number == pytest.approx(values[0] / values[-1], rel=1e-3)
+    expected = np.exp(np.log(values).mean()) / np.sqrt(50)
+    assert result.observability_index == pytest.approx(expected, rel=1e-3)
+
+
+# -- noise and outliers ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("loss", ["soft_l1", "cauchy", "linear"])
+def test_the_noise_is_found_whatever_the_loss(loss):
+    found = []
+    for seed in range(10):
+        angles, points = tracker_rows(ARM, 100, seed=seed)
+        found.append(calibrate(ARM, angles, points=points, loss=loss).sigma_mm)
+    assert np.mean(found) == pytest.approx(0.1, rel=0.04)
+
+
+def test_slipped_poses_do_not_enlarge_the_noise():
+    angles, points = tracker_rows(ARM, 300)
+    clean = calibrate(ARM, angles, points=points)
+    rng = np.random.default_rng(1)
+    bad = rng.choice(300, 15, replace=False)
+    points[bad] += rng.normal(0, 5, (15, 3))
+    result = calibrate(ARM, angles, points=points)
+    assert set(result.outliers) == set(bad)
+    assert_allclose(np.flatnonzero(result.sample_weight == 0), np.sort(bad))
+    assert result.sigma_mm == pytest.approx(clean.sigma_mm, rel=0.03)
+
+
+def test_names_of_outliers_are_right_where_a_smooth_error_is_left():
+    """The simulated machine has harmonics and gravity that no calibration takes."""
+    names, found = 0, 0
+    for seed in range(3):
+        data = make_single_point(n_positions=12, n_poses=30, random_state=seed)
+        names += len(calibrate(data.arm, data.data, data.groups).outliers)
+        rng = np.random.default_rng(seed)
+        bad = rng.choice(360, 14, replace=False)  # 4 % slip by 1 mm
+        way = rng.normal(size=(14, 3))
+        way /= np.linalg.norm(way, axis=1)[:, None]
+        angles = data.data.copy()
+        step = np.linalg.pinv(data.arm.jacobian(angles[bad])) @ way[:, :, None]
+        angles[bad] += step[:, :, 0]
+        result = calibrate(data.arm, angles, data.groups)
+        found += len(set(bad) & set(result.outliers))
+        names += len(set(result.outliers) - set(bad))
+    assert names <= 6  # it was 5 to 9 of 360 clean rows each, and up to 63 beside slips
+    assert found == 42
+
+
+def test_outlier_limit_of_pure_noise_is_passed_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    named = 0
+    for _ in range(400):
+        distances = np.linalg.norm(rng.normal(size=(200, 3)), axis=1)
+        named += np.sum(distances > outlier_limit(distances, 1.0))
+    assert named / 400 < 0.05
+
+
+# -- residuals of new rows ---------------------------------------------------------------------
+
+
+def test_residuals_of_new_rows_are_the_law_of_the_base():
+    angles, points = tracker_rows(ARM, 80)
+    result = calibrate(ARM, angles[:40], points=points[:40])
+    expected = (
+        result.arm.forward(angles) - (points - result.base_translation) @ result.base_rotation
+    )
+    assert_allclose(result.residuals(angles, points), expected, atol=1e-12)
+    assert_allclose(result.residuals(angles[:40], points[:40]), result.residuals_mm, atol=1e-9)
+    degrees = result.residuals(np.rad2deg(angles), points, angle_unit="deg")
+    assert_allclose(degrees, expected, atol=1e-9)
+
+
+def test_residuals_of_groups_have_no_mean():
+    data = make_single_point(n_positions=6, n_poses=10, random_state=0)
+    result = calibrate(data.arm, data.data, data.groups)
+    residuals = result.residuals(data.data, groups=data.groups)
+    assert_allclose(residuals, result.residuals_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "Give either points"),
+        ({"points": np.zeros((4, 3)), "groups": [0] * 4}, "Give either points"),
+        ({"points": np.zeros((3, 3))}, "3 points, but 4 rows"),
+        ({"points": np.zeros((4, 3)), "tools": ["a"] * 4}, "tools name 'a', which"),
+        ({"points": np.zeros((4, 3)), "stations": [1, 1]}, "stations names 2 samples"),
+    ],
+)
+def test_bad_rows_get_one_clear_sentence(given, message):
+    angles, points = tracker_rows(ARM, 40)
+    result = calibrate(ARM, angles, points=points, free=["probe"])
+    with pytest.raises(ValueError, match=message):
+        result.residuals(np.zeros((4, 6)), **given)
+
+
+def test_a_calibration_with_groups_knows_no_trackers_frame():
+    data = make_single_point(n_positions=6, n_poses=10, random_state=0)
+    result = calibrate(data.arm, data.data, data.groups)
+    with pytest.raises(ValueError, match="knows no frame of measured points"):
+        result.residuals(data.data, data.points)

@@ -1,0 +1,223 @@
+"""Several set-ups, several tools, a correction, and orientations in one fit."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate
+
+ARM = Arm.from_name("ur10", probe=(0, 0, 93))
+
+
+class Bend:
+    """A correction that is no model of ours: the arm sinks as it reaches out."""
+
+    def predict(self, angles):
+        points = ARM.forward(angles)
+        out = np.zeros_like(points)
+        out[:, 2] = -1e-6 * (points[:, 0] ** 2 + points[:, 1] ** 2)
+        return out
+
+
+def set_ups(arm, n, seed=0, noise_mm=0.02):
+    """Angles, points, labels, and the bases of two stations."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2.5, 2.5, (n, 6))
+    labels = np.where(np.arange(n) % 2, "tracker left", "tracker right")
+    turns = Rotation.random(2, random_state=seed).as_matrix()
+    shifts = rng.normal(0, 2000, (2, 3))
+    which = (labels == "tracker right").astype(int)
+    points = np.einsum("nij,nj->ni", turns[which], arm.forward(angles)) + shifts[which]
+    return angles, points + rng.normal(0, noise_mm, (n, 3)), labels, turns, shifts
+
+
+def test_stations_in_one_fit():
+    angles, points, labels, turns, shifts = set_ups(ARM, 120)
+    result = calibrate(ARM, angles, points=points, stations=labels, free=["probe"])
+    assert result.scatter_after_mm < 0.04
+    assert list(result.bases) == ["tracker left", "tracker right"]
+    for (rotation, shift), turn, true in zip(result.bases.values(), turns, shifts, strict=True):
+        assert_allclose(rotation, turn, atol=1e-4)
+        assert_allclose(shift, true, atol=0.1)
+    assert "base_x[tracker left]" in result.names
+    residuals = result.residuals(angles, points, stations=labels)
+    assert_allclose(residuals, result.residuals_mm, atol=1e-9)
+    with pytest.raises(ValueError, match="has 2 stations: give stations=labels"):
+        result.residuals(angles, points)
+    with pytest.raises(ValueError, match="stations name 'attic', which"):
+        result.residuals(angles[:1], points[:1], stations=["attic"])
+
+
+def test_a_probe_each():
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-2.5, 2.5, (120, 6))
+    labels = np.repeat(["long", "short"], 60)
+    probes = {"long": (3, -2, 200.0), "short": (0, 0, 50.0)}
+    points = np.concatenate(
+        [ARM.replace(probe=p).forward(angles[labels == t]) for t, p in probes.items()]
+    )
+    points += rng.normal(0, 0.02, points.shape)
+    result = calibrate(ARM, angles, points=points, tools=labels, free=["probe"])
+    for label, probe in probes.items():
+        assert_allclose(result.arms[label].probe, probe, atol=0.03)
+    assert {"probe_z[long]", "probe_z[short]"} <= set(result.names)
+    assert_allclose(result.residuals(angles, points, tools=labels), result.residuals_mm, atol=1e-9)
+    # The same points as fixed points that both probes touch: groups.
+    groups = np.arange(120) % 2
+    with pytest.raises(ValueError, match="stations are of measured points"):
+        calibrate(ARM, angles, groups, stations=labels)
+
+
+def test_tools_of_a_single_point_test():
+    arm = Arm.from_name("aacmm6")
+    longer = arm.replace(probe=arm.probe + np.array([0, 0, 60.0]))
+    angles, groups, labels = [], [], []
+    for i, start in enumerate(np.random.default_rng(0).uniform(-1.5, 1.5, (150, 6))):
+        own, q = (longer if i % 2 else arm), start
+        target = [500, 100 * (i // 25) - 200, 300]  # a fixed point for 25 poses each
+        for _ in range(100):
+            miss = target - own.forward(q[None])[0]
+            step = np.linalg.pinv(own.jacobian(q[None])[0]) @ miss
+            q = np.angle(np.exp(1j * (q + step * min(1, 0.3 / (np.linalg.norm(step) + 1e-12)))))
+        if np.linalg.norm(miss) < 1e-8:
+            angles, groups, labels = [*angles, q], [*groups, i // 25], [*labels, "ab"[i % 2]]
+    assert len(angles) > 100
+    result = calibrate(arm, angles, groups, tools=labels, free=["probe"])
+    difference = result.arms["b"].probe - result.arms["a"].probe
+    assert_allclose(difference, [0, 0, 60], atol=1e-3)
+    assert result.scatter_after_mm < 1e-3
+
+
+def test_base_and_tool_are_fitted_through_the_correction():
+    """Without noise the base and the tool come out exactly, and uncorrected they do not."""
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-1.5, 1.5, (60, 6))
+    true = ARM.replace(probe=(5, -3, 110))
+    turn = Rotation.from_euler("xyz", [0.3, -0.2, 2]).as_matrix()
+    # The arm shows what is there and its own error on top: the tracker sees the first.
+    points = (true.forward(angles) - Bend().predict(angles)) @ turn.T + [100, 200, 300]
+    through = calibrate(ARM, angles, points=points, correction=Bend(), free=["probe"])
+    assert_allclose(through.arm.probe, true.probe, atol=1e-5)
+    assert_allclose(through.base_rotation, turn, atol=1e-7)
+    assert through.scatter_after_mm < 1e-5
+    naive = calibrate(ARM, angles, points=points, free=["probe"])
+    assert np.linalg.norm(naive.arm.probe - true.probe) > 0.05
+    assert np.linalg.norm(naive.base_translation - [100, 200, 300]) > 0.05
+    # `residuals` are those of the arm alone: what the correction has to predict.
+    assert_allclose(through.residuals(angles, points), Bend().predict(angles), atol=1e-4)
+    degrees = calibrate(
+        ARM, np.rad2deg(angles), points=points, correction=Bend(), free=["probe"], angle_unit="deg"
+    )
+    assert_allclose(degrees.arm.probe, through.arm.probe, atol=1e-9)
+
+
+def test_a_correction_must_be_one():
+    angles, points, *_ = set_ups(ARM, 20)
+    with pytest.raises(TypeError, match=r"predict\(angles\), got str"):
+        calibrate(ARM, angles, points=points, correction="model")
+
+    class Flat:
+        def predict(self, X):
+            return np.zeros(len(X))
+
+    with pytest.raises(ValueError, match=r"shape \(20, 3\) in mm, got shape \(20,\)"):
+        calibrate(ARM, angles, points=points, correction=Flat())
+
+
+def test_the_ur10_of_another_day(ur10, ur10_b):
+    """A model of series A on series B: through the correction, and not beside it."""
+    rows = np.random.default_rng(0).choice(len(ur10.angles), 2000, replace=False)
+    first = calibrate(ARM, ur10.angles[rows], points=ur10.points[rows])
+    model = JointHarmonicRegressor(first.arm)
+    model.fit(ur10.angles[rows], first.residuals_mm)
+    new = np.random.default_rng(1).permutation(len(ur10_b.angles))
+    known, rest = new[:60], new[60:]
+    left = {}
+    for name, correction in (("beside", None), ("through", model)):
+        result = calibrate(
+            first.arm,
+            ur10_b.angles[known],
+            points=ur10_b.points[known],
+            correction=correction,
+            free=["probe"],
+        )
+        residuals = result.residuals(ur10_b.angles[rest], ur10_b.points[rest])
+        residuals -= model.predict(ur10_b.angles[rest])
+        left[name] = np.linalg.norm(residuals, axis=1).mean()
+    assert left["through"] < 0.32
+    assert left["beside"] > 2 * left["through"]
+
+
+def rigid(n, seed=0, noise_mm=0.05, noise_rad=2e-4):
+    """Positions and orientations of a target on the last link."""
+    rng = np.random.default_rng(seed)
+    arm = ARM.replace(
+        alpha=ARM.alpha + rng.normal(0, 5e-4, 6),
+        theta_offset=ARM.theta_offset + rng.normal(0, 5e-4, 6),
+    )
+    angles = rng.uniform(-2.5, 2.5, (n, 6))
+    base = Rotation.random(random_state=seed)
+    target = Rotation.random(random_state=seed + 1)
+    flange = Rotation.from_matrix(arm.frames(angles)[:, -1, :3, :3])
+    turns = Rotation.from_rotvec(rng.normal(0, noise_rad, (n, 3))) * base * flange * target
+    points = base.apply(arm.forward(angles)) + np.array([10, 20, 30])
+    points += rng.normal(0, noise_mm, (n, 3))
+    return arm, angles, points, turns, target
+
+
+def test_orientations_help_and_find_the_target():
+    arm, angles, points, turns, target = rigid(40)
+    both = calibrate(ARM, angles, points=points, orientations=turns)
+    alone = calibrate(ARM, angles, points=points)
+    assert both.sigma_rad == pytest.approx(2e-4, rel=0.25)
+    assert both.sigma_mm == pytest.approx(0.05, rel=0.25)
+    off = Rotation.from_matrix(both.target_rotation).inv() * target
+    assert off.magnitude() < 2e-3
+    # New orientations, in the frame of the points: base, arm and target together.
+    new = np.random.default_rng(9).uniform(-2.5, 2.5, (200, 6))
+    base = Rotation.random(random_state=0)
+    true = base * Rotation.from_matrix(arm.frames(new)[:, -1, :3, :3]) * target
+    found = Rotation.from_matrix(both.base_rotation)
+    found = found * Rotation.from_matrix(both.arm.frames(new)[:, -1, :3, :3])
+    found = found * Rotation.from_matrix(both.target_rotation)
+    assert (found * true.inv()).magnitude().mean() < 2e-4
+    i = both.names.index("alpha5")
+    assert both.standard_deviations[i] < 0.9 * alone.standard_deviations[i]
+    matrices = calibrate(ARM, angles, points=points, orientations=turns.as_matrix())
+    assert_allclose(matrices.values, both.values)
+
+
+def test_fit_jacobian_with_orientations_against_differences():
+    from scipy.optimize import approx_fprime
+
+    from sklearn_raacmm.calibration._fit import Fit
+    from sklearn_raacmm.calibration._problem import Problem, pack
+
+    _, angles, points, turns, _ = rigid(12)
+    codes = np.arange(12) % 2
+    problem = Problem(
+        None, points, [], tools=codes, stations=codes[::-1].copy(), turns=turns.as_matrix()
+    )
+    nominal = np.r_[pack(ARM), ARM.probe]
+    fit = Fit(ARM, angles, problem, nominal, np.ones(30), "linear")
+    fit.sigma, fit.sigma_turn = 1.0, 1.0
+    x = fit.x + 1e-5 * np.random.default_rng(0).normal(size=len(fit.x))
+    jac = fit._data_rows(x)[1]
+    numeric = approx_fprime(x, lambda v: fit._data_rows(v)[0], 1e-6)
+    size = np.abs(numeric).max(axis=0)
+    assert_allclose(jac / size, numeric / size, atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("turns", "message"),
+    [
+        (np.zeros((40, 3)), r"shape \(40, 3, 3\), got \(40, 3\)"),
+        (np.zeros((40, 3, 3)), "40 matrices that are no rotations, first in row 0"),
+        (-np.tile(np.eye(3), (40, 1, 1)), "no rotations"),
+    ],
+)
+def test_orientations_must_be_rotations(turns, message):
+    _, angles, points, _, _ = rigid(40)
+    with pytest.raises(ValueError, match=message):
+        calibrate(ARM, angles, points=points, orientations=turns)

@@ -1,0 +1,174 @@
+"""What comes with the C files: the generated project builds, and its test would notice a change."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_raacmm import (
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import export_c
+
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
+STRICT += ["-Wdouble-promotion", "-Wfloat-conversion"]
+needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_single_point(n_positions=8, n_poses=15, random_state=0)
+
+
+@pytest.fixture(scope="module")
+def models(data):
+    network = RBFNetRegressor(20, length_scale=1.5, alpha=0.03)
+    linear = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False)
+    fitted = {
+        "chain": make_pipeline(
+            PoseFeatures(data.arm, append_azimuth=True),
+            CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
+        ),
+        "guarded": ArmResidualRegressor(data.arm, harmonics=linear, use="harmonics", fade=1.0),
+    }
+    fitted = {name: model.fit(data.data, data.target) for name, model in fitted.items()}
+    fitted["features"] = network.fit(data.data[:, :2], data.target[:, :2])
+    return fitted
+
+
+def run(command, folder):
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("dtype", ["double", "float"])
+@pytest.mark.parametrize("which", ["chain", "guarded", "features"])
+def test_the_test_program_agrees_with_predict(models, data, tmp_path, compiler, dtype, which):
+    model = models[which]
+    rows = data.data[:, : model.n_features_in_]
+    export_c(model, tmp_path / "arm.c", dtype=dtype, poses=rows)
+    text = (tmp_path / "arm_test.c").read_text()
+    # The line in its comment, with every warning an error.
+    command = re.search(r"cc (-std=c99 .*) && (\./arm_test)", text)
+    done = run([compiler, *STRICT, *command[1].split()], tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = run([command[2]], tmp_path)
+    n = 2 if which == "features" else 3
+    assert re.match(rf"arm: 0 of {32 * n} numbers differ; the largest gap is .*e-", said.stdout)
+    assert said.returncode == 0
+
+
+@needs_compiler
+def test_the_test_program_notices_another_model(models, data, tmp_path):
+    source, _ = export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
+    text = source.read_text()
+    weight = re.search(r"static const double weight\[20\]\[3\] = \{\n    \{([-0-9.e]+),", text)[1]
+    source.write_text(text.replace(weight, str(1.001 * float(weight))))
+    command = [COMPILERS[0], "-std=c99", "-o", "t", "arm_test.c", "arm.c", "-lm"]
+    assert run(command, tmp_path).returncode == 0
+    said = run(["./t"], tmp_path)
+    assert said.returncode == 1
+    assert re.search(r"row \d+, output 0: got .* expected", said.stdout)
+
+
+@needs_compiler
+@pytest.mark.skipif(not shutil.which("cmake"), reason="cmake is not on PATH")
+def test_the_cmake_project_builds_and_passes(models, data, tmp_path):
+    export_c(models["guarded"], tmp_path / "my_arm.c", poses=data.data, std=True)
+    line = (tmp_path / "CMakeLists.txt").read_text().splitlines()[1]
+    for command in line.strip("# ").split(" && "):
+        done = run(command.split(), tmp_path)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert "100% tests passed" in done.stdout
+    assert not run(["build/my_arm_test"], tmp_path).returncode
+
+
+CPP = """
+#include "arm.hpp"
+#include <cstdio>
+#include <limits>
+int main()
+{
+    raacmm::arm::Input q{%s};
+    const auto correction = raacmm::arm::correct(q);
+    const auto point = raacmm::arm::point(q);
+    q[2] = std::numeric_limits<double>::quiet_NaN();
+    if (!correction || !point || raacmm::arm::correct(q) || raacmm::arm::point(q))
+        return 1;
+    for (const auto value : {*correction, *point})
+        std::printf("%%.17g %%.17g %%.17g\\n", value[0], value[1], value[2]);
+}
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_the_header_for_cpp(models, data, tmp_path, compiler):
+    model = models["chain"]
+    export_c(model, tmp_path / "arm.c", poses=data.data)
+    (tmp_path / "main.cpp").write_text(CPP % ", ".join(map(repr, data.data[0].tolist())))
+    program = {"gcc": "g++", "clang": "clang++"}[compiler]
+    if not shutil.which(program):
+        pytest.skip(f"{program} is not on PATH")
+    for command in (
+        [compiler, "-std=c99", "-c", "arm.c"],
+        [program, "-std=c++17", "-Wall", "-Wextra", "-Werror", "-pedantic", "-o", "main",
+         "main.cpp", "arm.o", "-lm"],
+    ):  # fmt: skip
+        done = run(command, tmp_path)
+        assert done.returncode == 0, done.stderr
+    done = run(["./main"], tmp_path)
+    got = np.array(done.stdout.split(), dtype=float).reshape(2, 3)
+    expected = model.predict(data.data[:1])[0]
+    np.testing.assert_allclose(got[0], expected, rtol=0, atol=1e-12)
+    point = data.arm.forward(data.data[:1])[0] - expected
+    np.testing.assert_allclose(got[1], point, rtol=0, atol=1e-11)
+
+
+@needs_compiler
+def test_the_header_says_what_single_precision_costs(models, data, tmp_path):
+    paths = export_c(models["chain"], tmp_path / "arm.c", dtype="float", poses=data.data)
+    for path in paths:
+        found = re.search(
+            r"single precision, at 120 rows: within (\S+) mm of predict, (\S+) of the\s+"
+            r"(?:\*\s+)?largest;\s+(?:\*\s+)?the\s+(?:\*\s+)?point within (\S+) mm",
+            path.read_text(),
+        )
+        correction, share, point = map(float, found.groups())
+        assert 1e-9 < correction < 1e-4
+        assert 1e-7 < share < 1e-2
+        assert 1e-5 < point < 3e-3  # a metre has 7 digits
+
+
+def test_a_cmake_file_of_others_is_left_alone(models, data, tmp_path):
+    place = tmp_path / "CMakeLists.txt"
+    place.write_text("project(mine)\n")
+    with pytest.raises(ValueError, match="is not of sklearn_raacmm, and is left alone"):
+        export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
+    assert [path.name for path in tmp_path.iterdir()] == ["CMakeLists.txt"]
+    place.unlink()
+    for _ in range(2):  # our own is replaced
+        export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
+    names = {"arm.c", "arm.h", "arm.hpp", "arm_test.c", "CMakeLists.txt"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_poses_are_checked(models, data, tmp_path):
+    bad = np.where(np.arange(6) == 1, np.nan, data.data)
+    for poses in (data.data[:, :5], data.data[0], data.data[:0], bad):
+        with pytest.raises(ValueError, match="poses must be rows of 6 finite numbers"):
+            export_c(models["chain"], tmp_path / "arm.c", poses=poses)
+    assert not list(tmp_path.iterdir())
+    # One row is enough: it is its own corner.
+    export_c(models["chain"], tmp_path / "arm.c", poses=data.data[:1])

@@ -1,0 +1,155 @@
+"""The search of kernel, widths and ridge: what it has to find, and what it must not."""
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network import _width_search
+from sklearn_raacmm.network._kernels import KERNELS
+from sklearn_raacmm.network._likelihood import Data
+from sklearn_raacmm.network._width_search import Task, robust_spread, search
+
+
+def data_of(X, y):
+    Y = np.reshape(y - np.mean(y, axis=0), (len(X), -1))
+    return Data(X, Y / Y.std(axis=0), np.ones(len(X)), np.zeros(Y.shape[1]))
+
+
+def waves(n, seed=0, noise=0.1):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-2, 2, (n, 2))
+    f = np.sin(2 * X[:, 0]) + np.cos(X[:, 1])
+    return X, f + noise * rng.standard_normal(n), f
+
+
+@pytest.mark.parametrize("isotropic", [False, True])
+def test_gradient_of_the_objective(isotropic):
+    X, y, _ = waves(40)
+    data = data_of(np.column_stack([X, X[:, 0] ** 3]), np.column_stack([y, y**2]))
+    used = None if isotropic else np.array([True, False, True])
+    task = Task(data, data.X.std(axis=0), None, isotropic, None, used)
+    theta = np.append([0.3] if isotropic else [0.3, 1.0], [-2.0, -3.0])
+    for inducing in (None, data.X[:15]):
+        _, gradient = task.objective(theta, data, "gaussian", inducing)
+        numeric = approx_fprime(
+            theta, lambda t, Z=inducing: task.objective(t, data, "gaussian", Z)[0], 1e-7
+        )
+        np.testing.assert_allclose(gradient, numeric, rtol=5e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("isotropic", [False, True])
+@pytest.mark.parametrize("name", sorted(KERNELS))
+def test_never_ends_worse_than_it_started(name, isotropic):
+    X, y, f = waves(400)
+    found = search(
+        data_of(X, y), (name,), isotropic=isotropic, random_state=np.random.RandomState(0)
+    )
+    assert found.objective <= found.start
+    length_scale = "isotropic" if isotropic else "auto"
+    model = RBFNetRegressor(kernel=name, length_scale=length_scale, random_state=0).fit(X, y)
+    if isotropic:
+        ratio = model.length_scale_ / X.std(axis=0)
+        assert ratio[0] == pytest.approx(ratio[1])
+    # Noise 0.1, and a few dozen parameters from 400 rows.
+    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < 0.05
+
+
+@pytest.mark.parametrize(("n", "d"), [(60, 20), (120, 50), (120, 100), (200, 30)])
+def test_pure_noise_in_many_features_is_noise(n, d):
+    inside, r2 = [], []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        X, y = rng.standard_normal((n, d)), rng.standard_normal(n)
+        X_new, new = rng.standard_normal((500, d)), rng.standard_normal(500)
+        mean, std = RBFNetRegressor(random_state=0).fit(X, y).predict(X_new, return_std=True)
+        inside.append(np.mean(np.abs(new - mean) < 1.96 * std))
+        r2.append(1 - np.mean((new - mean) ** 2) / new.var())
+    # Of 1500 intervals; the noise of 60 rows is known to 9 % only.
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
+    assert np.mean(r2) > -0.05
+
+
+def test_a_weak_signal_in_many_features_is_found():
+    rng = np.random.default_rng(0)
+    X = rng.standard_normal((300, 20))
+    y = 0.6 * np.sin(2 * X[:, 3]) + 0.6 * X[:, 7] + rng.standard_normal(300)
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    T = rng.standard_normal((500, 20))
+    error = model.predict(T) - 0.6 * np.sin(2 * T[:, 3]) - 0.6 * T[:, 7]
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(0.18 + 0.36)
+    assert np.all(np.isfinite(model.length_scale_[[3, 7]]))
+
+
+def test_features_without_effect_are_left_out_and_linear_ones_are_not():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (300, 4))
+    y = np.sin(4 * X[:, 0]) * X[:, 1] + 2 * X[:, 2] + 0.1 * rng.standard_normal(300)
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    np.testing.assert_array_equal(np.isinf(model.length_scale_), [False, False, False, True])
+    moved = X + np.array([0, 0, 0, 100])
+    np.testing.assert_allclose(model.predict(moved), model.predict(X), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "rough"), [("matern32", True), ("gaussian", False)], ids=["rough", "smooth"]
+)
+def test_auto_takes_the_kernel_the_data_come_from(kernel, rough):
+    rng = np.random.default_rng(0)
+    X = np.sort(rng.uniform(-3, 3, (250, 1)), axis=0)
+    f = np.abs(X[:, 0]) - 2 * np.abs(np.sin(3 * X[:, 0])) if rough else np.sin(2 * X[:, 0])
+    y = f + 0.02 * rng.standard_normal(250)
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    assert (model.kernel_ == "gaussian") is not rough
+    given = RBFNetRegressor(kernel=model.kernel_, random_state=0).fit(X, y)
+    np.testing.assert_allclose(given.predict(X), model.predict(X), atol=0.02)
+
+
+@pytest.mark.parametrize("name", ["matern32", "rational_quadratic"])
+def test_a_good_answer_of_few_rows_is_not_thrown_away(name):
+    # 600 inducing rows do not carry a rough function of eight features: the projected process
+    # calls it noise, where 300 rows of the exact one are enough to know better.
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0, 1, (1400, 8))
+    f = np.sin(9 * X[:, 0]) + np.sin(9 * X[:, 1]) + 2 * X[:, 2:4].sum(axis=1)
+    y = f + 0.05 * rng.standard_normal(len(f))
+    found = search(data_of(X[:1100], y[:1100]), (name,), random_state=np.random.RandomState(0))
+    # Noise 0.05 of a spread of 1.3; called noise, the rest would make it a half.
+    assert found.alpha[0] < 0.1
+
+
+def test_a_stage_that_other_rows_find_worse_is_not_accepted(monkeypatch):
+    X, y, _ = waves(1500)
+    task = Task(data_of(X, y), X.std(axis=0), None, False, None)
+    rows = np.arange(300)
+    good = task.minimise(task.start(0.5, 0.01), rows, "gaussian", 40)
+    # One inducing row explains nothing: to its process all is noise.
+    monkeypatch.setattr(_width_search, "INDUCING", 1)
+    end = _width_search._extend(task, good, lambda size: np.arange(min(size, 1500)))
+    np.testing.assert_array_equal(end.theta, good.theta)
+
+
+def test_a_sentinel_does_not_set_the_scale_of_its_feature():
+    X, y, _ = waves(150)
+    spoiled = X.copy()
+    spoiled[0, 0] = 9999.0
+    model = RBFNetRegressor(random_state=0).fit(spoiled, y)
+    plain = RBFNetRegressor(random_state=0).fit(X[1:], y[1:])
+    new, _, truth = waves(500, seed=1)
+    rms = [np.sqrt(np.mean((m.predict(new) - truth) ** 2)) for m in (model, plain)]
+    assert rms[0] < 1.1 * rms[1]
+
+
+def test_robust_spread_is_the_standard_deviation_where_nothing_is_far_out():
+    rng = np.random.default_rng(0)
+    X = np.column_stack([rng.standard_normal(500), rng.integers(0, 2, 500), np.full(500, 3.0)])
+    weights = rng.uniform(0.5, 2, 500)
+    mean = np.average(X, axis=0, weights=weights)
+    expected = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weights))
+    np.testing.assert_allclose(robust_spread(X, weights), expected, atol=1e-12)
+    X[0, 0] = 1e9
+    assert robust_spread(X, weights)[0] < 2
+    # A rare mark is all there is of its feature.
+    rare = np.zeros((500, 1))
+    rare[:5] = 1.0
+    assert robust_spread(rare, np.ones(500))[0] == pytest.approx(rare.std())
