@@ -43,9 +43,9 @@ def main(rounds=60, calls=20):
         "chain, pipeline": make_pipeline(
             PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
         ),
-        "JointHarmonicRegressor": JointHarmonicRegressor(arm, n_harmonics=8),
+        "JointHarmonicRegressor": JointHarmonicRegressor(arm, max_order=8),
         "ArmResidualRegressor": ArmResidualRegressor(
-            arm, harmonics=JointHarmonicRegressor(n_harmonics=8)
+            arm, harmonics=JointHarmonicRegressor(max_order=8)
         ),
     }
     times = {}

@@ -53,7 +53,7 @@ learned = learn_correction(
     table.angles,
     table.positions,
     angle_unit=table.angle_unit,
-    model=JointHarmonicRegressor(n_harmonics=12),
+    model=JointHarmonicRegressor(max_order=12),
 )
 print(learned)
 

@@ -15,6 +15,7 @@ from sklearn_raacmm.correction import (
     learn_correction,
     next_poses,
     search_table,
+    update_correction,
 )
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.network import RBFNetRegressor
@@ -46,4 +47,5 @@ __all__ = [
     "next_poses",
     "position_residuals",
     "search_table",
+    "update_correction",
 ]

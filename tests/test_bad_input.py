@@ -54,7 +54,7 @@ def network(**params):
 
 
 def harmonics():
-    return JointHarmonicRegressor(ARM, n_harmonics=2, gravity=False, wobble=False)
+    return JointHarmonicRegressor(ARM, max_order=2, gravity=False, wobble=False)
 
 
 def both():

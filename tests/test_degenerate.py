@@ -66,7 +66,7 @@ def rbf(X_train, y, X_new=None, sample_weight=None, **params):
 
 
 def harmonics(**params):
-    return JointHarmonicRegressor(ARM, **{"n_harmonics": 2} | params)
+    return JointHarmonicRegressor(ARM, **{"max_order": 2} | params)
 
 
 def jhr(angles, y, sample_weight=None, **params):
@@ -296,9 +296,7 @@ SENTENCES = {
     ),
     "harmonics: two columns": (lambda: jhr(ANGLES, RESIDUALS[:, :2]), r"\(40, 2\)"),
     "harmonics: no columns": (
-        lambda: jhr(
-            ANGLES, RESIDUALS, n_harmonics=0, gravity=False, kinematics=False, wobble=False
-        ),
+        lambda: jhr(ANGLES, RESIDUALS, max_order=0, gravity=False, kinematics=False, wobble=False),
         "no columns",
     ),
     "harmonics: offsets": (lambda: jhr(ANGLES, RESIDUALS, offsets=True), "needs groups"),

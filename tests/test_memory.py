@@ -20,7 +20,7 @@ from sklearn_raacmm import (
 
 ARM = Arm.from_name("aacmm6")
 NETWORK = RBFNetRegressor(5, length_scale=1.0, alpha=0.01)
-HARMONICS = JointHarmonicRegressor(ARM, n_harmonics=2, gravity=False)
+HARMONICS = JointHarmonicRegressor(ARM, max_order=2, gravity=False)
 MODELS = {
     "network": NETWORK,
     "network that tunes itself": RBFNetRegressor(5, random_state=0),

@@ -51,7 +51,7 @@ def data():
 @pytest.fixture(scope="module")
 def fitted(data):
     """Every public estimator, fitted, in chains or by itself."""
-    harmonics = JointHarmonicRegressor(data.arm, n_harmonics=3)
+    harmonics = JointHarmonicRegressor(data.arm, max_order=3)
     models = networks(data.arm)
     models["harmonics"] = harmonics
     models["both"] = ArmResidualRegressor(data.arm, harmonics=harmonics)

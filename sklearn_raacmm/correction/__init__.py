@@ -9,6 +9,7 @@ from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
 from sklearn_raacmm.correction._table_search import TableChange, search_table
+from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
     "ArmResidualRegressor",
@@ -20,4 +21,5 @@ __all__ = [
     "next_poses",
     "predict_with_std",
     "search_table",
+    "update_correction",
 ]

@@ -73,7 +73,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=12, n_poses=15, random_state=0)  # simulated
     >>> known = test.groups < 4
-    >>> model = JointHarmonicRegressor(test.arm, n_harmonics=4)
+    >>> model = JointHarmonicRegressor(test.arm, max_order=4)
     >>> _ = model.fit(test.data[known], test.target[known], groups=test.groups[known])
     >>> chosen, std = next_poses(model, test.data[~known], 3, groups=test.groups[~known])
     >>> len(chosen), bool(std[-1] < std[0])

@@ -147,8 +147,9 @@ def cross_validate_correction(
         The nominal arm, or one calibrated on other data.
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
-    positions : array-like of shape (n_samples,)
-        Label of the position at which the probe was held.
+    positions : array-like of shape (n_samples,) or None
+        Label of the position at which the probe was held. None, with `points`: regions of
+        neighbouring points take their place.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -192,7 +193,7 @@ def cross_validate_correction(
     >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
     >>> scores = cross_validate_correction(
     ...     test.nominal_arm, test.data, test.groups,
-    ...     model=JointHarmonicRegressor(n_harmonics=4), cv=3,
+    ...     model=JointHarmonicRegressor(max_order=4), cv=3,
     ... )
     >>> scores.helps, scores.measure
     (True, '2S')

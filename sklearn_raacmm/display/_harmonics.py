@@ -7,14 +7,17 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid
+from sklearn_raacmm.error_model import likely_gear_ratios
 
 _DOTS = {"color": AFTER["color"], "linestyle": "", "marker": "o", "markersize": 4, "capsize": 2}
 
 
 class HarmonicDisplay:
-    """Amplitude and phase of every harmonic found, joint by joint.
+    """Amplitude, phase and evidence of every harmonic found, joint by joint.
 
-    Make one with :meth:`from_estimator`. Bars are one standard deviation either way.
+    Make one with :meth:`from_estimator`. Bars are one standard deviation either way. Where orders
+    above 72 are multiples of one number, on this joint or on several, the joint's label names it:
+    most likely the ratio of its gear.
 
     Parameters
     ----------
@@ -32,8 +35,12 @@ class HarmonicDisplay:
     phase_sd : ndarray of shape (n_harmonics,)
         Standard deviations of the phases, degrees.
 
-    axes_ : ndarray of matplotlib Axes of shape (n_joints, 2)
-        A row for each joint; amplitudes and phases.
+    gear_ratios : ndarray of shape (n_joints,)
+        Likely gear ratio of each joint, 0 where the orders show none. It can be given to
+        :class:`JointHarmonicRegressor`.
+
+    axes_ : ndarray of matplotlib Axes of shape (n_joints, 3)
+        A row for each joint; amplitudes, phases and log Bayes factors.
 
     figure_ : matplotlib Figure
         The figure.
@@ -42,7 +49,8 @@ class HarmonicDisplay:
     -----
     With c and s the coefficients of cosine and sine, the amplitude is ``hypot(c, s)`` and the phase
     ``atan2(s, c)``; their standard deviations follow to first order, the covariance of c and s left
-    out. They are those of the fit, which supposes independent noise.
+    out. They are those of the fit, which supposes independent noise. The log Bayes factor of a
+    harmonic says by how much it raises the log evidence of the model, beside all others, in nats.
 
     Examples
     --------
@@ -51,11 +59,11 @@ class HarmonicDisplay:
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> from sklearn_raacmm.display import HarmonicDisplay
     >>> test = make_single_point(n_positions=6, n_poses=30, machine="eccentricity")  # simulated
-    >>> model = JointHarmonicRegressor(test.arm, n_harmonics=8)
+    >>> model = JointHarmonicRegressor(test.arm, max_order=8)
     >>> _ = model.fit(test.data, test.target, groups=test.groups)
     >>> display = HarmonicDisplay.from_estimator(model)
     >>> display.axes_.shape
-    (6, 2)
+    (6, 3)
     >>> plt.close(display.figure_)
     """
 
@@ -64,6 +72,9 @@ class HarmonicDisplay:
         self.n_joints = n_joints
         cos, sin = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
         cos_sd, sin_sd = harmonics["cos_sd_arcsec"], harmonics["sin_sd_arcsec"]
+        self.gear_ratios = likely_gear_ratios(
+            harmonics["joint"], harmonics["order"], harmonics["log_bayes_factor"], n_joints
+        )
         size = np.hypot(cos, sin)
         self.amplitude_sd = np.hypot(cos * cos_sd, sin * sin_sd) / size
         self.phase_sd = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
@@ -77,7 +88,7 @@ class HarmonicDisplay:
         estimator : JointHarmonicRegressor or ArmResidualRegressor
             Fitted model.
 
-        axes : array-like of matplotlib Axes of shape (n_joints, 2), default=None
+        axes : array-like of matplotlib Axes of shape (n_joints, 3), default=None
             Axes to draw on. None: new ones.
 
         Returns
@@ -107,7 +118,7 @@ class HarmonicDisplay:
 
         Parameters
         ----------
-        axes : array-like of matplotlib Axes of shape (n_joints, 2), default=None
+        axes : array-like of matplotlib Axes of shape (n_joints, 3), default=None
             Axes to draw on. None: new ones.
 
         errorbar_kwargs : dict, default=None
@@ -119,14 +130,15 @@ class HarmonicDisplay:
             The display, with `axes_` and `figure_`.
         """
         n = self.n_joints
-        size = (8, 1.0 + 1.1 * n)
-        axes = axes_grid(axes, (n, 2), figsize=size, sharex=True, sharey="col")
+        size = (10, 1.0 + 1.1 * n)
+        axes = axes_grid(axes, (n, 3), figsize=size, sharex=True, sharey="col")
         style = _DOTS | (errorbar_kwargs or {})
-        for joint, (left, right) in enumerate(axes, start=1):
+        for joint, (left, middle, right) in enumerate(axes, start=1):
             mine = self.harmonics["joint"] == joint
             some = self.harmonics[mine]
-            left.set_ylabel(f"joint {joint}")
-            for ax in (left, right):
+            ratio = self.gear_ratios[joint - 1]
+            left.set_ylabel(f"joint {joint}" + (f"\ngear {ratio}?" if ratio else ""))
+            for ax in (left, middle, right):
                 ax.grid(axis="y", color="0.9")
                 ax.set_axisbelow(True)
             if not len(some):
@@ -137,11 +149,18 @@ class HarmonicDisplay:
             order = some["order"]
             left.vlines(order, 0, some["amplitude_arcsec"], color=style["color"], linewidth=1)
             left.errorbar(order, some["amplitude_arcsec"], self.amplitude_sd[mine], **style)
-            right.errorbar(order, some["phase_deg"], self.phase_sd[mine], **style)
+            middle.errorbar(order, some["phase_deg"], self.phase_sd[mine], **style)
+            # From half a nat on, so that a logarithmic axis serves all: hundreds are common.
+            evidence = np.maximum(some["log_bayes_factor"], 0.5)
+            right.vlines(order, 0.5, evidence, color=style["color"], linewidth=1)
+            right.errorbar(order, evidence, **style)
         axes[0, 0].set_title("amplitude (arc seconds)", fontsize="medium")
         axes[0, 1].set_title("phase (deg)", fontsize="medium")
+        axes[0, 2].set_title("log Bayes factor (nats)", fontsize="medium")
         axes[0, 0].set_ylim(bottom=0)
         axes[0, 1].set(ylim=(-200, 200), yticks=[-180, 0, 180])
+        axes[0, 2].set(yscale="log")
+        axes[0, 2].set_ylim(bottom=0.5)
         for ax in axes[-1]:
             ax.set_xlabel("order: cycles a turn")
             ax.set_xlim(left=0)

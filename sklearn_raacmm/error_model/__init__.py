@@ -14,6 +14,7 @@ from sklearn_raacmm.error_model._left_out import (
 )
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
 from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._orders import likely_gear_ratios
 
 __all__ = [
     "LEAST_POSITIONS",
@@ -27,6 +28,7 @@ __all__ = [
     "find_fading",
     "fit_linear_model",
     "leave_out",
+    "likely_gear_ratios",
     "quantile",
     "term_columns",
     "warn_where_unknown",

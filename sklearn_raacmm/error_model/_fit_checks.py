@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, check_angles, points_of
+from sklearn_raacmm.arm import arm_for, check_angles, points_of
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.utils import (
     centred,
@@ -50,23 +50,12 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     lengths : list of (int, int, float, float)
     """
     X, y = check_data(estimator, X, y)
-    arm = _check_arm(estimator.arm, X.shape[1])
+    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1)
     check_angles(X, X.shape[1], "rad", _CALLER)  # warns of degrees
     y = _check_residuals(y, arm, X)
     weights = check_weights(sample_weight, X)
     codes = _check_offsets(linear.offsets, y, weights, groups)
     return arm, X, y, weights, codes, _check_lengths(lengths, codes, groups, linear.kinematics)
-
-
-def _check_arm(arm, n_columns):
-    """The arm, or the built-in one; refuses angles that are not its own."""
-    arm = Arm.from_name("aacmm6") if arm is None else arm
-    if n_columns != arm.n_joints:
-        raise ValueError(
-            f"X has {n_columns} columns, but the arm {arm!r} has {arm.n_joints} joints: one column "
-            "of joint angles each is needed."
-        )
-    return arm
 
 
 def _check_residuals(y, arm, angles):

@@ -50,9 +50,18 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     arm : Arm, default=None
         The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
 
-    n_harmonics : int, default=72
-        Highest order offered, for every joint. A higher one costs time, hardly accuracy: what a
-        harmonic has to explain to be taken grows with the number offered.
+    max_order : int, default=400
+        Highest order of the harmonics offered, for every joint: strain-wave gears show at multiples
+        of their ratio. Orders above 72 are taken only where they explain much, or where they are
+        multiples of others that do. A joint is offered no more orders than it shows different
+        angles. 0 offers none.
+
+    orders : array-like of int, or one array-like of int per joint, default=None
+        Offer these orders only, for all joints or for each, in place of those up to `max_order`.
+
+    gear_ratio : float or array-like of shape (n_joints,), default=None
+        Gear ratio of all joints or of each, where it is known; 0 where it is not. Its multiples up
+        to four are offered in addition, as orders that are as likely as low ones.
 
     gravity, kinematics, wobble : bool, default=True
         Which of the other causes are in the model.
@@ -89,7 +98,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
         and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
-        raised the log evidence when it joined.
+        raises the log evidence beside all others.
 
     terms_ : structured ndarray of shape (n_terms,)
         The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
@@ -193,7 +202,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     _parameter_constraints: dict = {
         "arm": [Arm, None],
-        "n_harmonics": [Interval(Integral, 0, 1000, closed="both")],
+        "max_order": [Interval(Integral, 0, 1000, closed="both")],
+        "orders": ["array-like", None],
+        "gear_ratio": [Interval(Real, 0, None, closed="left"), "array-like", None],
         "gravity": ["boolean"],
         "kinematics": ["boolean"],
         "wobble": ["boolean"],
@@ -207,7 +218,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         self,
         arm=None,
         *,
-        n_harmonics=72,
+        max_order=400,
+        orders=None,
+        gear_ratio=None,
         gravity=True,
         kinematics=True,
         wobble=True,
@@ -217,7 +230,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         fade="auto",
     ):
         self.arm = arm
-        self.n_harmonics = n_harmonics
+        self.max_order = max_order
+        self.orders = orders
+        self.gear_ratio = gear_ratio
         self.gravity = gravity
         self.kinematics = kinematics
         self.wobble = wobble

@@ -2,8 +2,7 @@
 
 A posterior knows only of the causes that are in its model, so that its standard deviations are too
 small wherever the model is not complete. Errors at positions that had no part in a fit show by how
-much. The normal equations are sums over positions: those of a block are subtracted from the whole,
-and the harmonics are chosen again from the rest, with the variances that the whole has found.
+much. Without a block the harmonics are chosen again, with the variances that the whole has found.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -12,16 +11,16 @@ and the harmonics are chosen again from the rest, with the variances that the wh
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 from scipy.stats import norm, t
 from sklearn.cluster import KMeans
 
 from sklearn_raacmm.arm import points_of
-from sklearn_raacmm.error_model._block_selection import _forward
 from sklearn_raacmm.error_model._columns import FAMILIES, HARMONIC, term_names
-from sklearn_raacmm.error_model._linear_fit import constrained
-from sklearn_raacmm.error_model._normal_equations import normal_equations
+from sklearn_raacmm.error_model._harmonic_selection import select_harmonics
+from sklearn_raacmm.error_model._linear_fit import FitData, model_of
+from sklearn_raacmm.error_model._order_scan import candidate_sums
+from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.utils import centred, group_means, group_weights
 
 # Blocks left out in turn, and the fewest positions that are worth leaving some out: of three the
@@ -31,12 +30,11 @@ N_BLOCKS, LEAST_POSITIONS = 10, 4
 # freedom (M. A. Juarez, M. F. J. Steel, J. Bus. Econ. Stat. 28, 2010); limits of the search.
 _LOG_SPREAD, _PER_FREEDOM = 1.0, 0.1
 _SEARCH = {"xatol": 1e-4, "fatol": 1e-6, "maxiter": 500}
-# Harmonics for which whole Gram matrices are summed up: 10 blocks of 1000 columns are 80 MB.
-_MOST_PAIRS = 450
+# Orders offered to the models without a block, beside those that the whole has chosen: the choice
+# of low orders is made anew, high ones take most of the time.
+_HIGHEST_ORDER = 72
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0
-# Relative increase of a Gram matrix's diagonal, some hundred times the rounding of the difference.
-_JITTER = 1e-10
 
 
 def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS):
@@ -68,33 +66,25 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     blocks = blocks_of_positions(points_of(model.arm, X), positions, np.ones(len(X)), n_blocks)
     if blocks is None or not model.noise_variance > 0:
         return []
-    terms = model.terms._replace(harmonics=_pairs_offered(model, options))
-    parts = [
-        normal_equations(model.arm, X[rows], y[rows], weights[rows], own, terms)
-        for rows, own in _by_block(blocks, codes)
-    ]
-    gram, moment = sum(part.gram for part in parts), sum(part.moment for part in parts)
+    offered, expected = offered_harmonics(X, options.max_order, options.orders, options.gear_ratio)
+    chosen = {tuple(pair) for pair in model.terms.harmonics.tolist()}
+    low = offered[:, 1] <= _HIGHEST_ORDER
+    used = [i or tuple(p) in chosen for i, p in zip(low, offered.tolist(), strict=True)]
+    offered, expected = offered[used], expected[used]
+    terms, family = model.terms._replace(harmonics=offered), term_names(model.arm, model.terms)[1]
+    variance = np.array([model.prior_sd.get(name, 1.0) ** 2 for name in FAMILIES])
+    prices, start = order_prices(offered, expected), (variance, model.noise_variance)
     found = []
-    for part, (out, _) in zip(parts, _by_block(blocks, codes), strict=True):
-        rest = _posterior(model, terms, gram - part.gram, moment - part.moment)
-        if codes is not None:
-            rows = (blocks != blocks[out[0]]) & (weights > 0)
-            own = np.unique(codes[rows], return_inverse=True)[1].ravel()
-            rest = constrained(rest, X[rows], weights[rows], own)
-        found.append((out, rest))
+    for block in np.unique(blocks):
+        rest = (blocks != block) & (weights > 0)
+        own = None if codes is None else np.unique(codes[rest], return_inverse=True)[1].ravel()
+        sums = candidate_sums(model.arm, X[rest], y[rest], weights[rest], own, offered, terms)
+        best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
+        data = FitData(model.arm, X[rest], y[rest], weights[rest], own, [], options)
+        rest_terms = terms._replace(harmonics=offered[best.pairs])
+        every = np.ones(rest.sum())
+        found.append((np.flatnonzero(blocks == block), model_of(data, every, best, rest_terms)))
     return found
-
-
-def _pairs_offered(model, options):
-    """Harmonics among which the models without a block choose.
-
-    All that were offered, where there are few; else the lowest orders and those that were chosen.
-    """
-    n_joints = model.arm.n_joints
-    highest = min(options.n_harmonics, _MOST_PAIRS // n_joints)
-    pairs = {(j, k) for j in range(n_joints) for k in range(1, highest + 1)}
-    pairs |= {(j, k) for j, k in model.terms.harmonics.tolist()}
-    return np.array(sorted(pairs), dtype=int).reshape(-1, 2)
 
 
 def errors_left_out(left_out, X, y, codes):
@@ -120,42 +110,6 @@ def errors_left_out(left_out, X, y, codes):
         errors[rows] = centred(y[rows], own) - columns @ rest.coef
         std[rows] = np.sqrt(np.square(columns @ rest.half).sum(axis=2))
     return errors, std
-
-
-def _by_block(blocks, codes):
-    """Yield the rows of each block, and the positions of these rows from 0."""
-    for block in np.unique(blocks):
-        rows = np.flatnonzero(blocks == block)
-        own = None if codes is None else np.unique(codes[rows], return_inverse=True)[1].ravel()
-        yield rows, own
-
-
-def _posterior(model, terms, gram, moment):
-    """Model of given normal equations, with the variances of another."""
-    n_pairs = len(terms.harmonics)
-    _, of_term = term_names(model.arm, terms)
-    prior = np.square([model.prior_sd[FAMILIES[f]] for f in of_term])
-    blocks = [np.array([2 * i, 2 * i + 1]) for i in range(n_pairs)]
-    if len(of_term):
-        blocks.append(2 * n_pairs + np.arange(len(of_term)))
-    if n_pairs:
-        prior = np.r_[np.full(2 * n_pairs, model.prior_sd[FAMILIES[HARMONIC]] ** 2), prior]
-    S, r = gram / model.noise_variance, moment / model.noise_variance
-    S[np.diag_indices(len(S))] = (1 + _JITTER) * S.diagonal() + 1 / prior
-    always = np.arange(len(blocks)) >= n_pairs
-    chosen, _ = _forward(S, r, blocks, always, prior, np.log(max(n_pairs, 1)))
-    columns = np.sort(np.concatenate([blocks[b] for b in chosen])) if chosen else np.empty(0, int)
-    root = cholesky(S[np.ix_(columns, columns)], check_finite=False)
-    half = solve_triangular(root, np.eye(len(columns)), check_finite=False)
-    taken = np.sort([b for b in chosen if b < n_pairs]).astype(int)
-    return replace(
-        model,
-        terms=terms._replace(harmonics=terms.harmonics[taken]),
-        coef=cho_solve((root, False), r[columns], check_finite=False),
-        half=half,
-        gauge_free_half=half,
-        log_bayes_factor=np.zeros(len(taken)),
-    )
 
 
 def with_honest_intervals(model, left_out, X, y, weights, codes, positions):

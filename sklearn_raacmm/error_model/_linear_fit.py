@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sklearn_raacmm.arm import points_of
-from sklearn_raacmm.error_model._block_selection import select_blocks
+from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     HARMONIC,
@@ -18,12 +17,11 @@ from sklearn_raacmm.error_model._columns import (
     scale_direction,
     term_names,
 )
+from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmonics
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._normal_equations import (
-    length_equations,
-    mean_columns,
-    normal_equations,
-)
+from sklearn_raacmm.error_model._order_scan import candidate_sums
+from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
+from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
 from sklearn_raacmm.utils import centred, group_means
 
 # Columns that move the arm as a whole: the first axis stands still in the base.
@@ -33,13 +31,17 @@ BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_b
 _OUTLIER = 5.5
 _MEDIAN_OF_CHI3 = 1.5382
 _ROBUST_ROUNDS = 4
+# Harmonics are chosen anew, with what the robust weights have become, at most so many times.
+_MAX_CHOICES = 2
 _SETTLED_WEIGHT = 0.05
 
 
 class LinearOptions(NamedTuple):
     """Options of the fit, as :class:`JointHarmonicRegressor` explains them."""
 
-    n_harmonics: int
+    max_order: int
+    orders: object
+    gear_ratio: object
     gravity: bool
     kinematics: bool
     wobble: bool
@@ -80,68 +82,76 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     ValueError
         If the options leave no columns.
     """
-    factor = np.ones(len(y))
-    for rounds_left in range(_ROBUST_ROUNDS, -1, -1):
-        model = _fit_weighted(arm, X, y, weights * factor, codes, lengths, options)
-        if options.loss == "squared" or not rounds_left:
+    data = FitData(arm, X, y, weights, codes, lengths, options)
+    offered, expected = offered_harmonics(
+        X[weights > 0], options.max_order, options.orders, options.gear_ratio
+    )
+    factor, start, pairs = np.ones(len(y)), None, ()
+    for _ in range(_MAX_CHOICES):
+        chosen, terms = _choose(data, factor, offered, expected, start, pairs)
+        model, settled, found = _settle(data, factor, chosen, terms)
+        moved = np.abs(settled - factor).max()
+        factor, start = settled, (found.prior_variance, found.noise_variance)
+        pairs = chosen.pairs
+        if moved < _SETTLED_WEIGHT:
             break
-        left = y - model.predict(X)[0]
-        distance = np.linalg.norm(centred(left, codes, weights * factor), axis=1)
-        scale = quantile(distance, 0.5, weights) / _MEDIAN_OF_CHI3
-        share = np.square(distance / max(_OUTLIER * scale, 1e-300))
-        new = np.square(np.maximum(1 - share, 0.0))
-        far = np.any((share >= 1) & (weights > 0))
-        settled = np.abs(new - factor).max() < _SETTLED_WEIGHT
-        if not scale > 0 or settled or (rounds_left == _ROBUST_ROUNDS and not far):
-            break
-        factor = new
     return model, factor
 
 
-def _fit_weighted(arm, X, y, weights, codes, lengths, options):
-    kept = weights > 0
-    X, y, weights = X[kept], y[kept], weights[kept]
-    offsets = codes is not None
-    if offsets:
-        present, codes = np.unique(codes[kept], return_inverse=True)
-        codes = codes.ravel()
-        place = {code: i for i, code in enumerate(present.tolist())}
-        lengths = [
-            (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
-        ]
-    offered = np.array(
-        [(j, k) for j in range(arm.n_joints) for k in range(1, options.n_harmonics + 1)], dtype=int
-    ).reshape(-1, 2)
+class FitData(NamedTuple):
+    arm: Arm
+    X: np.ndarray
+    y: np.ndarray
+    weights: np.ndarray
+    codes: np.ndarray
+    lengths: list
+    options: LinearOptions
+
+    def weighted(self, factor):
+        """Rows that have weight, and positions and lengths that have such rows."""
+        weights = self.weights * factor
+        kept = weights > 0
+        codes, lengths = self.codes, self.lengths
+        if codes is not None:
+            present, codes = np.unique(codes[kept], return_inverse=True)
+            codes = codes.ravel()
+            place = {code: i for i, code in enumerate(present.tolist())}
+            lengths = [
+                (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
+            ]
+        return self.X[kept], self.y[kept], weights[kept], codes, lengths
+
+    def sums(self, factor, terms):
+        """Sums over poses with `terms.harmonics` as candidates, and known lengths."""
+        X, y, weights, codes, lengths = self.weighted(factor)
+        sums = candidate_sums(self.arm, X, y, weights, codes, terms.harmonics, terms)
+        if not lengths:
+            return sums, None
+        return sums, length_equations(self.arm, X, weights, codes, terms, lengths)
+
+    def prior_variance(self):
+        """Variance of each family, NaN where it is to be found."""
+        variance = np.full(len(FAMILIES), np.nan)
+        if not isinstance(self.options.prior_sd, str):
+            variance[HARMONIC] = self.options.prior_sd**2
+        return variance
+
+
+def _choose(data, factor, offered, expected, start, pairs):
+    """Posterior of the harmonics chosen at given weights, and its terms."""
+    options = data.options
     terms = Terms(offered, options.gravity, options.kinematics, options.wobble)
-    names, of_term = term_names(arm, terms)
-    if not len(offered) and not names:
+    family = term_names(data.arm, terms)[1]
+    if not len(offered) and not len(family):
         raise ValueError(
-            "The model has no columns: n_harmonics is 0 and gravity, kinematics and wobble are "
-            "all False."
+            "The model has no columns: no orders are offered and gravity, kinematics and wobble "
+            "are all False."
         )
-    equations = normal_equations(arm, X, y, weights, codes, terms)
-    n_pairs = len(offered)
-    blocks = [np.array([2 * i, 2 * i + 1]) for i in range(n_pairs)]
-    families = np.unique(of_term)
-    blocks += [2 * n_pairs + np.flatnonzero(of_term == f) for f in families]
-    family = np.r_[np.full(n_pairs, HARMONIC), families]
-    prior_variance = np.full(len(FAMILIES), np.nan)
-    if not isinstance(options.prior_sd, str):
-        prior_variance[HARMONIC] = options.prior_sd**2
-    found = select_blocks(
-        equations.gram,
-        equations.moment,
-        equations.square,
-        equations.n_observations,
-        blocks,
-        family,
-        np.arange(len(blocks)) >= n_pairs,
-        prior_variance,
-        length_equations(arm, X, weights, codes, terms, lengths) if lengths else None,
-    )
-    present = {HARMONIC, *of_term.tolist()} if n_pairs else set(of_term.tolist())
-    model = _model_of(arm, terms, found, offsets, sorted(present))
-    return constrained(model, X, weights, codes, keep_scale=not lengths)
+    sums, lengths = data.sums(factor, terms)
+    prices = order_prices(offered, expected)
+    variance = data.prior_variance()
+    found = select_harmonics(sums, family, HARMONIC, variance, prices, lengths, start, pairs)
+    return found, terms._replace(harmonics=offered[found.pairs])
 
 
 def constrained(model, X, weights, codes, keep_scale=True):
@@ -171,25 +181,59 @@ def constrained(model, X, weights, codes, keep_scale=True):
     return _without_gauge(model, columns)
 
 
-def _model_of(arm, offered, found, offsets, families):
-    """Value of a posterior, with columns in the order harmonics, other terms."""
-    n_pairs = len(offered.harmonics)
-    order = np.argsort(found.columns, kind="stable")
-    chosen = np.array([block for block in found.blocks if block < n_pairs], dtype=int)
-    by_column = np.argsort(chosen, kind="stable")
+def _settle(data, factor, found, terms):
+    """Weights of the poses, and the model at these weights, harmonics being chosen."""
+    family = term_names(data.arm, terms)[1]
+    pairs = np.arange(len(terms.harmonics))
+    model = model_of(data, factor, found, terms)
+    if data.options.loss == "squared":
+        return model, factor, found
+    for _ in range(_ROBUST_ROUNDS):
+        new = _pose_weights(data, model, factor)
+        if np.abs(new - factor).max() < _SETTLED_WEIGHT:
+            break
+        factor = new
+        sums, lengths = data.sums(factor, terms)
+        start = found.prior_variance, found.noise_variance
+        found = refit(sums, family, HARMONIC, data.prior_variance(), pairs, lengths, start)
+        model = model_of(data, factor, found, terms)
+    return model, factor, found
+
+
+def _pose_weights(data, model, factor):
+    """Tukey's weights of the poses; those at hand where none is far off."""
+    left = data.y - model.predict(data.X)[0]
+    distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
+    scale = quantile(distance, 0.5, data.weights) / _MEDIAN_OF_CHI3
+    share = np.square(distance / max(_OUTLIER * scale, 1e-300))
+    far = np.any((share >= 1) & (data.weights > 0))
+    if not scale > 0 or (np.all(factor == 1) and not far):
+        return factor
+    return np.square(np.maximum(1 - share, 0.0))
+
+
+def model_of(data, factor, found, terms):
+    """Value of a posterior, with columns in the order harmonics by joint, other terms."""
+    n_pairs = len(terms.harmonics)
+    order = np.roll(np.arange(len(found.coef)), 2 * n_pairs)
     half = solve_triangular(found.root, np.eye(len(order)), check_finite=False)[order]
-    return LinearModel(
-        arm=arm,
-        terms=offered._replace(harmonics=offered.harmonics[chosen[by_column]]),
+    families = set(term_names(data.arm, terms)[1].tolist())
+    if data.options.max_order or n_pairs:
+        families.add(HARMONIC)
+    model = LinearModel(
+        arm=data.arm,
+        terms=terms,
         coef=found.coef[order],
         half=half,
-        noise_variance=float(found.noise_variance),
-        prior_sd={FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in families},
-        offsets=offsets,
-        n_determined=float(found.n_determined),
-        log_bayes_factor=np.asarray(found.gains, dtype=float)[by_column],
+        noise_variance=found.noise_variance,
+        prior_sd={FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(families)},
+        offsets=data.codes is not None,
+        n_determined=found.n_determined,
+        log_bayes_factor=found.gains,
         gauge_free_half=half,
     )
+    X, _, weights, codes, lengths = data.weighted(factor)
+    return constrained(model, X, weights, codes, keep_scale=not lengths)
 
 
 def _keep_scale(model, columns, points):

@@ -19,7 +19,7 @@ FEWEST, MOST = 4, 64
 _ENTRANTS = 64
 # Numbers that a processor multiplies in the time in which it reads one: a pool is filled once the
 # single steps so far have taken as long as the product that makes its Gram matrix takes.
-_PRODUCTS_PER_READ = 20
+_PRODUCTS_PER_READ = 40
 # Below this many steps a guess on the mean of so many guesses, looking ahead does not pay.
 _SHORT_RUN, _TRIALS = 6, 4
 # Candidates in the pool where the kernel matrix itself is worked on: with 256 runs of 25 guesses

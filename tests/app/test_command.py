@@ -44,7 +44,7 @@ URDF = (
 def quick_model():
     """The first stage alone: the whole default takes half a minute, and is tested elsewhere."""
     with pytest.MonkeyPatch.context() as patch:
-        model = JointHarmonicRegressor(n_harmonics=3)
+        model = JointHarmonicRegressor(max_order=3)
         patch.setattr(
             _commands, "learn_correction", functools.partial(learn_correction, model=model)
         )
@@ -169,6 +169,15 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, t
         assert re.search(said, capsys.readouterr().out)
 
 
+def test_checks_raise_a_false_alarm_once_in_a_hundred():
+    rng = np.random.default_rng(0)
+    alarms = 0
+    for _ in range(4000):
+        learnt, today = rng.normal(0.02, 0.004, 10), rng.normal(0.02, 0.004, 5)
+        alarms += today.mean() > _commands.highest_mean(learnt, 5)
+    assert 0.006 < alarms / 4000 < 0.014
+
+
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
 def test_export_compiles_and_says_the_same(learned, tmp_path):
     folder, _, readings, _ = learned
@@ -202,6 +211,25 @@ def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
     # Whoever uses it all the same is told so.
     assert main(["export", "--model", str(tmp_path), "--c", str(tmp_path / "c")]) == 0
     assert "note: Do not use it" in capsys.readouterr().err
+
+
+def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
+    machine = other_make.OtherMake(3, error=3.0)
+    readings = machine.rng.uniform(-1.2, 1.2, (120, 7))
+    points = machine.points(readings)[:, [1, 2, 0]] + [0, 0, 2000]
+    table = np.c_[np.rad2deg(readings), points / 1000]
+    header = ",".join([*(f"q{i}_deg" for i in range(1, 8)), "X [m]", "Y [m]", "Z [m]"])
+    np.savetxt(tmp_path / "t.csv", table, "%.7f", ",", header=header, comments="")
+    (tmp_path / "arm.urdf").write_text(URDF)
+    arguments = f"learn {tmp_path}/t.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --points x,y,z"
+    assert main([*arguments.split(), "--folds", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "It helps at new positions: mean deviation" in said
+    assert "region 05" in said
+    assert main([*arguments.split(), "--limit-2s", "0.1"]) == 2
+    assert "not for a tracker's points" in capsys.readouterr().err
+    assert main(["check", f"{tmp_path}/t.csv", "--model", str(tmp_path)]) == 2
+    assert "learnt from a single-point test" in capsys.readouterr().err
 
 
 def test_demo(monkeypatch, tmp_path, capsys):

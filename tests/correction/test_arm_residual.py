@@ -28,7 +28,7 @@ def small(**params):
     """A model that is quick to fit."""
     return ArmResidualRegressor(
         ARM,
-        harmonics=JointHarmonicRegressor(n_harmonics=4, gravity=False, wobble=False),
+        harmonics=JointHarmonicRegressor(max_order=4, gravity=False, wobble=False),
         network=RBFNetRegressor(15, length_scale=1.0, alpha=1e-2, degree=-1),
         **params,
     )
@@ -110,7 +110,7 @@ def test_weights_are_repeats(cones):
     weights = np.random.default_rng(0).integers(0, 3, len(y))
     repeat = np.repeat(np.arange(len(y)), weights)
     network = RBFNetRegressor(5, length_scale=1.0, alpha=0.1, degree=-1)
-    first = JointHarmonicRegressor(n_harmonics=2, offsets=True)
+    first = JointHarmonicRegressor(max_order=2, offsets=True)
     model = ArmResidualRegressor(ARM, harmonics=first, network=network, n_folds=2, cap=0.9)
     weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
     repeated = clone(model).fit(theta[repeat], y[repeat], groups=groups[repeat])
@@ -139,7 +139,7 @@ def test_corrections_fade_away_from_the_data(cones):
     assert model.fading(theta).mean() > 0.8
     assert model.fading(theta + 1.5).mean() < model.fading(theta).mean()
     assert_array_equal(free.fading(theta), 1)
-    first = JointHarmonicRegressor(n_harmonics=1)
+    first = JointHarmonicRegressor(max_order=1)
     model = ArmResidualRegressor(ARM, harmonics=first, use="harmonics", fade=50.0)
     model.fit(theta[:40], y[:40])
     with pytest.warns(UserWarning, match="60 of 60 poses lie where the model knows little") as seen:
@@ -174,7 +174,7 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
         for absolute in (False, True):
             y = day.points - day.simulation.true_points if absolute else day.target
             model = ArmResidualRegressor(
-                day.arm, harmonics=JointHarmonicRegressor(n_harmonics=8), network=network, n_folds=3
+                day.arm, harmonics=JointHarmonicRegressor(max_order=8), network=network, n_folds=3
             )
             model.fit(day.data[trained], y[trained], groups=day.groups[trained])
             assert model.linear_model_.offsets != absolute
@@ -190,7 +190,7 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
 def test_known_lengths_reach_the_first_stage():
     gauge = make_gauge(300, 8, 8, random_state=2)
     known = [(a, b, 300.0, 0.003) for a, b in gauge.pairs]
-    first = JointHarmonicRegressor(gauge.arm, n_harmonics=2)
+    first = JointHarmonicRegressor(gauge.arm, max_order=2)
     model = ArmResidualRegressor(gauge.arm, harmonics=first, use="harmonics")
     model.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
     first.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
@@ -209,9 +209,9 @@ def test_fading_is_that_of_the_formula(cones):
 def test_is_a_scikit_learn_estimator(cones):
     theta, y, groups, _ = cones
     search = GridSearchCV(
-        small(use="harmonics"), {"harmonics__n_harmonics": [1, 4]}, cv=GroupKFold(3)
+        small(use="harmonics"), {"harmonics__max_order": [1, 4]}, cv=GroupKFold(3)
     ).fit(theta, y, groups=groups)
-    assert search.best_params_ == {"harmonics__n_harmonics": 4}
+    assert search.best_params_ == {"harmonics__max_order": 4}
     model = search.best_estimator_
     assert_array_equal(pickle.loads(pickle.dumps(model)).predict(theta), model.predict(theta))
     mean, std = model.predict(theta, return_std=True)

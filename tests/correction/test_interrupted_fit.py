@@ -57,8 +57,8 @@ def test_interrupted_at_every_stage(kind):
     before, expected = dict(vars(model)), model.predict(theta)
     new = np.cos(theta[:, [1, 2, 3]]) * 0.05 + rng.normal(0, 0.002, (60, 3))
 
-    def refit(estimator=model):
-        estimator.fit(theta + 0.1, new, groups=groups)
+    def refit():
+        model.fit(theta + 0.1, new, groups=groups)
 
     n_calls = 40 if kind == "linear" else 120
     # Twice: what is computed once and then kept makes the second fit shorter.

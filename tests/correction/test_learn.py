@@ -27,7 +27,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-QUICK = JointHarmonicRegressor(n_harmonics=4)
+QUICK = JointHarmonicRegressor(max_order=4)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_scores_are_those_of_the_steps_written_out(test_data, learned):
     for train, test in GroupKFold(5).split(X, groups=groups):
         arm = calibrate(test_data.nominal_arm, X[train], groups[train]).arm
         y = position_residuals(arm.forward(X[train]), groups[train])
-        model = JointHarmonicRegressor(arm, n_harmonics=4).fit(X[train], y, groups=groups[train])
+        model = JointHarmonicRegressor(arm, max_order=4).fit(X[train], y, groups=groups[train])
         points = arm.forward(X[test])
         for values, left in ((before, points), (after, points - model.predict(X[test]))):
             values[np.unique(groups[test])] = single_point_repeatability(
@@ -164,6 +164,23 @@ def test_against_a_tracker(test_data):
     np.testing.assert_allclose(learned.scores.table["after"], means)
 
 
+def test_tracker_points_without_labels_are_left_out_by_region():
+    rng = np.random.default_rng(2)
+    arm = Arm.from_name("ur10")
+    X = rng.uniform(-2, 2, (200, 6))
+    tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
+    learned = learn_correction(arm, X, None, tracker, model=QUICK)
+    labels = learned.scores.table["position"].tolist()
+    assert labels == [f"region {i:02d}" for i in range(1, 11)]
+    # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
+    spread = [np.ptp(tracker[learned.positions == label], axis=0).max() for label in labels]
+    assert max(spread) < np.ptp(tracker, axis=0).max()
+    with pytest.raises(ValueError, match="at least 5 different points are needed"):
+        learn_correction(arm, X[:4], None, tracker[:4], model=QUICK)
+    with pytest.raises(ValueError, match="got None"):
+        learn_correction(arm, X, None, model=QUICK)
+
+
 @pytest.mark.parametrize(
     "model",
     [
@@ -204,7 +221,7 @@ def test_the_default_is_the_guarded_model_and_says_when_it_does_not_help():
     X, groups = rng.uniform(-2, 2, (60, 6)), np.repeat(np.arange(6), 10)
     tracker = arm.forward(X) + rng.normal(scale=0.05, size=(60, 3))
     model = ArmResidualRegressor(
-        harmonics=JointHarmonicRegressor(n_harmonics=2), network=RBFNetRegressor(5, degree=-1)
+        harmonics=JointHarmonicRegressor(max_order=2), network=RBFNetRegressor(5, degree=-1)
     )
     learned = learn_correction(arm, X, groups, tracker, model=model, cv=3)
     assert not learned.helps

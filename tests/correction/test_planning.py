@@ -17,7 +17,7 @@ def planned(request):
     rng = np.random.default_rng(0)
     theta = rng.uniform(-1, 1, (120, 6))
     y = rng.normal(0, 0.01, (120, 3))
-    model = JointHarmonicRegressor(ARM, n_harmonics=2, gravity=False, offsets=request.param)
+    model = JointHarmonicRegressor(ARM, max_order=2, gravity=False, offsets=request.param)
     model.fit(theta, y, groups=np.arange(120) % 10)
     candidates = rng.uniform(-2, 2, (40, 6))
     return model, candidates, np.repeat(np.arange(8), 5) if request.param else None
@@ -60,7 +60,7 @@ def test_poses_near_the_targets_are_chosen():
     """Poses measured at random in a corner; the correction is for the other one."""
     rng = np.random.default_rng(1)
     theta = rng.uniform(-1.5, 0, (200, 6))
-    model = JointHarmonicRegressor(ARM, n_harmonics=2).fit(theta, rng.normal(0, 0.01, (200, 3)))
+    model = JointHarmonicRegressor(ARM, max_order=2).fit(theta, rng.normal(0, 0.01, (200, 3)))
     X = np.vstack([rng.uniform(-1.5, 0, (50, 6)), rng.uniform(0, 1.5, (50, 6))])
     chosen, std = next_poses(model, X, 6, targets=rng.uniform(0, 1.5, (100, 6)))
     assert np.mean(chosen >= 50) > 0.8

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
-from scipy.stats import multivariate_normal
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
@@ -20,13 +19,8 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
-from sklearn_raacmm.error_model._block_selection import select_blocks
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns, term_names
-from sklearn_raacmm.error_model._normal_equations import (
-    Lengths,
-    length_equations,
-    normal_equations,
-)
+from sklearn_raacmm.error_model._position_means import length_equations
 from sklearn_raacmm.metrics import gauge_lengths
 
 ARMS = {
@@ -157,128 +151,7 @@ def test_wobble_columns_tilt_the_joint_axis(arm):
         assert_allclose(columns[:, :, column], expected, atol=1e-7)
 
 
-# -- normal equations and evidence ----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("with_groups", [False, True])
-def test_normal_equations_are_least_squares(with_groups):
-    """Against the explicit covariance, offsets as dummies of a huge variance, rows repeated."""
-    arm = ARMS["standard"]
-    rng = np.random.default_rng(0)
-    n = 60
-    theta, y = draw_angles(arm, n), rng.normal(size=(n, 3))
-    codes = rng.integers(0, 6, n)
-    weights = rng.integers(1, 4, n).astype(float)
-    terms = Terms(np.array([(0, 1), (3, 2)]), False, False, True)
-    found = normal_equations(arm, theta, y, weights, codes if with_groups else None, terms)
-
-    repeat = np.repeat(np.arange(n), weights.astype(int))
-    A, Y = term_columns(arm, theta[repeat], terms), y[repeat]
-    C = np.eye(len(repeat))
-    if with_groups:
-        C += 1e7 * (codes[repeat][:, None] == codes[repeat])
-    gram, moment, square = 0.0, 0.0, 0.0
-    for component in range(3):
-        weighted = np.linalg.solve(C, np.column_stack([A[:, component], Y[:, component]]))
-        gram = gram + A[:, component].T @ weighted[:, :-1]
-        moment = moment + A[:, component].T @ weighted[:, -1]
-        square += Y[:, component] @ weighted[:, -1]
-    size = np.abs(gram).max()
-    assert_allclose(found.gram, gram, atol=1e-5 * size)
-    assert_allclose(found.moment, moment, atol=1e-5 * np.abs(moment).max())
-    assert_allclose(found.square, square, rtol=1e-4)
-    assert found.n_observations == 3 * (weights.sum() - 6 * with_groups)
-
-
-def toy_problem(seed, n=80, n_pairs=12, signal=1.0):
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(n, 2 * n_pairs + 4))
-    w = np.zeros(A.shape[1])
-    w[[4, 5, 10, 11]] = signal * np.array([1.0, -0.5, 0.3, 0.8])
-    w[-4:] = 0.3 * rng.normal(size=4)
-    y = A @ w + 0.5 * rng.normal(size=n)
-    blocks = [np.array([2 * i, 2 * i + 1]) for i in range(n_pairs)]
-    blocks.append(2 * n_pairs + np.arange(4))
-    always = np.arange(n_pairs + 1) == n_pairs
-    found = select_blocks(
-        A.T @ A, A.T @ y, y @ y, n, blocks, always.astype(int), always, np.full(2, np.nan)
-    )
-    return A, y, blocks, found
-
-
-def log_evidence(A, y, columns, prior, noise):
-    cov = noise * np.eye(len(y)) + A[:, columns] * prior @ A[:, columns].T
-    return multivariate_normal(np.zeros(len(y)), cov).logpdf(y)
-
-
-def test_selection_maximises_the_evidence():
-    A, y, blocks, found = toy_problem(0)
-    v, noise = found.prior_variance, found.noise_variance
-    assert found.blocks[0] == 12
-    assert set(found.blocks[1:3]) == {2, 5}
-    taken = blocks[12]
-    for block, gain in zip(found.blocks[1:], found.gains, strict=True):
-        evidences = {}
-        for other in set(range(12)) - set(found.blocks[: found.blocks.index(block)]):
-            columns = np.r_[taken, blocks[other]]
-            prior = np.where(columns >= 24, v[1], v[0])
-            evidences[other] = log_evidence(A, y, columns, prior, noise)
-        before = log_evidence(A, y, taken, np.where(taken >= 24, v[1], v[0]), noise)
-        assert max(evidences, key=evidences.get) == block
-        assert_allclose(evidences[block] - before, gain, rtol=1e-6)
-        assert gain > np.log(12)
-        taken = np.r_[taken, blocks[block]]
-    rest = set(range(12)) - set(found.blocks)
-    now = log_evidence(A, y, taken, np.where(taken >= 24, v[1], v[0]), noise)
-    for other in rest:
-        columns = np.r_[taken, blocks[other]]
-        prior = np.where(columns >= 24, v[1], v[0])
-        assert log_evidence(A, y, columns, prior, noise) - now < np.log(12)
-
-
-def test_variances_are_a_maximum_of_the_evidence():
-    A, y, _, found = toy_problem(1)
-    family = (found.columns >= 24).astype(int)
-    best = log_evidence(A, y, found.columns, found.prior_variance[family], found.noise_variance)
-    for which in range(3):
-        for factor in (0.6, 1.6):
-            v, noise = found.prior_variance.copy(), found.noise_variance
-            if which < 2:
-                v[which] *= factor
-            else:
-                noise *= factor
-            assert log_evidence(A, y, found.columns, v[family], noise) < best
-
-
-def test_posterior_is_ridge_in_closed_form():
-    A, y, _, found = toy_problem(2)
-    prior = found.prior_variance[(found.columns >= 24).astype(int)]
-    columns = A[:, found.columns]
-    precision = columns.T @ columns / found.noise_variance + np.diag(1 / prior)
-    coef = np.linalg.solve(precision, columns.T @ y / found.noise_variance)
-    assert_allclose(found.coef, coef, rtol=1e-8)
-    assert_allclose(found.root.T @ found.root, precision, rtol=1e-8)
-
-
-def test_known_lengths_are_rows_of_their_own_variance():
-    A, y, blocks, _ = toy_problem(2)
-    rng = np.random.default_rng(7)
-    rows, errors = rng.normal(size=(5, A.shape[1])), rng.normal(size=5)
-    lengths = Lengths(rows, errors, np.full(5, 0.3), np.linspace(0.1, 2.0, 5))
-    always = np.arange(13) == 12
-    found = select_blocks(
-        A.T @ A, A.T @ y, y @ y, len(y), blocks, always.astype(int), always, np.full(2, np.nan),
-        lengths,
-    )  # fmt: skip
-    scale = np.r_[
-        np.full(len(y), found.noise_variance),
-        lengths.variance + found.noise_variance * lengths.share,
-    ]
-    B = np.vstack([A, rows])[:, found.columns] / np.sqrt(scale)[:, None]
-    prior = found.prior_variance[(found.columns >= 24).astype(int)]
-    coef = np.linalg.solve(B.T @ B + np.diag(1 / prior), B.T @ (np.r_[y, errors] / np.sqrt(scale)))
-    # The variances still moved by up to 2 % in the last round.
-    assert_allclose(found.coef, coef, atol=0.02 * np.abs(coef).max())
+# -- lengths and chance ---------------------------------------------------------------------------
 
 
 def test_length_rows_are_changes_of_the_distance():
@@ -306,11 +179,11 @@ def test_chance_does_not_look_like_a_harmonic():
     """Of 40 fits to noise, at most a few find anything: the threshold grows with the offer."""
     arm = ARMS["standard"]
     theta = draw_angles(arm, 100)
-    for n_harmonics in (5, 60):
+    for max_order in (5, 60):
         counts = []
         for seed in range(20):
             y = np.random.default_rng(seed).normal(size=(100, 3))
-            model = JointHarmonicRegressor(arm, n_harmonics=n_harmonics, **ALONE).fit(theta, y)
+            model = JointHarmonicRegressor(arm, max_order=max_order, **ALONE).fit(theta, y)
             counts.append(len(model.harmonics_))
         assert np.count_nonzero(counts) <= 5
 
@@ -340,9 +213,7 @@ def test_largest_harmonic_first(eccentric):
 
 def test_the_number_offered_hardly_matters(eccentric):
     arm, theta, y, _ = eccentric
-    few, many = (
-        JointHarmonicRegressor(arm, n_harmonics=k, **ALONE).fit(theta, y) for k in (20, 100)
-    )
+    few, many = (JointHarmonicRegressor(arm, max_order=k, **ALONE).fit(theta, y) for k in (20, 100))
     assert_array_equal(few.column_harmonics_, many.column_harmonics_)
     assert_allclose(few.coef_, many.coef_, rtol=1e-2)
 
@@ -350,7 +221,7 @@ def test_the_number_offered_hardly_matters(eccentric):
 def test_standard_deviations_are_honest(eccentric):
     """Over 40 draws of the noise, the error of the prediction is what is said of it."""
     arm, theta, _, truth = eccentric
-    model = JointHarmonicRegressor(arm, n_harmonics=20)
+    model = JointHarmonicRegressor(arm, max_order=20)
     new = draw_angles(arm, 30, seed=9)
     error = np.zeros_like(new)
     error[:, 1] = 6 * np.cos(new[:, 1] - np.deg2rad(40))
@@ -393,7 +264,7 @@ def gauges(request):
 
 def test_scale_stays_that_of_the_calibration(gauges):
     cone, gauge = gauges
-    model = JointHarmonicRegressor(cone.arm, n_harmonics=4)
+    model = JointHarmonicRegressor(cone.arm, max_order=4)
     model.fit(cone.data, cone.target, groups=cone.groups)
     before, after = (
         np.stack([points[cone.groups == i].mean(axis=0) for i in range(10)])
@@ -417,7 +288,7 @@ def test_scale_stays_that_of_the_calibration(gauges):
 
 def test_without_kinematics_lengths_are_not_promised(gauges):
     cone, _ = gauges
-    options = {"n_harmonics": 1, "gravity": False, "wobble": False, "kinematics": False}
+    options = {"max_order": 1, "gravity": False, "wobble": False, "kinematics": False}
     model = JointHarmonicRegressor(cone.arm, **options)
     with pytest.warns(UserWarning, match="nothing holds the distances between positions") as seen:
         model.fit(cone.data, cone.target, groups=cone.groups)
@@ -441,7 +312,7 @@ def test_known_lengths_join_the_fit(gauges):
     y = np.vstack([cone.target, gauge.target[short]])
     groups = np.r_[cone.groups, 100 + gauge.groups[short]]
     known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[gauge.lengths == 300]]
-    model = JointHarmonicRegressor(cone.arm, n_harmonics=4)
+    model = JointHarmonicRegressor(cone.arm, max_order=4)
     errors = [
         np.abs(gauge_errors(gauge, correction, 500)).mean()
         for correction in (
@@ -455,7 +326,7 @@ def test_known_lengths_join_the_fit(gauges):
 def test_lengths_are_checked(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 20
-    model = JointHarmonicRegressor(arm, n_harmonics=2, offsets=True)
+    model = JointHarmonicRegressor(arm, max_order=2, offsets=True)
     with pytest.raises(ValueError, match="group 77, which has no samples"):
         model.fit(theta, y, groups=groups, lengths=[(0, 77, 100, 0.1)])
     with pytest.raises(ValueError, match=r"\(label, label, length, standard deviation\)"):
@@ -471,7 +342,7 @@ def test_slipped_poses_are_left_out(eccentric):
     rng = np.random.default_rng(4)
     bad = rng.random(len(y)) < 0.05
     slipped = y + np.where(bad[:, None], rng.normal(0, 0.5, y.shape), 0.0)
-    model = JointHarmonicRegressor(arm, n_harmonics=20)
+    model = JointHarmonicRegressor(arm, max_order=20)
     new = draw_angles(arm, 200, seed=8)
     for offsets in (False, True):
         model.set_params(offsets=offsets)
@@ -505,7 +376,7 @@ def test_offsets_are_free(eccentric):
     groups = np.arange(len(y)) % 20
     rng = np.random.default_rng(3)
     moved = y + rng.normal(0, 1.0, (20, 3))[groups]
-    model = JointHarmonicRegressor(arm, offsets=True, n_harmonics=20)
+    model = JointHarmonicRegressor(arm, offsets=True, max_order=20)
     expected = clone(model).fit(theta, y, groups=groups)
     found = clone(model).fit(theta, moved, groups=groups)
     assert found.offsets_
@@ -517,7 +388,7 @@ def test_offsets_are_free(eccentric):
 def test_offsets_auto(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.array(list("abcde"))[np.arange(len(y)) % 5]
-    model = JointHarmonicRegressor(arm, n_harmonics=3)
+    model = JointHarmonicRegressor(arm, max_order=3)
     assert not model.fit(theta, y).offsets_
     assert not model.fit(theta, y, groups=groups).offsets_
     centred = position_residuals(y, groups)
@@ -535,7 +406,7 @@ def test_weights_are_repeats(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 12
     weights = np.random.default_rng(4).integers(0, 4, len(y))
-    model = JointHarmonicRegressor(arm, n_harmonics=20, offsets=True)
+    model = JointHarmonicRegressor(arm, max_order=20, offsets=True)
     weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
     rows = np.random.default_rng(5).permutation(np.repeat(np.arange(len(y)), weights))
     repeated = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
@@ -548,7 +419,7 @@ def test_prior_in_arc_seconds(eccentric):
     """A tight prior shrinks the harmonics to zero; a wide one leaves least squares."""
     arm, theta, y, _ = eccentric
     tight, wide = (
-        JointHarmonicRegressor(arm, n_harmonics=20, prior_sd=sd, **ALONE).fit(theta, y)
+        JointHarmonicRegressor(arm, max_order=20, prior_sd=sd, **ALONE).fit(theta, y)
         for sd in (0.1, 1000.0)
     )
     assert tight.prior_sd_ == {"harmonics": pytest.approx(0.1)}
@@ -578,7 +449,7 @@ def test_kinematic_errors_come_back_in_their_units():
 def test_no_error_no_correction():
     arm = ARMS["modified"]
     theta = draw_angles(arm, 40)
-    model = JointHarmonicRegressor(arm, n_harmonics=5).fit(theta, np.zeros((40, 3)))
+    model = JointHarmonicRegressor(arm, max_order=5).fit(theta, np.zeros((40, 3)))
     assert_array_equal(model.predict(theta), 0)
     assert len(model.harmonics_) == 0
 
@@ -587,13 +458,13 @@ def test_is_a_scikit_learn_estimator(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 8
     search = GridSearchCV(
-        JointHarmonicRegressor(arm, **ALONE), {"n_harmonics": [1, 20]}, cv=GroupKFold(4)
+        JointHarmonicRegressor(arm, **ALONE), {"max_order": [1, 20]}, cv=GroupKFold(4)
     ).fit(theta, y, groups=groups)
-    assert search.best_params_ == {"n_harmonics": 20}
+    assert search.best_params_ == {"max_order": 20}
     model = search.best_estimator_
     assert_array_equal(pickle.loads(pickle.dumps(model)).predict(theta), model.predict(theta))
     with config_context(enable_metadata_routing=True):
-        routed = JointHarmonicRegressor(arm, n_harmonics=3, offsets=True)
+        routed = JointHarmonicRegressor(arm, max_order=3, offsets=True)
         with pytest.raises(ValueError, match="offsets=True needs groups"):
             routed.fit(theta, y)
         routed.set_fit_request(groups=True, sample_weight=True)
@@ -626,9 +497,9 @@ def test_errors(eccentric):
     with pytest.raises(ValueError, match="groups names 3 samples, but there are 400"):
         model.fit(theta, y, groups=[1, 2, 3])
     with pytest.raises(ValueError, match="no columns"):
-        JointHarmonicRegressor(arm, n_harmonics=0, **ALONE).fit(theta, y)
+        JointHarmonicRegressor(arm, max_order=0, **ALONE).fit(theta, y)
     with pytest.warns(UserWarning, match="degrees"):
-        JointHarmonicRegressor(arm, n_harmonics=1, **ALONE).fit(np.rad2deg(theta), y)
+        JointHarmonicRegressor(arm, max_order=1, **ALONE).fit(np.rad2deg(theta), y)
 
 
 # -- real arms ------------------------------------------------------------------------------------

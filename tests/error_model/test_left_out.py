@@ -58,7 +58,7 @@ def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_p
         test, truth, y, train = draw(seed)
         y = centred(y, test.groups) if single_point else y
         model = JointHarmonicRegressor(
-            test.arm, n_harmonics=2, gravity=False, wobble=False, prior_sd=12.0
+            test.arm, max_order=2, gravity=False, wobble=False, prior_sd=12.0
         )
         model.set_params(offsets=single_point, loss="squared")
         model.fit(test.data[train], y[train], groups=test.groups[train])
@@ -88,7 +88,7 @@ def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_p
 def test_a_motion_of_the_base_is_no_uncertainty():
     """It is most of the posterior of a single-point test, and none of what the test can show."""
     test, _, y, _ = draw(3)
-    model = JointHarmonicRegressor(test.arm, n_harmonics=2, gravity=False, wobble=False)
+    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False, wobble=False)
     linear = model.fit(test.data, centred(y, test.groups), groups=test.groups).linear_model_
     columns = linear.columns(test.data)
     whole = np.sqrt(np.square(columns @ linear.half).sum(axis=2))
@@ -109,7 +109,7 @@ def test_a_motion_of_the_base_is_no_uncertainty():
 def test_models_without_a_block_are_those_of_a_fit_without_it():
     """Against fits of the other rows, with the variances and harmonics held."""
     test, _, y, _ = draw(1)
-    options = LinearOptions(2, False, True, False, 12.0, "squared")
+    options = LinearOptions(2, None, None, False, True, False, 12.0, "squared")
     y = centred(y, test.groups)
     weights = np.ones(len(y))
     model, _ = fit_linear_model(test.arm, test.data, y, weights, test.groups, [], options)
@@ -155,7 +155,7 @@ def test_intervals_hold_where_a_cause_is_missing():
         test = make_single_point(24, 12, machine="gravity", random_state=seed)
         y = test.points - test.simulation.true_points
         train = np.isin(test.groups, np.random.default_rng(seed).permutation(24)[:16])
-        model = JointHarmonicRegressor(test.arm, n_harmonics=3, gravity=False, wobble=False)
+        model = JointHarmonicRegressor(test.arm, max_order=3, gravity=False, wobble=False)
         model.fit(test.data[train], y[train], groups=test.groups[train])
         error = np.abs(y[~train] - model.linear_model_.predict(test.data[~train])[0])
         _, std = model.predict(test.data[~train], return_std=True, with_noise=True)
@@ -182,7 +182,7 @@ def test_fading_is_wieners_factor_beyond_what_is_known():
 
 def test_distance_std_is_that_of_the_difference():
     test, _, y, _ = draw(2)
-    model = JointHarmonicRegressor(test.arm, n_harmonics=2, gravity=False, wobble=False)
+    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False, wobble=False)
     model.fit(test.data, y, groups=test.groups)
     linear, X1, X2 = model.linear_model_, test.data[:20], test.data[-20:]
     line = test.arm.forward(X2) - test.arm.forward(X1)

@@ -33,7 +33,7 @@ def data():
 @pytest.fixture(scope="module")
 def models(data):
     network = RBFNetRegressor(20, length_scale=1.5, alpha=0.03)
-    linear = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False)
+    linear = JointHarmonicRegressor(data.arm, max_order=2, gravity=False)
     fitted = {
         "chain": make_pipeline(
             PoseFeatures(data.arm, append_azimuth=True),

@@ -325,7 +325,7 @@ def test_a_direction_that_is_given_is_checked(build):
 
 @pytest.mark.parametrize("compiler", COMPILERS or ["none"])
 def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
-    first = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False)
+    first = JointHarmonicRegressor(data.arm, max_order=2, gravity=False)
     both = ArmResidualRegressor(data.arm, harmonics=first, network=network(degree=-1))
     X = angles_everywhere(6, 100)
     # C++ has its own rules on constants and names; the functions keep their C names.
@@ -595,7 +595,7 @@ def test_bad_calls_are_refused(data, tmp_path):
 
 
 def harmonics(arm, **params):
-    return JointHarmonicRegressor(arm, **{"n_harmonics": 5, **params})
+    return JointHarmonicRegressor(arm, **{"max_order": 5, **params})
 
 
 @pytest.fixture(autouse=True)
@@ -648,7 +648,7 @@ def test_joint_harmonics(build, name, families):
 )
 def test_arm_residuals(build, data, params):
     arm = data.arm
-    first = harmonics(arm, gravity=False, n_harmonics=2)
+    first = harmonics(arm, gravity=False, max_order=2)
     model = ArmResidualRegressor(arm, harmonics=first, network=network(degree=-1), **params)
     model.fit(data.data, data.target)
     X = np.concatenate([data.data, angles_everywhere(6, 100)])
@@ -662,7 +662,7 @@ def test_arm_residuals(build, data, params):
 @pytest.mark.parametrize("std", [False, True])
 @pytest.mark.parametrize("use", ["harmonics", "harmonics+network"])
 def test_c_says_which_poses_the_model_does_not_know(build, data, use, std):
-    first = harmonics(data.arm, gravity=False, n_harmonics=2)
+    first = harmonics(data.arm, gravity=False, max_order=2)
     model = ArmResidualRegressor(
         data.arm, harmonics=first, network=network(degree=-1), features="pose", use=use, fade=2.0
     ).fit(data.data, data.target)

@@ -117,7 +117,7 @@ def test_in_degrees(data):
 
 
 def test_models_that_are_fitted_with_groups(data):
-    harmonics = JointHarmonicRegressor(data.arm, n_harmonics=2, gravity=False, wobble=False)
+    harmonics = JointHarmonicRegressor(data.arm, max_order=2, gravity=False, wobble=False)
     network = RBFNetRegressor(5, length_scale=1.5, alpha=0.01, degree=-1)
     both = ArmResidualRegressor(data.arm, harmonics=harmonics, network=network, use="harmonics")
     for model in (harmonics, both):
@@ -135,7 +135,7 @@ def test_models_that_are_fitted_with_groups(data):
 def test_the_best_model_is_not_said_to_do_harm():
     """Where each position has an offset, its size is no error of the model."""
     test = make_single_point(n_positions=12, n_poses=30, random_state=0)
-    model = JointHarmonicRegressor(test.arm, n_harmonics=3)
+    model = JointHarmonicRegressor(test.arm, max_order=3)
     model.fit(test.data, test.target, groups=test.groups)
     # As they are in a file with micrometres.
     for target in (test.target, test.target.round(3)):

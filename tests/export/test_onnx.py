@@ -252,7 +252,7 @@ def test_the_file(data, tmp_path):
 
 def test_says_what_cannot_be_converted(data):
     X, y = data.data, data.target
-    harmonics = JointHarmonicRegressor(data.arm, n_harmonics=1, gravity=False, wobble=False)
+    harmonics = JointHarmonicRegressor(data.arm, max_order=1, gravity=False, wobble=False)
     with pytest.raises(ValueError, match="JointHarmonicRegressor cannot be converted to ONNX"):
         to_onnx(harmonics.fit(X, y))
     both = ArmResidualRegressor(data.arm, harmonics=harmonics)

@@ -1,0 +1,427 @@
+r"""Choice of harmonics by the evidence, with priors found by the data.
+
+The model is linear, :math:`y = A w + H u + e` with noise variance :math:`s^2`. The columns A are
+always in; those of H are in pairs, the cosine and the sine of one harmonic, of which few are taken.
+Each coefficient has a normal prior of mean 0 whose variance is that of its family.
+
+A harmonic joins if that multiplies the marginal likelihood by more than its price, the prior odds
+against it (:func:`order_prices`). Selection is that of orthogonal least squares, on the penalised
+Gram matrix instead of the columns, a pair at a time. Variances and choice take turns: on a fixed
+choice the variances follow MacKay's fixed point [1]_, the sum of squares of a family's
+coefficients over the number of them that the data determine; then harmonics join at these
+variances, and those that the others have made needless leave, while the evidence less the prices
+rises.
+
+References
+----------
+.. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992, 415-447.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+# Rounds of the choice, and steps of the variances in each, at most. Both stop by the evidence:
+# few problems take more than 5 and 30.
+_MAX_CHOICES, _MAX_STEPS = 10, 100
+# Rise of the evidence, in nats, that is not worth another step: it moves no coefficient by more
+# than a few per cent of its standard deviation.
+_SMALL_RISE = 0.01
+# Steps of the variances where they are nearly right: others follow, with the robust weights.
+_REFIT_STEPS = 5
+# Noise is known beforehand as three observations would show it, at a hundredth of the square of y:
+# with fewer rows than columns the evidence else grows without limit as all noise is explained away.
+_ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
+# Bounds of a family's variance. Below: relative to the first guess. Above: one degree, in square
+# arc seconds, beyond which an arm's errors are not linear; directions that the data do not show
+# would carry the variance beyond all bounds by their rounding.
+_LEAST_SHARE, _LARGEST_VARIANCE = 1e-8, 3600.0**2
+# Least noise variance, relative to the mean square of y; halvings of a step that lowers evidence.
+_LEAST_NOISE, _HALVINGS = 1e-12, 5
+# Share of the largest eigenvalue of the always-in columns' scaled Gram matrix below which a
+# direction is rounding, not data.
+_ROUNDING = 1e-12
+# Size of a column, relative to the largest, that is rounding, too.
+_NO_SIZE = 1e-7
+# Harmonics are guessed to be so many, for the first choice.
+_GUESSED_PAIRS = 12
+# Of the next best candidates, how many are named as likely to be asked for next.
+_LIKELY = 48
+
+
+class Posterior(NamedTuple):
+    """Coefficients of the chosen columns and what they are worth."""
+
+    pairs: np.ndarray  # (k,) chosen candidates, sorted
+    gains: np.ndarray  # (k,) log Bayes factor of each, beside all others
+    coef: np.ndarray  # (m + 2 k,) of the columns that are always in, then of the chosen pairs
+    root: np.ndarray  # (m + 2 k, m + 2 k) R with covariance = inv(R.T @ R)
+    prior_variance: np.ndarray  # (n_families,)
+    noise_variance: float
+    n_determined: float
+    log_evidence: float  # up to a constant of the data
+    determined: np.ndarray  # (m + 2 k,) share of each coefficient that the data determine
+    n_always: int  # m
+
+
+def select_harmonics(
+    sums, family, harmonic, prior_variance, prices, lengths=None, start=None, pairs=(), fixed=False
+):
+    """Choose harmonics and fit all coefficients.
+
+    Parameters
+    ----------
+    sums : CandidateSums
+    family : ndarray of shape (m,)
+        Family of each column that is always in.
+    harmonic : int
+        Family of the candidates.
+    prior_variance : ndarray of shape (n_families,)
+        Variances that are known; NaN for those to be found.
+    prices : callable
+        From the candidates chosen so far, an array of indices, to the price of every candidate in
+        nats, (n_pairs,).
+    lengths : Lengths, optional
+        Observations whose variance is known but for their share of the noise. Columns: those of
+        the candidates, then those that are always in.
+    start : (ndarray of shape (n_families,), float), optional
+        Variances of the families and of the noise to begin with, such as those of a fit to nearly
+        the same data.
+    pairs : ndarray of shape (k,), optional
+        Candidates to begin with; those that are not worth their price leave.
+    fixed : bool, default=False
+        Choose once, at the variances of `start`, and leave these as they are.
+
+    Returns
+    -------
+    Posterior
+    """
+    problem = _Problem(sums, family, harmonic, prior_variance, lengths)
+    pairs = np.sort(np.asarray(pairs, dtype=int))
+    if start is None:
+        # Without harmonics their variance stays at its guess; noise and other families are found.
+        found = problem.find_variances(pairs, *problem.first_guess())
+        start = found.prior_variance, found.noise_variance
+    if fixed:
+        return _prune(problem, _extend(problem, pairs, *start, prices), *start, prices)[0]
+    best, best_value, tried = None, -np.inf, set()
+    for _ in range(_MAX_CHOICES):
+        pairs = _extend(problem, pairs, *start, prices)
+        found = problem.find_variances(pairs, *start)
+        start = found.prior_variance, found.noise_variance
+        found, paid = _prune(problem, pairs, *start, prices)
+        pairs = found.pairs
+        if found.log_evidence - paid > best_value + _SMALL_RISE:
+            best, best_value = found, found.log_evidence - paid
+        elif best is not None:
+            break
+        if frozenset(pairs.tolist()) in tried:
+            break
+        tried.add(frozenset(pairs.tolist()))
+    return best
+
+
+def refit(sums, family, harmonic, prior_variance, pairs, lengths, start):
+    """Variances and coefficients of chosen pairs, from variances that are nearly right.
+
+    Parameters and result are those of :func:`select_harmonics`.
+    """
+    problem = _Problem(sums, family, harmonic, prior_variance, lengths)
+    found = problem.find_variances(np.asarray(pairs, dtype=int), *start, max_steps=_REFIT_STEPS)
+    return found._replace(gains=_gains(found, harmonic))
+
+
+class _Problem:
+    """Sums over poses, known lengths and priors."""
+
+    def __init__(self, sums, family, harmonic, prior_variance, lengths):
+        self.sums = _without_rounding(sums)
+        self.family, self.harmonic = family, harmonic
+        self.known = np.isfinite(prior_variance)
+        self.given = prior_variance
+        self.lengths = lengths
+        self.n = max(sums.n_observations, 1.0)
+        noise = sums.square / self.n if sums.square > 0 else 1.0
+        self.start = noise
+        self.assumed = _ASSUMED_ROWS * _ASSUMED_SHARE * noise
+        self.guess = self._first_guess()
+
+    def first_guess(self):
+        """Variances of the families and of the noise before anything is known."""
+        return np.minimum(self.guess, _LARGEST_VARIANCE), self.start
+
+    def _first_guess(self):
+        """Variances at which the columns of a family together would explain as much as there is."""
+        variance = np.where(self.known, self.given, 1.0)
+        diagonal = self.sums.gram.diagonal()
+        sizes = {f: diagonal[self.family == f].sum() for f in np.unique(self.family)}
+        if self.sums.own.size:
+            sizes[self.harmonic] = _GUESSED_PAIRS * self.sums.own[:2].sum(axis=0).mean()
+        for f, size in sizes.items():
+            if not self.known[f]:
+                variance[f] = self.start * self.n / size if size > 0 else 1.0
+        return variance
+
+    def find_variances(self, pairs, variance, noise, max_steps=_MAX_STEPS):
+        """Coefficients of a fixed choice at the variances of highest evidence."""
+        part = self.part(pairs)
+        found = _posterior(part, variance, noise)
+        for _ in range(max_steps):
+            last = found
+            found = self._step(part, last)
+            if not found.log_evidence > last.log_evidence + _SMALL_RISE:
+                break
+        best = max(found, last, key=lambda one: one.log_evidence)
+        return best._replace(pairs=pairs)
+
+    def part(self, pairs):
+        sums, columns = self.sums, columns_of(pairs)
+        cross = sums.cross[:, columns]
+        rows = sums.rows(pairs)[:, columns]
+        gram = np.block([[sums.gram, cross], [cross.T, 0.5 * (rows + rows.T)]])
+        lengths = self.lengths
+        if lengths is not None:
+            n_waves = sums.cross.shape[1]
+            mine = [lengths.rows[:, n_waves:], lengths.rows[:, columns]]
+            lengths = lengths._replace(rows=np.concatenate(mine, axis=1))
+        moment = np.concatenate([sums.moment, sums.candidate_moment[columns]])
+        family = np.concatenate([self.family, np.full(len(columns), self.harmonic)])
+        m = len(self.family)
+        return _Part(gram, moment, sums.square, self.n, self.assumed, family, lengths, m)
+
+    def _step(self, part, last):
+        """MacKay's step, half of it and so on (in logarithms) where the evidence falls."""
+        variance, noise = _fixed_point(part, last)
+        least = _LEAST_SHARE * self.guess
+        variance = np.clip(variance, least, np.maximum(least, _LARGEST_VARIANCE))
+        variance = np.where(self.known, self.given, variance)
+        noise = max(noise, _LEAST_NOISE * self.start)
+        for _ in range(_HALVINGS):
+            found = _posterior(part, variance, noise)
+            if found.log_evidence >= last.log_evidence:
+                break
+            variance = np.sqrt(variance * last.prior_variance)
+            noise = np.sqrt(noise * last.noise_variance)
+        return found
+
+
+class _Part(NamedTuple):
+    """Normal equations of a fixed choice of columns."""
+
+    gram: np.ndarray
+    moment: np.ndarray
+    square: float
+    n: float
+    assumed: float
+    family: np.ndarray
+    lengths: object
+    n_always: int
+
+
+def _posterior(part, variance, noise):
+    """Coefficients and evidence at given variances."""
+    prior = variance[part.family]
+    S, r = part.gram / noise, part.moment / noise
+    fixed = (part.n + _ASSUMED_ROWS) * np.log(noise) + (part.square + part.assumed) / noise
+    if part.lengths is not None:
+        precision = 1 / (part.lengths.variance + noise * part.lengths.share)
+        weighted = part.lengths.rows.T * precision
+        S = S + weighted @ part.lengths.rows
+        r = r + weighted @ part.lengths.errors
+        fixed += precision @ np.square(part.lengths.errors) - np.log(precision).sum()
+    S[np.diag_indices(len(S))] += 1 / prior
+    root = cholesky(S, check_finite=False) if len(S) else S
+    coef = cho_solve((root, False), r, check_finite=False) if len(S) else r
+    inverse = solve_triangular(root, np.eye(len(S)), check_finite=False) if len(S) else S
+    determined = 1 - np.square(inverse).sum(axis=1) / prior
+    volume = 2 * np.log(root.diagonal()).sum() + np.log(prior).sum()
+    return Posterior(
+        pairs=None,
+        gains=None,
+        coef=coef,
+        root=root,
+        prior_variance=variance,
+        noise_variance=float(noise),
+        n_determined=float(determined.sum()),
+        log_evidence=float(-0.5 * (fixed - r @ coef + volume)),
+        determined=determined,
+        n_always=part.n_always,
+    )
+
+
+def _fixed_point(part, found):
+    """MacKay's variances of the families and of the noise."""
+    variance = found.prior_variance.copy()
+    for f in np.unique(part.family):
+        of_f = part.family == f
+        total = np.square(found.coef[of_f]).sum()
+        variance[f] = total / max(found.determined[of_f].sum(), 1e-12)
+    coef = found.coef
+    rss = part.square - 2 * coef @ part.moment + coef @ part.gram @ coef
+    free = max(part.n - found.n_determined, 0.0)
+    return variance, (max(rss, 0.0) + part.assumed) / (free + _ASSUMED_ROWS)
+
+
+def _without_rounding(sums):
+    """Sums without the directions of the always-in columns that hold only rounding.
+
+    A single-point test does not show where the base stands: the exact sums vanish along such
+    directions, the computed ones do not quite, and a wide prior would take that for information.
+    """
+    size = np.sqrt(np.maximum(sums.gram.diagonal(), 0.0))
+    if not size.any():
+        return sums
+    size = np.maximum(size, _NO_SIZE * size.max())
+    value, vectors = np.linalg.eigh(sums.gram / np.outer(size, size))
+    kept = value > _ROUNDING * value[-1]
+    seen = vectors[:, kept]
+    root = size[:, None] * seen * np.sqrt(value[kept])
+    to_seen = seen.T / size
+
+    def clean(products):
+        return size.reshape(-1, *[1] * (products.ndim - 1)) * (seen @ (to_seen @ products))
+
+    return sums._replace(gram=root @ root.T, moment=clean(sums.moment), cross=clean(sums.cross))
+
+
+def columns_of(pairs):
+    """Cosine and sine columns of some candidates."""
+    pairs = np.asarray(pairs, dtype=int)
+    return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
+
+
+def _extend(problem, pairs, variance, noise, prices):
+    """Chosen pairs and those that raise the evidence by more than their price, at given variances.
+
+    With S the penalised Gram matrix of what is left of the columns beside the chosen ones and r
+    their products with what is left of y, a pair b raises the log evidence by
+    r_b' inv(S_b) r_b / 2 - log det(v S_b) / 2, v its prior variance.
+
+    S is never formed nor downdated as a whole: as in a pivoted Cholesky factorisation, the factor's
+    rows and the pairs' own 2 x 2 blocks suffice.
+    """
+    left = _Leftover(problem, pairs, variance, noise)
+    chosen = pairs.tolist()
+    alive = np.ones(left.n_pairs, dtype=bool)
+    alive[pairs] = False
+    while alive.any():
+        gain, sound = left.gains()
+        alive &= sound
+        net = np.where(alive, gain - prices(np.array(chosen, dtype=int)), -np.inf)
+        best = int(np.argmax(net))
+        if not net[best] > 0:
+            break
+        likely = np.argsort(-net, kind="stable")[: min(_LIKELY, np.count_nonzero(net > 0))]
+        left.take(best, likely.tolist())
+        alive[best] = False
+        chosen.append(best)
+    return np.sort(np.array(chosen, dtype=int))
+
+
+def _prune(problem, pairs, variance, noise, prices):
+    """Drop pairs, the least one first, whose loss the others make good; at given variances.
+
+    Returns
+    -------
+    found : Posterior
+    paid : float
+        Sum of the prices of the pairs that are left.
+    """
+    while True:
+        found = _posterior(problem.part(pairs), variance, noise)
+        gains = _gains(found, problem.harmonic)
+        price = prices(pairs)[pairs] if len(pairs) else gains
+        net = gains - price
+        if not len(net) or net.min() > 0:
+            return found._replace(pairs=pairs, gains=gains), float(price.sum())
+        pairs = np.delete(pairs, np.argmin(net))
+
+
+def _gains(found, harmonic):
+    """Rise of the log evidence by each pair, beside all others."""
+    n_waves = len(found.coef) - found.n_always
+    first = found.n_always
+    if not n_waves:
+        return np.empty(0)
+    half = solve_triangular(found.root, np.eye(len(found.coef)), check_finite=False)[first:]
+    half = half.reshape(n_waves // 2, 2, -1)
+    covariance = half @ half.swapaxes(1, 2)
+    coef = found.coef[first:].reshape(-1, 2)
+    fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)
+    shrunk = np.linalg.slogdet(covariance / found.prior_variance[harmonic])[1]
+    return 0.5 * (fit + shrunk)
+
+
+class _Leftover:
+    """What the chosen columns leave of the candidates, at given variances."""
+
+    def __init__(self, problem, pairs, variance, noise):
+        sums, lengths = problem.sums, problem.lengths
+        self.problem, self.noise = problem, noise
+        self.prior = variance[problem.harmonic]
+        self.n_pairs = sums.own.shape[1]
+        S, r = sums.gram / noise, sums.moment / noise
+        cross, own = sums.cross / noise, sums.own / noise
+        self.r = sums.candidate_moment / noise
+        self.lengths = None
+        if lengths is not None:
+            n_waves = cross.shape[1]
+            rows = lengths.rows / np.sqrt(lengths.variance + noise * lengths.share)[:, None]
+            errors = lengths.errors / np.sqrt(lengths.variance + noise * lengths.share)
+            self.lengths, always = rows[:, :n_waves], rows[:, n_waves:]
+            S, r = S + always.T @ always, r + always.T @ errors
+            cross = cross + always.T @ self.lengths
+            cos, sin = self.lengths[:, ::2], self.lengths[:, 1::2]
+            own = own + [(a * b).sum(axis=0) for a, b in ((cos, cos), (sin, sin), (cos, sin))]
+            self.r = self.r + self.lengths.T @ errors
+        self.own = own + np.array([[1.0], [1.0], [0.0]]) / self.prior
+        self.factor, self.size = np.empty((len(S) + 2 * len(pairs) + 64, cross.shape[1])), 0
+        if len(S):
+            S[np.diag_indices(len(S))] += 1 / variance[problem.family]
+            self._add(S, cross, r)
+        if len(pairs):
+            self._add(*self._left_of(columns_of(pairs), pairs, ()))
+
+    def _add(self, block, rows, r):
+        """Rows of the factor for columns whose own block and products are given."""
+        root = cholesky(block, check_finite=False)
+        new = solve_triangular(root, rows, trans="T", check_finite=False)
+        end = self.size + len(new)
+        if end > len(self.factor):
+            self.factor = np.concatenate([self.factor, np.empty_like(self.factor)])
+        self.factor[self.size : end] = new
+        self.size = end
+        self.r = self.r - new.T @ solve_triangular(root, r, trans="T", check_finite=False)
+        cos, sin = new[:, ::2], new[:, 1::2]
+        parts = (cos, cos), (sin, sin), (cos, sin)
+        self.own = self.own - [np.einsum("kc,kc->c", a, b) for a, b in parts]
+
+    def take(self, pair, likely):
+        """Move a candidate to the chosen ones."""
+        self._add(*self._left_of([2 * pair, 2 * pair + 1], [pair], likely))
+
+    def _left_of(self, columns, pairs, likely):
+        """Own block, rows of the penalised Gram matrix and products of some candidates."""
+        rows = self.problem.sums.rows(pairs, likely) / self.noise
+        if self.lengths is not None:
+            rows = rows + self.lengths[:, columns].T @ self.lengths
+        known = self.factor[: self.size]
+        rows = rows - known[:, columns].T @ known
+        block = rows[:, columns]
+        block = 0.5 * (block + block.T) + np.eye(len(columns)) / self.prior
+        return block, rows, self.r[columns]
+
+    def gains(self):
+        """Rise of the log evidence by each candidate, and whether it can be trusted."""
+        (a, d, o), x, z = self.own, self.r[::2], self.r[1::2]
+        determinant = a * d - o * o
+        volume = determinant * self.prior**2
+        # A posterior wider than the prior is rounding.
+        sound = volume >= 1 - 1e-6
+        safe = np.where(sound, determinant, 1.0)
+        gain = 0.5 * (x * x * d - 2 * x * z * o + z * z * a) / safe
+        return gain - 0.5 * np.log(np.where(sound, np.maximum(volume, 1.0), 1.0)), sound

@@ -1,0 +1,270 @@
+r"""Sums over poses for the harmonics of every joint, many orders at once.
+
+The columns of a harmonic of joint j are :math:`T_j \cos k\theta_j` and :math:`T_j \sin k\theta_j`,
+with :math:`T_j` the joint's column of the Jacobian. All orders share :math:`T_j`, so that the inner
+products with any other columns R need two steps: the contraction :math:`s = w\, T_j \cdot R` over
+x, y and z, and the product of s with the powers of :math:`\exp(i\theta_j)`. Of the Gram matrix of
+all candidates only the 2 x 2 blocks on its diagonal are summed up beforehand, and the rows of those
+candidates that the selection asks for.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.error_model._columns import scale_direction, term_columns, term_names
+from sklearn_raacmm.utils import chunk_size, chunks
+
+# Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
+_CHUNK = 1024
+# Gram rows summed up together: those of the next best candidates are likely asked for next.
+_BATCH = 48
+
+
+class CandidateSums(NamedTuple):
+    """Inner products of the columns that are always in (A), of the candidates (H) and of y.
+
+    The columns of H are the cosine and the sine of the first pair, then those of the second, and
+    so on. Rows have weights; where positions have offsets, all columns are centred per position.
+    """
+
+    gram: np.ndarray  # (m, m) A'A
+    moment: np.ndarray  # (m,) A'y
+    cross: np.ndarray  # (m, 2 n_pairs) A'H
+    own: np.ndarray  # (3, n_pairs) cos'cos, sin'sin and cos'sin of each pair
+    candidate_moment: np.ndarray  # (2 n_pairs,) H'y
+    square: float  # y'y
+    n_observations: float  # coordinates, less those that offsets spent
+    rows: object  # callable: (pairs, likely) to rows of H'H, see `_GramRows`
+
+
+def candidate_sums(arm, angles, y, weights, codes, offered, terms):
+    """Sum up what the selection of harmonics needs.
+
+    Parameters
+    ----------
+    arm : Arm
+    angles : ndarray of shape (n, n_joints)
+        In rad.
+    y : ndarray of shape (n, 3)
+        Residuals in mm.
+    weights : ndarray of shape (n,)
+    codes : ndarray of shape (n,) or None
+        Position of each row, from 0, where positions have offsets. Offsets are taken out exactly,
+        by the deviations from weighted means (Frisch-Waugh theorem).
+    offered : ndarray of shape (n_pairs, 2)
+        Joint from 0 and order of each candidate, sorted by joint.
+    terms : Terms
+        The columns that are always in; its harmonics are not used.
+
+    Returns
+    -------
+    CandidateSums
+    """
+    poses = _sorted_poses(angles, y, weights, codes)
+    spans = _joint_spans(offered)
+    every_turn = np.column_stack([np.arange(arm.n_joints), np.zeros(arm.n_joints, int)])
+    terms = terms._replace(harmonics=every_turn)
+    n_turns = 2 * arm.n_joints
+    turns = np.empty((len(angles), 3, arm.n_joints))
+    gram, cross, own = 0.0, 0.0, np.zeros((3, len(offered)))
+    for rows, starts in poses.parts:
+        columns = term_columns(arm, poses.angles[rows], terms)
+        turns[rows] = columns[:, :, :n_turns:2]  # the cosines of order 0
+        columns = np.concatenate([columns[:, :, n_turns:], poses.y[rows, :, None]], axis=2)
+        weighted = _weighted_deviations(columns, poses.weights[rows], starts)
+        flat = columns.reshape(-1, columns.shape[2])
+        gram = gram + flat.T @ weighted.reshape(flat.shape)
+        cross = cross + _inner_products(weighted, turns[rows], poses.angles[rows], spans)
+        own += _own_blocks(turns[rows], poses.angles[rows], poses.weights[rows], starts, spans)
+
+    def rows_of(pairs):
+        return _gram_rows(poses, turns, spans, offered[pairs])
+
+    sums = CandidateSums(
+        gram[:-1, :-1],
+        gram[:-1, -1],
+        cross[:-1],
+        own,
+        cross[-1],
+        float(max(gram[-1, -1], 0.0)),
+        3.0 * (poses.weights.sum() - poses.n_groups),
+        _GramRows(rows_of, 2 * len(offered)),
+    )
+    return sums if codes is None else _without_motions(sums, arm, terms)
+
+
+def difference(whole, part):
+    """Sums over the poses of `whole` that are not among those of `part`.
+
+    Where positions have offsets, `part` has to hold all poses of its positions.
+    """
+    products = [a - b for a, b in zip(whole[:-1], part[:-1], strict=True)]
+
+    def rows_of(pairs):
+        return whole.rows(pairs) - part.rows(pairs)
+
+    return CandidateSums(*products, _GramRows(rows_of, whole.cross.shape[1]))
+
+
+class _GramRows:
+    """Rows of the candidates' Gram matrix, summed up when first asked for and kept."""
+
+    def __init__(self, sum_up, n_columns):
+        self._sum_up, self._n_columns, self._known = sum_up, n_columns, {}
+
+    def __call__(self, pairs, likely=()):
+        """Rows (2 b, n_columns) of `pairs`; those of `likely` are summed up on the way."""
+        pairs = np.asarray(pairs, dtype=int).tolist()
+        missing = [p for p in pairs if p not in self._known]
+        if missing:
+            missing += [p for p in likely if p not in self._known and p not in missing]
+            missing = missing[: max(_BATCH, len(pairs))]
+            found = self._sum_up(np.array(missing)).reshape(-1, 2, self._n_columns)
+            self._known |= dict(zip(missing, found, strict=True))
+        if not pairs:
+            return np.empty((0, self._n_columns))
+        return np.concatenate([self._known[p] for p in pairs])
+
+
+def _without_motions(sums, arm, terms):
+    """Sums that know nothing of a motion of the base and of a common scale of all lengths.
+
+    Residuals of a single-point test are the deviations of the points themselves. A turn of the base
+    turns them, and a scale multiplies them: an arm of no size would explain them all, and with many
+    rows and a wide prior the evidence prefers it. To first order in the errors neither can be seen,
+    so both are taken out.
+    """
+    motions = _motions(arm, terms)
+    if not motions.size:
+        return sums
+    keep = np.eye(len(motions)) - motions @ motions.T
+    return sums._replace(
+        gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
+    )
+
+
+def _motions(arm, terms):
+    """Orthonormal coefficients (m, k) that move all points as one body, or scale them."""
+    terms = terms._replace(harmonics=np.empty((0, 2), dtype=int))
+    names, _ = term_names(arm, terms)
+    if not terms.kinematics:
+        return np.empty((len(names), 0))
+    moving = ["base_x", "base_y", "base_alpha", "base_beta", "d1", "theta_offset1"]
+    if arm.convention == "modified":  # these come before the first joint
+        moving += ["a1", "alpha1", "beta1"]
+    columns = np.eye(len(names))[:, [names.index(name) for name in moving]]
+    return np.linalg.qr(np.column_stack([columns, scale_direction(arm, terms)]))[0]
+
+
+class _Poses(NamedTuple):
+    """Poses sorted by position, in chunks of whole positions."""
+
+    angles: np.ndarray
+    y: np.ndarray
+    weights: np.ndarray
+    parts: list  # (rows, first row of each position in the chunk or None)
+    n_groups: int
+
+
+def _sorted_poses(angles, y, weights, codes):
+    """Whole positions stay together, so that a chunk knows the means that it takes out."""
+    if codes is None:
+        parts = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
+        return _Poses(angles, y, weights, parts, 0)
+    order = np.argsort(codes, kind="stable")
+    first = np.flatnonzero(np.diff(codes[order], prepend=-1))
+    ends, parts, begin = np.append(first[1:], len(angles)), [], 0
+    limit = chunk_size(_CHUNK)
+    for i, end in enumerate(ends):
+        last = i + 1 == len(ends)
+        if last or ends[i + 1] - first[begin] > limit:
+            parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
+            begin = i + 1
+    return _Poses(angles[order], y[order], weights[order], parts, len(first))
+
+
+def _joint_spans(offered):
+    """(joint, orders, columns) for each joint with candidates."""
+    joints = offered[:, 0]
+    if np.any(np.diff(joints) < 0):
+        raise ValueError("The harmonics offered must be sorted by joint.")
+    spans = []
+    for joint in np.unique(joints).tolist():
+        low, high = np.searchsorted(joints, [joint, joint + 1])
+        spans.append((joint, offered[low:high, 1], slice(low, high)))
+    return spans
+
+
+def _waves(theta, orders):
+    """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling."""
+    n = len(orders)
+    if not np.array_equal(orders, np.arange(1, n + 1)):
+        return np.exp(1j * theta[:, None] * orders)
+    out = np.empty((len(theta), n), dtype=complex)
+    out[:, 0] = np.exp(1j * theta)
+    have = 1
+    while have < n:
+        more = min(have, n - have)
+        np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
+        have += more
+    return out
+
+
+def _weighted_deviations(columns, weights, starts):
+    """Weights times deviations from the position's mean: one side of a product is enough."""
+    weighted = weights[:, None, None] * columns
+    if starts is not None:
+        total = np.add.reduceat(weights, starts)[:, None, None]
+        mean = np.add.reduceat(weighted, starts, axis=0) / total
+        counts = np.diff(starts, append=len(weights))
+        weighted -= weights[:, None, None] * np.repeat(mean, counts, axis=0)
+    return weighted
+
+
+def _inner_products(weighted, turns, angles, spans):
+    """``weighted.T @ H`` for columns (n, 3, m): (m, 2 n_pairs)."""
+    parts = []
+    for joint, orders, _ in spans:
+        share = np.einsum("ncm,nc->nm", weighted, turns[:, :, joint])
+        parts.append(share.T @ _waves(angles[:, joint], orders).view(float))
+    return np.concatenate(parts, axis=1) if parts else np.empty((weighted.shape[2], 0))
+
+
+def _own_blocks(turns, angles, weights, starts, spans):
+    """cos'cos, sin'sin and cos'sin of each candidate, (3, n_pairs)."""
+    out = np.empty((3, sum(len(orders) for _, orders, _ in spans)))
+    for joint, orders, pairs in spans:
+        turn = turns[:, :, joint]
+        waves = _waves(angles[:, joint], orders)
+        size = weights * np.square(turn).sum(axis=1)
+        double = size @ np.square(waves)
+        cc, ss = 0.5 * (size.sum() + double.real), 0.5 * (size.sum() - double.real)
+        cs = 0.5 * double.imag
+        if starts is not None:
+            total = np.add.reduceat(weights, starts)
+            for component in range(3):
+                sums = np.add.reduceat((weights * turn[:, component])[:, None] * waves, starts)
+                sums /= np.sqrt(total)[:, None]
+                cc -= np.square(sums.real).sum(axis=0)
+                ss -= np.square(sums.imag).sum(axis=0)
+                cs -= (sums.real * sums.imag).sum(axis=0)
+        out[:, pairs] = cc, ss, cs
+    return out
+
+
+def _gram_rows(poses, turns, spans, pairs):
+    """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
+    joint, order = pairs.T
+    out = 0.0
+    for rows, starts in poses.parts:
+        phase = order * poses.angles[rows][:, joint]
+        wave = np.stack([np.cos(phase), np.sin(phase)], axis=2)
+        columns = turns[rows][:, :, joint, None] * wave[:, None]
+        columns = columns.reshape(len(wave), 3, -1)
+        weighted = _weighted_deviations(columns, poses.weights[rows], starts)
+        out = out + _inner_products(weighted, turns[rows], poses.angles[rows], spans)
+    return out
