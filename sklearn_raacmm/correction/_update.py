@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import check_angles, reach_mm
-from sklearn_raacmm.error_model import LinearModel
+from sklearn_raacmm.error_model import LinearModel, find_fading
 from sklearn_raacmm.utils import (
     centred,
     check_features,
@@ -41,6 +41,9 @@ _LOW_ORDERS = 8
 _OUTLIER, _MEDIAN_OF_CHI3, _ROUNDS, _SETTLED_WEIGHT = 5.5, 1.5382, 4, 0.05
 # Noise of the new poses, in units of the old one, that no arm in use comes to.
 _STRANGE = 10.0
+# Multiple of the standard deviation at 99 % of the new poses that counts as known, as in the fading
+# of a single-point test.
+_KNOWN_FACTOR = 3.0
 
 
 class _Change(NamedTuple):
@@ -178,6 +181,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         gauge_free_half=change.half,
         noise_variance=change.noise_sd**2,
     )
+    _keep_faith(updated, angles, weights, codes)
     entry = {
         "date": calendar.today().isoformat() if date is None else str(date),
         "n_poses": len(angles),
@@ -186,6 +190,23 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     }
     updated.updates_ = (*getattr(model, "updates_", ()), entry)
     return updated
+
+
+def _keep_faith(updated, angles, weights, codes):
+    """Let the correction fade from where less is known than at the new poses.
+
+    What few poses leave open of base, tool and change adds to every standard deviation. The change
+    is shrunk to the old model for that already, so that it is no reason to take the whole
+    correction back.
+    """
+    std = updated.linear_model_.predict(angles, return_std=True)[1]
+    known = find_fading(np.zeros_like(std), std, weights, codes, 0.0, known=_KNOWN_FACTOR).known_mm
+    fadings = getattr(updated, "fadings_", None) or [updated.fading_]
+    first = replace(fadings[0], known_mm=max(fadings[0].known_mm, known))
+    if hasattr(updated, "fadings_"):
+        updated.fadings_ = [first, *fadings[1:]]
+    else:
+        updated.fading_ = first
 
 
 def linear_model_of(model, done):
