@@ -93,7 +93,7 @@ def run(method, n, folder):
         seconds = time.process_time() - start
     else:
         given = {"n_centers": N_CENTERS, "length_scale": WIDTH, "alpha": ALPHA}
-        settings = {"candidates": N_CANDIDATES, **given} if method == "given" else {}
+        settings = {"max_candidates": N_CANDIDATES, **given} if method == "given" else {}
         model = RBFNetRegressor(random_state=0, **settings).fit(X, Y)
         seconds, k = time.process_time() - start, len(model.centers_)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - base

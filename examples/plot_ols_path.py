@@ -46,7 +46,7 @@ longest = RBFNetRegressor(n_most, alpha=found.alpha_, **settings).fit(pose[train
 # -----------------------
 
 stops = {}
-for criterion in ("posterior", "gcv", "loo", "bic"):
+for criterion in ("posterior", "gcv"):
     model = RBFNetRegressor(criterion=criterion, alpha=found.alpha_, **settings)
     stops[criterion] = len(model.fit(pose[train], radial[train]).centers_)
     print(f"{criterion:>10}: {stops[criterion]} centres")
@@ -67,7 +67,7 @@ right.plot(sizes, plain_errors, "s:", color="0.6", ms=4, label="plain least squa
 right.plot(sizes, errors, "o-", ms=4, label="with the ridge that was found")
 uncorrected = within_position_scatter(radial[test], 0 * radial[test], groups=data.groups[test])
 right.axhline(1000 * uncorrected, color="0.3", ls="--", lw=1, label="uncorrected")
-lines = (("k", "-"), ("tab:orange", "--"), ("tab:green", "-."), ("tab:purple", ":"))
+lines = (("k", "-"), ("tab:orange", "--"))
 for (criterion, size), (colour, style) in zip(stops.items(), lines, strict=True):
     right.axvline(size, color=colour, ls=style, lw=1.5, label=f"{criterion} stops: {size}")
 right.set(

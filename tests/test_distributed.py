@@ -52,7 +52,7 @@ def rows(n=6000):
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a signal that cannot be caught")
 def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path):
     X, y, weights = rows()
-    model = RBFNetRegressor(25, length_scale=0.7, alpha=1e-3, candidates=400, random_state=0)
+    model = RBFNetRegressor(25, length_scale=0.7, alpha=1e-3, max_candidates=400, random_state=0)
     expected = model.fit(X, y, sample_weight=weights).predict(X)
     chunks = da.from_array(X, chunks=(750, 3))
     targets, weights = (da.from_array(a, chunks=750) for a in (y, weights))

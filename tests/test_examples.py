@@ -26,6 +26,7 @@ SHOWN = {
     "plot_arm_poses": (1, ""),
     "plot_grid_search": (1, "predictions in the other process: equal"),
     "plot_how_many_poses": (1, "chosen"),
+    "plot_learn_correction": (1, "It helps at new positions"),
     "plot_newrb": (1, "neurons, criterion"),
     "plot_ols_path": (1, "posterior"),
     "plot_paper_figures": (3, ""),

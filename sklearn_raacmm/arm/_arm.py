@@ -55,7 +55,7 @@ class Arm:
 
         with ``theta_i = joint_signs_i * angle_i + theta_offset_i``.
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
-        Sense in which each encoder counts.
+        Direction in which each encoder counts: -1 where it counts against the table's angle.
     pose_joints : tuple of two int, default=(3, 4)
         Numbers, from 1, of the joints that make the pose: swivel and elbow. Arms without a roll
         before the elbow name other joints.
@@ -63,7 +63,7 @@ class Arm:
         Numbers of the frames, from 0 (the base) to `n_joints`, whose origins are the shoulder and
         the wrist.
     name : str, default=""
-        For people.
+        Name of the arm, shown where the arm is printed.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class Arm:
             raise ValueError(
                 f"convention must be 'standard' or 'modified', got {self.convention!r}."
             )
-        # Halves of characters, which only escapes in JSON can bring, cannot be written to a file.
+        # Unpaired surrogates, which only escapes in JSON can bring, cannot be written to a file.
         if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
             raise ValueError(f"name must be a string of whole characters, got {self.name!r}.")
         if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):

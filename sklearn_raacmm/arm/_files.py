@@ -69,7 +69,7 @@ def read_json(cls, source):
     if missing:
         raise ValueError(f"{where} lacks the field {missing[0]!r}.")
     unknown = sorted(set(content) - {*_JSON_KEYS.values(), "format", "format_version"})
-    if unknown:  # a slip of the pen, or what this version would leave out of account
+    if unknown:  # misspelt, or of a later version: it would be ignored silently
         raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
     for key in _JSON_KEYS.values():  # true and false would pass for 1 and 0
         if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):

@@ -5,12 +5,9 @@
 
 from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
+from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
-from sklearn_raacmm.correction._scores import (
-    CorrectionScores,
-    cross_validate_correction,
-    predict_with_std,
-)
+from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
 from sklearn_raacmm.correction._table_search import TableChange, search_table
 
 __all__ = [

@@ -15,12 +15,8 @@ from sklearn.base import BaseEstimator
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult
-from sklearn_raacmm.correction._scores import (
-    CorrectionScores,
-    Data,
-    predict_with_std,
-    scores_of,
-)
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._scores import CorrectionScores, scores_of
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.utils import write_whole
 

@@ -6,24 +6,14 @@
 import warnings
 from dataclasses import dataclass, field
 from html import escape
-from inspect import ismethod
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, check_cv
-from sklearn.pipeline import Pipeline
 from sklearn.utils.parallel import Parallel, delayed
-from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
-from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import centred, encode_groups, floats, group_means, refuse_huge
+from sklearn_raacmm.utils import centred, encode_groups, group_means
 
 # Folds of the default split: each takes a calibration and a fit of the model.
 _N_FOLDS = 5
@@ -51,7 +41,8 @@ class CorrectionScores:
         and ``after_max`` (the largest deviation of a point).
     summary : dict of str to tuple (mean, low, high)
         For ``before`` and ``after`` the mean over positions in mm, for ``ratio`` that of after over
-        that of before, each with its 95 % interval (bootstrap over positions).
+        that of before, each with its 95 % interval (bootstrap over positions, those joined by known
+        lengths together).
     lengths : list of (label, label, length, standard deviation)
         The known lengths whose two ends were left out together.
     length_errors_before, length_errors_after : ndarray of shape (n_lengths,)
@@ -211,138 +202,6 @@ def cross_validate_correction(
     return scores_of(data, calibration, model, cv, n_jobs, progress)
 
 
-# -- the data, and one fit of calibration and model ----------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Data:
-    """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths."""
-
-    arm: Arm
-    angles: np.ndarray
-    positions: np.ndarray
-    points: np.ndarray | None
-    lengths: list
-
-    @classmethod
-    def checked(cls, arm, angles, positions, points, lengths, angle_unit):
-        if not isinstance(arm, Arm):
-            raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
-        angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
-        # Within one turn, lest a warning of far angles be said again by everything that follows.
-        angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
-        labels, codes = encode_groups(positions, len(angles))
-        lengths = list(lengths)
-        if points is not None:
-            points = floats("points", points)
-            if points.shape != (len(angles), 3):
-                raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
-            refuse_huge("points", points)
-        tied = {label for entry in lengths for label in entry[:2]}
-        unknown = sorted(map(str, tied - set(labels.tolist())))
-        if unknown:
-            raise ValueError(f"lengths name position {unknown[0]!r}, which has no rows.")
-        for code in np.flatnonzero(np.bincount(codes) == 1) if points is None else ():
-            if labels[code].item() not in tied:
-                raise ValueError(
-                    f"position {labels[code].item()!r} has a single row, row "
-                    f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
-                )
-        return cls(arm, angles, labels[codes], points, lengths)
-
-    def without_lonely(self, rows):
-        """Rows of positions with at least two, and the others: those have no residuals."""
-        if self.points is not None:
-            return rows, rows[:0]
-        _, codes, counts = np.unique(self.positions[rows], return_inverse=True, return_counts=True)
-        alone = counts[codes] < 2
-        return rows[~alone], rows[alone]
-
-    def lengths_among(self, rows):
-        """Known lengths whose two ends are among these rows' positions."""
-        present = set(self.positions[rows].tolist())
-        return [entry for entry in self.lengths if {*entry[:2]} <= present]
-
-    def calibrate(self, rows):
-        """Calibrate on these rows."""
-        if self.points is not None:
-            return calibrate(self.arm, self.angles[rows], points=self.points[rows])
-        groups, lengths = self.positions[rows], self.lengths_among(rows)
-        return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
-
-    def residuals(self, calibration, rows):
-        """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        measured = calibration.arm.forward(self.angles[rows])
-        if self.points is None:
-            return position_residuals(measured, self.positions[rows])
-        shifted = self.points[rows] - calibration.base_translation
-        return measured - shifted @ calibration.base_rotation
-
-    def outliers(self, calibration):
-        """Rows far from where the calibrated arm has them, which its error model cannot explain.
-
-        Calibration alone names too many: poses in which the arm bends most are not slipped probes.
-        """
-        far = np.sort(np.asarray(calibration.outliers, dtype=int))
-        if not len(far):
-            return far
-        every = np.arange(len(self.angles))
-        rows, lonely = self.without_lonely(every)
-        model = JointHarmonicRegressor(calibration.arm)
-        model.fit(self.angles[rows], self.residuals(calibration, rows), groups=self.positions[rows])
-        return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
-
-    def fit(self, model, calibration, rows):
-        """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
-        fitted = model_for(model, calibration.arm)
-        y = self.residuals(calibration, rows)
-        # Of a pipeline, what its last step takes.
-        prefix, last = "", fitted
-        while isinstance(last, Pipeline):
-            prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
-        # A tracker knows where the positions are: lengths between them tell the model nothing.
-        lengths = [] if self.points is not None else self.lengths_among(rows)
-        extra = {"groups": self.positions[rows], "lengths": lengths}
-        extra = {
-            f"{prefix}{name}": value
-            for name, value in extra.items()
-            if len(value) and has_fit_parameter(last, name)
-        }
-        fitted.fit(self.angles[rows], y, **extra)
-        left = y - fitted.predict(self.angles[rows])
-        if self.points is None:
-            left = position_residuals(left, self.positions[rows])
-        return fitted, float(np.sqrt(np.mean(np.square(left))))
-
-
-def model_for(model, arm):
-    """Copy of a model, or the default one, for this arm and for angles in rad."""
-    if model is None:
-        return ArmResidualRegressor(arm)
-    model = clone(model)
-    changes = {}
-    for name, value in model.get_params(deep=True).items():
-        last = name.rsplit("__")[-1]
-        if last == "arm":
-            changes[name] = arm
-        elif last == "angle_unit":
-            changes[name] = "rad"
-        elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):
-            changes[name] = arm.azimuth
-    return model.set_params(**changes)
-
-
-def predict_with_std(model, angles, noise):
-    """Prediction (n, 3) and standard deviation of a new measurement (n, 3), mm."""
-    try:
-        mean, std = model.predict(angles, return_std=True)
-        std = np.broadcast_to(std, mean.shape)
-    except (TypeError, ValueError):  # a regressor without standard deviations of this form
-        mean = model.predict(angles)
-        std = np.zeros_like(mean)
-    return mean, np.hypot(std, noise)
-
-
 # -- the folds ------------------------------------------------------------------------------------
 
 
@@ -362,9 +221,10 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         if progress is not None:
             progress(i + 1, len(folds))
     table, measure, rows_by_position = _table(data, before, after)
-    summary = _summary(table["before"], table["after"])
+    block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
+    summary = _summary(table["before"], table["after"], block_of)
     coverage, factor = _coverage(after, std, [test for _, test in folds])
-    helps, verdict = _verdict(table, summary, measure)
+    helps, verdict = _verdict(table, summary, measure, len(np.unique(block_of)))
     errors = np.array([entry[1:] for entry in length_errors]).reshape(-1, 2)
     return CorrectionScores(
         measure=measure,
@@ -388,14 +248,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
 def _folds(data, kept, cv):
     """Rows to fit on and rows to leave out, outliers in neither."""
     labels, codes = np.unique(data.positions, return_inverse=True)
-    blocks = codes
-    if data.lengths:
-        place = {label: i for i, label in enumerate(labels.tolist())}
-        ends = np.array([[place[a], place[b]] for a, b, *_ in data.lengths]).T
-        graph = coo_array((np.ones(ends.shape[1]), ends), shape=(len(labels), len(labels)))
-        n_blocks, block_of = connected_components(graph, directed=False)
-        if n_blocks >= 3:  # otherwise a plate whose distances are all known
-            blocks = block_of[codes]
+    blocks = data.blocks()
     n_blocks = len(np.unique(blocks))
     if n_blocks < 3:
         raise ValueError(
@@ -461,10 +314,13 @@ def _table(data, before, after):
     return table | maxima, "2S" if data.points is None else "mean deviation", by_position
 
 
-def _summary(before, after):
-    """Means over positions and their ratio, with 95 % intervals."""
-    draws = np.random.default_rng(0).integers(len(before), size=(_N_DRAWS, len(before)))
-    means = np.stack([before[draws].mean(axis=1), after[draws].mean(axis=1)])
+def _summary(before, after, blocks):
+    """Means over positions and their ratio, with 95 % intervals by drawing whole blocks."""
+    blocks = np.unique(blocks, return_inverse=True)[1]
+    sums = np.stack([np.bincount(blocks, weights) for weights in (before, after)])
+    counts = np.bincount(blocks)
+    draws = np.random.default_rng(0).integers(len(counts), size=(_N_DRAWS, len(counts)))
+    means = sums[:, draws].sum(axis=2) / counts[draws].sum(axis=1)
     ratio = means[1] / np.maximum(means[0], 1e-300)
     values = {"before": (before.mean(), means[0]), "after": (after.mean(), means[1])}
     values["ratio"] = (after.mean() / max(before.mean(), 1e-300), ratio)
@@ -487,15 +343,16 @@ def _coverage(left, std, tests):
     return float(inside / total), float(np.quantile(ratio[np.concatenate(tests)], 0.95) / _Z95)
 
 
-def _verdict(table, summary, measure):
+def _verdict(table, summary, measure, n_blocks):
     before, after = table["before"], table["after"]
     n, better = len(before), int(np.sum(after < before))
     ratio, low, high = summary["ratio"]
     change = f"{measure} {before.mean():.3f} -> {after.mean():.3f} mm"
-    if n < _FEWEST_POSITIONS:
+    what = "positions" if n_blocks == n else "placements of known lengths"
+    if n_blocks < _FEWEST_POSITIONS:
         return False, (
-            f"Do not use it yet: at new positions {change}, but {n} positions are too few to tell; "
-            f"measure at least {_FEWEST_POSITIONS}."
+            f"Do not use it yet: at new positions {change}, but {n_blocks} {what} are too few to "
+            f"tell; measure at least {_FEWEST_POSITIONS}."
         )
     worst = float(np.max(after / np.maximum(before, 1e-300)))
     if high < 1:

@@ -1,8 +1,8 @@
 """Simulated measurements with an articulated arm CMM, and open data of real arms.
 
-What is made (``make_...``) is simulated, with errors that are physical: what a user of a real arm
-would have is at the top level of each data set, what only a simulation knows under ``simulation``.
-What is fetched (``fetch_...``) was measured by others, who published it.
+Functions ``make_...`` simulate measurements of an arm with physical errors. What the user of a real
+arm would have is at the top level of each data set; what only a simulation knows is under
+``simulation``. Functions ``fetch_...`` load data that others measured and published.
 """
 
 # Authors: The sklearn_raacmm developers

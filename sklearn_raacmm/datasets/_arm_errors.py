@@ -11,8 +11,8 @@ import numpy as np
 class ArmErrors:
     """Sizes of an arm's physical error sources, each in its own unit; 0 switches a source off.
 
-    Where a size comes from is said with it; ranges are those that we found or inferred, and the
-    defaults lie inside them.
+    Each description names the source of the size. The ranges are those that we found or inferred,
+    and the defaults lie inside them.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Simulated measurements with an articulated arm CMM, and open data of real arms.
 
-What is made (``make_...``) is simulated, with errors that are physical: what a user of a real arm
-would have is at the top level of each data set, what only a simulation knows under ``simulation``.
-What is fetched (``fetch_...``) was measured by others, who published it.
+Functions ``make_...`` simulate measurements of an arm with physical errors. What the user of a real
+arm would have is at the top level of each data set; what only a simulation knows is under
+``simulation``. Functions ``fetch_...`` load data that others measured and published.
 """
 
 import warnings
@@ -51,8 +51,8 @@ def make_single_point(
         Draws positions, poses and noise. :func:`make_gauge` with the same int and the same
         `machine` measures with the same individual, at other places.
     return_X_y : bool, default=False
-        Return ``(data, target, groups)`` only. The groups come along because rows of one position
-        resemble each other: whoever splits them at random flatters his model.
+        Return ``(data, target, groups)`` only. The groups are needed for every split: rows of one
+        position resemble each other, and a random split would make a model look too good.
     as_frame : bool, default=False
         Return pandas objects.
 
@@ -83,7 +83,7 @@ def make_single_point(
         frame : DataFrame
             data, target and position; only with ``as_frame=True``.
         simulation : Bunch
-            What nobody has outside a simulation: ``machine`` (SimulatedArm), ``positions``
+            What is known in a simulation only: ``machine`` (SimulatedArm), ``positions``
             (centres of the cones, mm), ``true_points`` (where the probe really was, mm),
             ``perfect_correction`` (what the best possible model would predict from the readings,
             mm; ``points - perfect_correction`` scatter by noise alone: the noise floor) and
@@ -200,13 +200,13 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
     angles, groups, _ = _readings(machine, cones, poses + end_poses, rng)
     pairs = n_positions + np.arange(2 * len(lengths)).reshape(-1, 2)
     with warnings.catch_warnings():
-        # A gauge that disagrees is right here: what is wrong is the arm, by up to 0.1 mm a length.
+        # The gauges are exact here. They disagree because the arm is wrong, by up to 0.1 mm.
         warnings.filterwarnings("ignore", ".*known lengths disagree", UserWarning)
         result = calibrate(
             machine.nominal_arm,
             angles,
             groups,
-            # 0.01 mm: what a user knows of his gauges and of the cones at their ends.
+            # 0.01 mm: a usual standard uncertainty of a gauge with cones at its ends.
             lengths=[(a, b, length, 0.01) for (a, b), length in zip(pairs, lengths, strict=True)],
             # Fixed, so that the simulated data stay what they are.
             prior_length_mm=2.0,

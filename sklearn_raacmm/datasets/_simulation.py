@@ -267,7 +267,7 @@ class SimulatedArm:
         return np.round(readings / step) * step if step else readings
 
     def find_poses(self, point, n_poses, random_state=None):
-        """Poses that a person would take with the probe in a cone, the elbow from left to right.
+        """Find poses that a person would take with the probe in a cone, elbow from left to right.
 
         Parameters
         ----------
@@ -408,14 +408,14 @@ def _points(name, points, shape):
 
 
 def _reach(forward, arm, angles, points, n_steps):
-    """Newton steps of least norm towards the points; who does not arrive stays where he got."""
+    """Newton steps of least norm towards the points; poses that do not reach them end nearby."""
     for _ in range(n_steps):
         missing = points - forward(angles)
         if np.abs(missing).max() < 1e-10:
             break
         jacobian = arm.jacobian(angles)
         normal = jacobian @ jacobian.transpose(0, 2, 1)
-        # A stretched arm is singular: 1e-6 of the trace keeps its steps finite.
+        # A stretched arm is singular: 1e-9 of the trace keeps its steps finite.
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         step = np.einsum(
             "nij,ni->nj", jacobian, np.linalg.solve(normal, missing[..., None])[..., 0]

@@ -1,8 +1,8 @@
 """Figures of a correction, in the form of scikit-learn's displays.
 
 They are those of Gao et al. (2020), doi 10.1177/1729881420925638: single-point repeatability,
-gauge lengths before and after, and the residuals against the pose. The printed figures are lost in
-every copy at hand, so the layout is our own. Two more look at the poses in space and at the
+gauge lengths before and after, and the residuals against the pose. No copy of the paper that we
+have shows them, so the layout is our own. Two more figures show the poses in space and the
 harmonics that a model found in the encoders. matplotlib is imported when something is drawn.
 """
 

@@ -1,10 +1,4 @@
-"""Figures of a correction, in the form of scikit-learn's displays.
-
-They are those of Gao et al. (2020), doi 10.1177/1729881420925638: single-point repeatability,
-gauge lengths before and after, and the residuals against the pose. The printed figures are lost in
-every copy at hand, so the layout is our own. Two more look at the poses in space and at the
-harmonics that a model found in the encoders. matplotlib is imported when something is drawn.
-"""
+"""Repeatability and length errors before and after; public in `sklearn_raacmm.display`."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -32,8 +26,8 @@ _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 class RepeatabilityDisplay:
     """Single-point repeatability of every position, before and after the correction.
 
-    Make one with :meth:`from_estimator` or :meth:`from_predictions`. To see what a correction is
-    worth, show it positions that its model was not fitted on.
+    Make one with :meth:`from_estimator` or :meth:`from_predictions`. Judge a correction at
+    positions that its model was not fitted on.
 
     Parameters
     ----------
@@ -176,7 +170,7 @@ class RepeatabilityDisplay:
         ).plot(ax)
 
     def plot(self, ax=None, *, before_kwargs=None, after_kwargs=None):
-        """Draw.
+        """Draw the figure.
 
         Parameters
         ----------
@@ -362,7 +356,7 @@ class LengthErrorDisplay:
         ).plot(axes)
 
     def plot(self, axes=None, *, before_kwargs=None, after_kwargs=None):
-        """Draw.
+        """Draw the figure.
 
         Parameters
         ----------

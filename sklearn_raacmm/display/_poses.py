@@ -178,7 +178,7 @@ class ArmPosesDisplay:
         before_kwargs=None,
         after_kwargs=None,
     ):
-        """Draw.
+        """Draw the figure.
 
         Parameters
         ----------

@@ -166,7 +166,7 @@ class ResidualDisplay:
         ).plot(axes)
 
     def plot(self, axes=None, *, before_kwargs=None, after_kwargs=None):
-        """Draw.
+        """Draw the figure.
 
         Parameters
         ----------

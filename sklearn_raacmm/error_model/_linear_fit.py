@@ -24,13 +24,16 @@ from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
 from sklearn_raacmm.utils import centred, group_means
 
+# Columns that move the arm as a whole: the first axis stands still in the base.
+BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
 # Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
 # errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
 _OUTLIER = 5.5
 _MEDIAN_OF_CHI3 = 1.5382
 _ROBUST_ROUNDS = 4
-# Harmonics are chosen anew, with what the robust weights have become, at most so many times.
-_MAX_CHOICES = 2
+# Harmonics are chosen from scratch, with what the robust weights have become, at most so often:
+# those chosen while outliers counted fully are a worse beginning than none.
+_MAX_CHOICES = 3
 _SETTLED_WEIGHT = 0.05
 
 
@@ -84,13 +87,12 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     offered, expected = offered_harmonics(
         X[weights > 0], options.max_order, options.orders, options.gear_ratio
     )
-    factor, start, pairs = np.ones(len(y)), None, ()
+    factor, start = np.ones(len(y)), None
     for _ in range(_MAX_CHOICES):
-        chosen, terms = _choose(data, factor, offered, expected, start, pairs)
+        chosen, terms = _choose(data, factor, offered, expected, start)
         model, settled, found = _settle(data, factor, chosen, terms)
         moved = np.abs(settled - factor).max()
         factor, start = settled, (found.prior_variance, found.noise_variance)
-        pairs = chosen.pairs
         if moved < _SETTLED_WEIGHT:
             break
     return model, factor
@@ -135,7 +137,7 @@ class _Data(NamedTuple):
         return variance
 
 
-def _choose(data, factor, offered, expected, start, pairs):
+def _choose(data, factor, offered, expected, start):
     """Posterior of the harmonics chosen at given weights, and its terms."""
     options = data.options
     terms = Terms(offered, options.gravity, options.kinematics, options.wobble)
@@ -148,7 +150,7 @@ def _choose(data, factor, offered, expected, start, pairs):
     sums, lengths = data.sums(factor, terms)
     prices = order_prices(offered, expected)
     variance = data.prior_variance()
-    found = select_harmonics(sums, family, HARMONIC, variance, prices, lengths, start, pairs)
+    found = select_harmonics(sums, family, HARMONIC, variance, prices, lengths, start)
     return found, terms._replace(harmonics=offered[found.pairs])
 
 
@@ -201,25 +203,50 @@ def _model_of(data, factor, found, terms):
         offsets=data.codes is not None,
         n_determined=found.n_determined,
         log_bayes_factor=found.gains,
+        gauge_free_half=half,
     )
     X, _, weights, codes, lengths = data.weighted(factor)
-    if codes is not None and data.options.kinematics and not lengths:
-        model = _keep_scale(model, X, weights, codes)
-    return model
+    return constrained(model, X, weights, codes, keep_scale=not lengths)
 
 
-def _keep_scale(model, X, weights, codes):
+def constrained(model, X, weights, codes, keep_scale=True):
+    """Model without what positions with offsets cannot show: the scale, and where the base stands.
+
+    Parameters
+    ----------
+    model : LinearModel
+    X : ndarray of shape (n, n_joints)
+        Training poses.
+    weights : ndarray of shape (n,)
+    codes : ndarray of shape (n,) or None
+        Position of each row, from 0; None where positions have no offsets.
+    keep_scale : bool, default=True
+        Whether no known lengths show the scale.
+
+    Returns
+    -------
+    LinearModel
+        The same one where positions have no offsets or it has no columns of the kinematics.
+    """
+    if codes is None or not model.terms.kinematics:
+        return model
+    columns = mean_columns(model.arm, X, weights, codes, model.terms)
+    if keep_scale:
+        model = _keep_scale(model, columns, group_means(points_of(model.arm, X), codes, weights))
+    return _without_gauge(model, columns)
+
+
+def _keep_scale(model, columns, points):
     """Leave the distances between positions as the calibration has them, on the average.
 
     Positions with offsets do not show a common scale of all lengths, and whatever the prior
-    makes of it would be an error in proportion to every length.
+    makes of it would be an error in proportion to every length. `columns` and `points` are means
+    over the positions.
     """
-    points = group_means(points_of(model.arm, X), codes, weights)
     spread = points - points.mean(axis=0)
     size = np.square(spread).sum()
     if not size > 0:
         return model
-    columns = mean_columns(model.arm, X, weights, codes, model.terms)
     scale_of = np.einsum("gc,gcp->p", spread, columns) / size
     unit = scale_direction(model.arm, model.terms)
     return replace(
@@ -227,6 +254,24 @@ def _keep_scale(model, X, weights, codes):
         coef=model.coef - unit * (scale_of @ model.coef),
         half=model.half - np.outer(unit, scale_of @ model.half),
     )
+
+
+def _without_gauge(model, columns):
+    """Take motions of the base out of the covariance that predictions are judged by.
+
+    A single-point test does not show where the base stands: along the six columns that move it the
+    posterior is the prior, and other columns imitate a motion at the positions of the test. With M
+    the mean columns over the positions and B the six of them, ``G = lstsq(B, M)`` is the motion in
+    every column, and ``A - A[:, base] @ G`` are the columns without it (inner constraints).
+    """
+    names, _ = term_names(model.arm, model.terms)
+    n_waves = 2 * len(model.terms.harmonics)
+    base = [n_waves + names.index(name) for name in BASE_MOTIONS]
+    flat = columns.reshape(-1, columns.shape[2])
+    motion = np.linalg.lstsq(flat[:, base], flat, rcond=1e-9)[0]
+    half = model.half.copy()
+    half[base] -= motion @ model.half
+    return replace(model, gauge_free_half=half)
 
 
 def quantile(values, share, weights):

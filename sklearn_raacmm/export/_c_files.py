@@ -77,7 +77,8 @@ def sources(model, name, stem, dtype, std, card=None, notes=()):
         f"/* {stem}.c\n{banner} *\n"
         " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
         " * changes, so every function may be called from any thread.\n */\n"
-        f'#include "{stem}.h"\n\n#include <math.h>\n\n'
+        f'#include "{stem}.h"\n\n#include <float.h>\n#include <math.h>\n#include <stdint.h>\n'
+        "#include <string.h>\n\n"
         f"#ifndef {pair}\n"
         f'#error "{stem}.c and {stem}.h are of different exports: copy both files of one export."\n'
         "#endif\n#ifdef __FAST_MATH__\n"
@@ -89,7 +90,7 @@ def sources(model, name, stem, dtype, std, card=None, notes=()):
 
 def _math_functions(body, std):
     """Names of what the source takes from math.h, for targets that have no such library."""
-    used = re.findall(r"\b(sin|cos|sqrt|hypot|atan2|exp|log|fabs|isfinite)f?\(", body.text)
+    used = re.findall(r"\b(sin|cos|sqrt|hypot|atan2|exp|fabs|isfinite)f?\(", body.text)
     return sorted({*used, *(["sqrt"] if std else [])})
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
-from sklearn_raacmm.export import _c_columns, _c_steps
+from sklearn_raacmm.export import _c_columns, _c_network, _c_steps
 from sklearn_raacmm.export._c_text import Numbers
 from sklearn_raacmm.export._steps import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
 from sklearn_raacmm.network import RBFNetRegressor
@@ -83,7 +83,7 @@ class _Writer:
             self._cylindrical(path, step)
         elif isinstance(step, RBFNetRegressor):
             self._load()
-            text, self.n_outputs = _c_steps.network(self.numbers, step, self.std)
+            text, self.n_outputs = _c_network.network(self.numbers, step, self.std)
             about = f"RBFNetRegressor: {step.kernel_}, {len(step.centers_)} centres"
             self._put(text, f"network(x, y{self._v});", about)
         elif isinstance(step, LINEAR):
@@ -111,9 +111,13 @@ class _Writer:
             )
         self.n_outputs = 3
         if isinstance(step, JointHarmonicRegressor):
-            text = _c_columns.error_model(self.numbers, step.linear_model_, self.std)
+            self.fades = step.fading_.factor > 0
+            doubted = self.std or self.fades
+            self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
+            text = _c_columns.guarded_sum(self.numbers, step, self.std)
+            result = "*trust =" if self.fades else "(void)"
             about = f"JointHarmonicRegressor: {len(step.coef_)} terms"
-            self._put(text, f"error_model(arm, y{self._v});", about)
+            self._put(text, f"{result} guarded_sum(arm, y{self._v});", about)
             return
         # How much a stage is trusted depends on its standard deviation.
         doubted = self.std or step.fade_ > 0
@@ -125,7 +129,7 @@ class _Writer:
                 pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
                 self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
             self.parts.append(_c_steps.azimuth_direction(self.numbers))
-            self.parts.append(_c_steps.network(self.numbers, step.network_, doubted, False)[0])
+            self.parts.append(_c_network.network(self.numbers, step.network_, doubted, False)[0])
             self.parts.append(_c_steps.rotation(self.numbers, doubted))
         text = _c_columns.guarded_sum(self.numbers, step, self.std)
         self.fades = stages > 0 and step.fade_ > 0

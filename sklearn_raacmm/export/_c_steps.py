@@ -7,19 +7,7 @@ import numpy as np
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
-from sklearn_raacmm.export._steps import n_outputs
 from sklearn_raacmm.residuals import NORM_TOLERANCE
-
-# The radial functions of the squared scaled distance s; {f} is the suffix of the precision.
-_KERNEL_BODIES = {
-    "gaussian": "return exp{f}(-0.5{f} * s);",
-    "matern32": "const {real} d = {sqrt3} * sqrt{f}(s);\n    return (1 + d) * exp{f}(-d);",
-    "matern52": (
-        "const {real} d = {sqrt5} * sqrt{f}(s);\n    return (1 + d + 5 / 3.0{f} * s) * exp{f}(-d);"
-    ),
-    "rational_quadratic": "return 1 / (1 + 0.5{f} * s);",
-    "inverse_multiquadric": "return 1 / sqrt{f}(1 + s);",
-}
 
 _KINEMATICS = """\
 {tables}
@@ -197,149 +185,6 @@ static void linear(const {numbers.real} x[{size}], {numbers.real} y[{q}])
     )
 
 
-def network(numbers, step, std, with_noise=True):
-    """``network(x, y, v)`` of an `RBFNetRegressor`, and its number of outputs.
-
-    v takes the variances; it is there with `std` only.
-    """
-    real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
-    text = numbers.table("intercept", np.atleast_1d(step.intercept_))
-    linear_coef = np.atleast_2d(step.linear_coef_)
-    lines = ["(void)x;"] if not k else [f"{real} z[{d}];", f"{real} phi[{k}];"]
-    lines += [f"for (int j = 0; j < {q}; ++j)", "    y[j] = intercept[j];"]
-    if np.any(linear_coef):
-        text += numbers.table("linear_coef", linear_coef)
-        lines += [
-            f"for (int j = 0; j < {q}; ++j)",
-            f"    for (int i = 0; i < {d}; ++i)",
-            "        y[j] += linear_coef[j][i] * x[i];",
-        ]
-    if k:
-        # Centred as predict does it: the rounding is the same.
-        shift = step.centers_.mean(axis=0)
-        text += numbers.table("center_shift", shift, "middle of the centres")
-        text += numbers.table(
-            "inverse_width",
-            1 / step.length_scale_,
-            "1 / length scale; 0 for a feature that did not vary",
-        )
-        text += numbers.table(
-            "center",
-            (step.centers_ - shift) / step.length_scale_,
-            "centres, less their middle, in units of the length scales",
-        )
-        text += numbers.table("weight", np.atleast_2d(step.coef_).T, "one row a centre")
-        text += _kernel(numbers, step.kernel_)
-        lines += [
-            f"for (int i = 0; i < {d}; ++i)",
-            "    z[i] = (x[i] - center_shift[i]) * inverse_width[i];",
-            f"for (int c = 0; c < {k}; ++c) {{",
-            f"    {real} s = 0;",
-            f"    for (int i = 0; i < {d}; ++i)",
-            "        s += (z[i] - center[c][i]) * (z[i] - center[c][i]);",
-            "    phi[c] = radial_function(s);",
-            f"    for (int j = 0; j < {q}; ++j)",
-            "        y[j] += weight[c][j] * phi[c];",
-            "}",
-        ]
-    if std:
-        text += "\n" + _network_variance(numbers, step, with_noise)
-        lines += ["if (v)", f"    network_variance(x, {'phi' if k else '0'}, v);"]
-    body = "\n".join(f"    {line}" for line in lines)
-    head = f"static void network(const {real} x[{d}], {real} y[{q}]{_optional(real, std)})"
-    return f"{text}\n{head}\n{{\n{body}\n}}\n", q
-
-
-def _optional(real, std):
-    return f", {real} *v" if std else ""
-
-
-def _network_variance(numbers, step, with_noise):
-    """``network_variance(x, phi, v)``: the arithmetic of ``RBFNetRegressor._variance``."""
-    real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
-    shift = step.centers_.mean(axis=0) if k else 0.0
-    inside, triangles = step._posterior((step.centers_ - shift) / step.length_scale_)
-    tail, p = step._tail_map, len(step._tail_map)
-    m = p + k
-    distinct = list({id(R): R for R in triangles}.values())
-    ids = [id(R) for R in distinct]
-    of = [ids.index(id(R)) for R in triangles]
-    text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
-    text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
-    lines = []
-    if m:
-        lines.append(f"{real} row[{m}];")
-        text += numbers.integers("triangle_of", of, "which triangle each output has")
-        packed = [R.T[np.tril_indices(m)] for R in distinct]
-        text += numbers.table("triangle", np.stack(packed), "rows of the transposed triangles")
-    lines.append(f"{real} outside = 1;")
-    lines.append(f"{real} of_weights[{len(distinct)}];")
-    if p:
-        text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")
-        lines += [
-            f"for (int i = 0; i < {p}; ++i) {{",
-            "    row[i] = tail_map[i][0];",
-            f"    for (int j = 0; j < {d}; ++j)",
-            "        row[i] += tail_map[i][1 + j] * x[j];",
-            "}",
-        ]
-    else:
-        lines.append("(void)x;")
-    if k:
-        lines += [f"for (int c = 0; c < {k}; ++c)", f"    row[{p} + c] = phi[c];"]
-    else:
-        lines.append("(void)phi;")
-    if k:
-        text += numbers.table("span", inside, "root of the inverse kernel matrix of the centres")
-        lines += [
-            f"for (int i = 0; i < {len(inside)}; ++i) {{",
-            f"    {real} dot = 0;",
-            f"    for (int c = 0; c < {k}; ++c)",
-            "        dot += span[i][c] * phi[c];",
-            "    outside -= dot * dot;",
-            "}",
-            "if (outside < 0)",
-            "    outside = 0;",
-        ]
-    lines.append(f"for (int t = 0; t < {len(distinct)}; ++t) {{")
-    lines.append(f"    of_weights[t] = {int(with_noise)};")
-    if m:
-        lines += [
-            f"    {real} solved[{m}];",
-            f"    const {real} *entry = triangle[t];",
-            f"    for (int i = 0; i < {m}; ++i) {{",
-            "        solved[i] = row[i];",
-            "        for (int j = 0; j < i; ++j)",
-            "            solved[i] -= *entry++ * solved[j];",
-            "        solved[i] /= *entry++;",
-            "        of_weights[t] += solved[i] * solved[i];",
-            "    }",
-        ]
-    lines += ["}", f"for (int j = 0; j < {q}; ++j)"]
-    which = "triangle_of[j]" if m else "0"
-    lines.append(
-        f"    v[j] = outside * signal_variance[j] + noise_variance[j] * of_weights[{which}];"
-    )
-    body = "\n".join(f"    {line}" for line in lines)
-    return (
-        f"{text}\nstatic void network_variance(const {real} *x, const {real} *phi, {real} v[{q}])"
-        f"\n{{\n{body}\n}}\n"
-    )
-
-
-def _kernel(numbers, kernel):
-    body = _KERNEL_BODIES[kernel].format(
-        f=numbers.suffix,
-        real=numbers.real,
-        sqrt3=numbers.literal(np.sqrt(3)),
-        sqrt5=numbers.literal(np.sqrt(5)),
-    )
-    return (
-        f"\n/* {kernel}, of the squared distance in units of the length scales */\n"
-        f"static {numbers.real} radial_function({numbers.real} s)\n{{\n    {body}\n}}\n"
-    )
-
-
 def azimuth_direction(numbers):
     """``azimuth_direction(arm, cs)``: cosine and sine of the probe's azimuth.
 
@@ -382,7 +227,8 @@ def rotation(numbers, std):
     )
     return (
         f"/* Radial, tangential and axial to x, y and z. */\n"
-        f"static void to_cartesian(const {real} cs[2], {real} y[3]{_optional(real, std)})\n{{\n"
+        f"static void to_cartesian(const {real} cs[2], {real} y[3]"
+        f"{', ' + real + ' *v' if std else ''})\n{{\n"
         f"    const {real} radial = y[0], tangential = y[1];\n"
         "    y[0] = radial * cs[0] - tangential * cs[1];\n"
         "    y[1] = radial * cs[1] + tangential * cs[0];\n"

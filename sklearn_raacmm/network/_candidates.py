@@ -1,13 +1,15 @@
-"""Two representations of the candidates that `_selection` chooses from.
+"""Two representations of the candidates that `_forward_selection` chooses from.
 
 `WhitenedCandidates` holds coordinates in which the inner product of the selection is the Euclidean
 one: few where the kernel is smooth. `SymmetricCandidates` holds the kernel matrix itself.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
+from sklearn.utils import gen_batches
 
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky
 from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
@@ -16,7 +18,8 @@ from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_fact
 # working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
 DEPENDENT = 1e-10
 DEPENDENT_RIDGED = 1e-13
-# Rank at which the factor of a rough kernel is cut where the number of steps is not known.
+# Rank at which the factor of a rough kernel is cut where nothing else limits it: 240 MB for 10 000
+# rows, and a step costs as much memory traffic.
 MAX_RANK = 3000
 # Samples whose whole kernel matrix is held: 1.8 GB.
 MAX_SYMMETRIC = 15_000
@@ -24,6 +27,8 @@ MAX_SYMMETRIC = 15_000
 # in centres and at the least. With 2.5 the residual was up to 4 % larger than with an exact factor,
 # with 3.5 up to 2 % (three draws of candidates).
 RANK_PER_CENTER, MIN_RANK = 3.5, 256
+# Columns of the kernel matrix looked at together.
+COLUMNS = 256
 # A factor that leaves more than this of the diagonal does not ask for the last digits.
 COARSE = 1e-5
 
@@ -50,23 +55,27 @@ class WhitenedCandidates:
     def correlations(self):
         return self.coordinates @ self.target
 
-    def column(self, j):
-        """Candidate j, and the vector whose product with another gives their inner product."""
-        u = self.coordinates[j].copy()
+    def columns(self, indices):
+        """Candidates as rows, and the dual rows whose products with others are inner products."""
+        u = np.ascontiguousarray(self.coordinates[indices])
         return u, u
 
     def inner(self, v):
-        """Inner products of every candidate with the direction whose dual vector is v."""
-        return self.coordinates @ v
+        """Inner products (m, n_candidates) of all candidates with directions of dual rows v."""
+        return v @ self.coordinates.T
+
+    def products(self, v, indices):
+        """The same (m, len(indices)) of some candidates."""
+        return v @ self.coordinates[indices].T
 
 
 class SymmetricCandidates:
-    """Every sample is a candidate: the kernel matrix is symmetric, one triangle is read a step.
+    """Every sample is a candidate, and the symmetric kernel matrix itself is worked on.
 
     Parameters
     ----------
     K : ndarray of shape (n, n), Fortran order
-        Kernel matrix; only the lower triangle is read after construction.
+        Kernel matrix.
     weights : ndarray of shape (n,)
     tail : ndarray of shape (n, n_tail)
         Orthonormal basis of the weighted polynomial tail (rows times root weight).
@@ -85,27 +94,33 @@ class SymmetricCandidates:
 
     def _weigh(self, u):
         u = self.root * u
-        u -= self.tail @ (self.tail.T @ u)
+        u -= (u @ self.tail) @ self.tail.T
         return self.root * u
 
     def squared_norms(self):
-        weighted = self.root[:, None] * self.K
-        norms = np.einsum("ij,ij->j", weighted, weighted)
-        if self.tail.shape[1]:
-            norms -= ((self.tail.T @ weighted) ** 2).sum(axis=0)
-        return norms + self.alpha * self.K.diagonal()
+        norms, weighted = self.alpha * self.K.diagonal(), self.root[:, None] * self.tail
+        for part in gen_batches(len(norms), COLUMNS):
+            columns = self.K[:, part]
+            norms[part] += self.root**2 @ np.square(columns)
+            norms[part] -= np.square(weighted.T @ columns).sum(axis=0)
+        return norms
 
     def correlations(self):
         return self.K @ self.target
 
-    def column(self, j):
-        u = self.K[:, j].copy()
+    def columns(self, indices):
+        u = np.ascontiguousarray(self.K[:, indices].T)
         v = self._weigh(u)
-        v[j] += self.alpha
+        v[np.arange(len(v)), indices] += self.alpha
         return u, v
 
     def inner(self, v):
-        return blas.dsymv(1.0, self.K, v, lower=1)
+        if len(v) == 1:
+            return blas.dsymv(1.0, self.K, v[0], lower=1)[None]  # reads one triangle
+        return v @ self.K
+
+    def products(self, v, indices):
+        return v @ self.K[:, indices]
 
 
 class Features:
@@ -187,9 +202,11 @@ def whiten(problem, view, factor, features, members, alphas):
     degrees_of_freedom : list of float
         Trace of the smoother that uses all candidates.
     """
-    rows, resolution = factor.rows, factor.residual
-    rank = rows.shape[1]
-    root, coarse = features.root, resolution > COARSE
+    rows, rank = factor.rows, factor.rows.shape[1]
+    root, coarse = features.root, factor.residual > COARSE
+    # A factor that is complete leaves rounding, in which nothing can be told apart. What one of
+    # limited rank leaves says nothing of the candidates as far as they are represented.
+    resolution = factor.residual if factor.complete else 0.0
     raw = coarse and features.rows is None
     if raw:
         # Sums over raw kernel columns halve the work, and lose no digits that matter here.
@@ -231,8 +248,27 @@ def whiten(problem, view, factor, features, members, alphas):
     return groups, degrees
 
 
+class CandidateSet(NamedTuple):
+    """Candidates as groups of outputs see them, and what their representation leaves out."""
+
+    groups: list  # of WhitenedCandidates or SymmetricCandidates, one for each group
+    degrees_of_freedom: list | None  # trace of the smoother of all candidates, where it is known
+    unseen: float  # mean part of the prior variance outside the factor, if its rank was limited
+
+
 def candidate_groups(
-    problem, view, rows, shift, length_scale, members, kernel, alphas, n_select, *, whitened=False
+    problem,
+    view,
+    rows,
+    shift,
+    length_scale,
+    members,
+    kernel,
+    alphas,
+    n_select,
+    *,
+    max_rank=MAX_RANK,
+    whitened=False,
 ):
     """The representation of the candidates that makes a step of the selection cheapest.
 
@@ -256,14 +292,14 @@ def candidate_groups(
         Ridge of each group.
     n_select : int or None
         Number of steps, where it is known.
+    max_rank : int
+        Rank at which the factor of a rough kernel is cut where nothing else limits it.
     whitened : bool
         Ask for `WhitenedCandidates`.
 
     Returns
     -------
-    groups : list of WhitenedCandidates or SymmetricCandidates
-    degrees_of_freedom : list of float or None
-        Trace of the smoother that uses all candidates, without the tail, where it is known.
+    CandidateSet
     """
     n = problem.n_rows
     Z = (problem.X[rows] - shift) / length_scale
@@ -271,13 +307,13 @@ def candidate_groups(
         # The ridge on the weights of such kernels is left to the last fit.
         features = Features(Z, shift, length_scale, kernel)
         triangle, rotated = _projected_triangle(problem, features, view, len(rows))
-        return [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members], None
+        groups = [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members]
+        return CandidateSet(groups, None, 0.0)
 
     least = min(alphas)
     tol = 1e-6 if least == 0 else min(1e-3 * least, 1e-6)
     every = len(rows) == n
     may_be_symmetric = n_select is not None and not whitened and every and n <= MAX_SYMMETRIC
-    max_rank = MAX_RANK
     if may_be_symmetric:
         # From about this rank on a step on the matrix itself makes up for the factor's price.
         max_rank = max(64, int(1.4 * np.sqrt(n * n_select)))
@@ -294,8 +330,12 @@ def candidate_groups(
         weights = block.root[:, 0] ** 2
         pairs = zip(members, alphas, strict=True)
         groups = [SymmetricCandidates(K, weights, basis, targets[:, of], a) for of, a in pairs]
-        return groups, None
+        return CandidateSet(groups, None, 0.0)
+    unseen = 0.0
+    if not factor.complete:
+        unseen = 1 - np.einsum("ij,ij->", factor.rows, factor.rows) / len(rows)
     root = np.asfortranarray(factor.rows[factor.pivots])
     known = factor.rows if every else None
     features = Features(Z[factor.pivots], shift, length_scale, kernel, root, known)
-    return whiten(problem, view, factor, features, members, alphas)
+    groups, degrees = whiten(problem, view, factor, features, members, alphas)
+    return CandidateSet(groups, degrees, unseen)

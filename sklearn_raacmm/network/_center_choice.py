@@ -1,11 +1,12 @@
 """Which rows become centres, and how many: the network's settings turned into calls."""
 
-from functools import partial
+import warnings
 from typing import NamedTuple
 
 import numpy as np
+from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_raacmm.network._candidates import candidate_groups
+from sklearn_raacmm.network._candidates import MAX_RANK, candidate_groups
 from sklearn_raacmm.network._forward_selection import (
     exchange,
     forward_selection,
@@ -13,26 +14,30 @@ from sklearn_raacmm.network._forward_selection import (
     total_score,
 )
 from sklearn_raacmm.network._kernels import KERNELS
-from sklearn_raacmm.network._nested_fits import leave_one_out, size_scores
+from sklearn_raacmm.network._nested_fits import size_scores
 
 # Rows drawn as candidate centres where there are more: their factor fits in memory.
 MAX_CANDIDATES = 10_000
-# Centres tried where their number is not given. A minimum needs the whole path.
-_MAX_CENTERS = dict.fromkeys(("posterior", "error_reduction", "mse"), 2000)
-_MAX_CENTERS |= dict.fromkeys(("gcv", "loo", "bic"), 500)
+# Centres tried where their number is not given. For "gcv" the whole path is needed.
+_MAX_CENTERS = dict.fromkeys(("posterior", "error_reduction", "mse"), 2000) | {"gcv": 500}
+# Rank of the candidates' factor per centre that may be tried: the centres are to be chosen from
+# more dimensions than they take up.
+_RANK_PER_CENTER = 1.5
+# Mean part of the prior variance outside the candidates' factor that is passed over in silence.
+_UNSEEN = 0.01
 # Ratio of ridges up to which outputs see the candidates alike.
 _ALIKE = 4.0
 
 
-class Settings(NamedTuple):
-    """Parameters of `RBFNetRegressor` that decide on the centres; None is the default."""
+class CenterSettings(NamedTuple):
+    """Parameters of `RBFNetRegressor` that decide on the centres."""
 
     kernel: str
-    n_centers: int | None  # found by the criterion where None
+    n_centers: int | None  # None: found by the criterion
     criterion: str
     tol: float
-    max_centers: int | None
-    candidates: int | None
+    max_centers: int | None  # None: the default for the criterion
+    candidates: int | None  # None: `MAX_CANDIDATES`
     selection: str
     refine: bool
 
@@ -69,7 +74,7 @@ def choose_centers(problem, alpha, shift, length_scale, settings, rng):
     alpha : ndarray of shape (q,)
         Ridge of every output, in the problem's units.
     shift, length_scale : ndarray of shape (d,)
-    settings : Settings
+    settings : CenterSettings
     rng : numpy.random.RandomState
         Draws the candidates.
 
@@ -80,81 +85,118 @@ def choose_centers(problem, alpha, shift, length_scale, settings, rng):
     stop_reason : str
         Why there are no more.
 
-    Raises
-    ------
-    ValueError
-        If more centres are asked for than there are candidates.
+    Warns
+    -----
+    UserWarning
+        If more centres are asked for than there are candidates: all are taken then.
+    ConvergenceWarning
+        If a limit that the user has not set decided on the number of centres.
     """
-    n, criterion = len(problem.X), criterion_in_force(settings, alpha)
-    most = MAX_CANDIDATES if settings.candidates is None else settings.candidates
+    criterion = criterion_in_force(settings, alpha)
+    n, most = len(problem.X), settings.candidates or MAX_CANDIDATES
     rows = np.arange(n) if n <= most else np.sort(rng.permutation(n)[:most])
-    if criterion is None:
-        if settings.n_centers > len(rows):
-            raise ValueError(
-                f"n_centers={settings.n_centers}, but there are only {len(rows)} distinct "
-                "candidate rows."
-            )
-        n_select = settings.n_centers
-    else:
-        limit = _MAX_CENTERS[criterion] if settings.max_centers is None else settings.max_centers
-        n_select = min(limit, len(rows))
-    view, score = problem.view(centred=settings.selection == "ols"), total_score
+    n_select = _most_steps(settings, criterion, len(rows))
+    view = problem.view(centred=settings.selection == "ols")
     if not len(view.outputs):
         # Nothing varies: no centre is needed, and any is as good as another.
         return (rows[:n_select], "n_centers") if criterion is None else (rows[:0], "criterion")
     members, alphas = group_alphas(alpha[view.outputs])
+    limits = {
+        "n_select": n_select if criterion is None else None,
+        "max_rank": max(MAX_RANK, int(_RANK_PER_CENTER * n_select)),
+        "whitened": settings.refine,
+    }
+    where = rows, shift, length_scale
+    candidates = candidate_groups(problem, view, *where, members, settings.kernel, alphas, **limits)
+    score, goal = total_score, None
     if settings.selection == "newrb":
         score = squared_ratio_score(view.total[np.concatenate(members)])
-    groups, dof = candidate_groups(
-        problem,
-        view,
-        rows,
-        shift,
-        length_scale,
-        members,
-        settings.kernel,
-        alphas,
-        n_select if criterion is None else None,
-        whitened=settings.refine,
-    )
-    enough = None
+    elif criterion == "posterior":
+        score, goal = _posterior_goal(problem, view, candidates, members, settings.tol)
+    found = forward_selection(candidates.groups, n_select, score=score, enough=goal)
     if criterion == "posterior":
-        # Gains in units of each output's noise, as the likelihood counts them.
-        enough = []
-        for candidates, of, free in zip(groups, members, dof, strict=True):
-            explained = np.square(candidates.target).sum(axis=0)
-            left = view.total[of] + view.within[of] - explained
-            noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
-            candidates.target = candidates.target / np.sqrt(noise)
-            # Less than half a parameter's worth of function is none.
-            enough.extend(explained / noise - settings.tol * free if free > 0.5 else 0 * noise)
-    found = forward_selection(groups, n_select, score=score, enough=enough)
+        _warn_of_limits(found, candidates, settings, goal)
     indices = found.indices
     if settings.refine and len(indices) > 0:
-        indices = exchange(groups, indices)[0]
-    stop = {
-        "n_select": "n_centers" if criterion is None else "max_centers",
-        "enough": "criterion",
-    }
+        indices = exchange(candidates.groups, indices)[0]
     # With newrb the tail joins only now: together they must not outnumber the rows.
     room = problem.n_rows - problem.n_tail
     if alpha.min() == 0 and len(indices) > room:
         return rows[indices[:room]], "dependent"
-    return rows[indices], stop.get(found.stop, found.stop)
+    reasons = {
+        "n_select": "n_centers" if criterion is None else "max_centers",
+        "enough": "criterion",
+        "dependent": "rank" if candidates.unseen > 0 else "dependent",
+    }
+    return rows[indices], reasons[found.stop]
 
 
-def choose_size(problem, alpha, columns, path, settings):
+def _most_steps(settings, criterion, n_candidates):
+    """Number of centres to choose: as many as are asked for, or as may be tried."""
+    if criterion is not None:
+        limit = _MAX_CENTERS[criterion] if settings.max_centers is None else settings.max_centers
+        return min(limit, n_candidates)
+    if settings.n_centers > n_candidates:
+        warnings.warn(
+            f"n_centers={settings.n_centers}, but there are only {n_candidates} distinct "
+            "candidate rows: all of them are taken.",
+            stacklevel=5,
+        )
+    return min(settings.n_centers, n_candidates)
+
+
+def _posterior_goal(problem, view, candidates, members, tol):
+    """How the posterior criterion scores gains, and the reduction of each output that is enough.
+
+    Gains count in units of each output's noise, as in the likelihood.
+    """
+    noises, goal = [], []
+    groups = zip(candidates.groups, members, candidates.degrees_of_freedom, strict=True)
+    for group, of, degrees in groups:
+        explained = np.square(group.target).sum(axis=0)
+        left = view.total[of] + view.within[of] - explained
+        noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
+        noises.append(noise)
+        # Less than half a parameter's worth of function is none.
+        goal.append(explained - tol * degrees * noise if degrees > 0.5 else 0 * noise)
+    noises = np.concatenate(noises)
+    return lambda gains: total_score(gains / noises), np.concatenate(goal)
+
+
+def _warn_of_limits(found, candidates, settings, goal):
+    """Warn where a limit that the user has not set decided on the network."""
+    if found.stop == "n_select" and settings.max_centers is None:
+        reached = np.sum(found.reduction, axis=0)
+        share = np.max((goal - reached)[goal > 0] / goal[goal > 0], initial=0.0)
+        if share > 0:
+            warnings.warn(
+                f"The number of centres is the default limit of {len(found.indices)}; "
+                f"{100 * share:.2g} % of what the criterion asks for is not reached. Give a larger "
+                "max_centers, or set it to this number if the network is good enough.",
+                ConvergenceWarning,
+                stacklevel=5,
+            )
+    if candidates.unseen > _UNSEEN:
+        warnings.warn(
+            f"The widths are narrow for so many rows: {100 * candidates.unseen:.2g} % of the prior "
+            f"variance at the candidates lies outside the {candidates.groups[0].rank} dimensions "
+            "from which centres are chosen. A larger max_centers raises their number, to "
+            f"{_RANK_PER_CENTER:g} times as many.",
+            ConvergenceWarning,
+            stacklevel=5,
+        )
+
+
+def choose_size(problem, alpha, path, settings):
     """Number of centres to keep.
 
     Parameters
     ----------
     problem : Problem
     alpha : ndarray of shape (q,)
-    columns : Features
+    path : NestedFits
         Of the centres, in order.
-    path : Path
-        Of the same.
-    settings : Settings
+    settings : CenterSettings
 
     Returns
     -------
@@ -168,22 +210,14 @@ def choose_size(problem, alpha, columns, path, settings):
     tried = len(path.dof) - 1
     if criterion is None or tried == 0:
         return tried, np.empty(0), False
-    press = None
-    if criterion == "loo":
-        function = partial(_press, columns, path)
-        press = problem.reduce(function, np.add, 3 * tried) + problem.within
-    scores = size_scores(path, criterion, problem.spread, problem.n_total, press)
+    scores = size_scores(path, criterion, problem.spread, problem.n_total)
     if criterion == "posterior":
         # The forward pass has stopped by it; what is shown is the objective it lowers.
         return tried, scores, False
-    if criterion not in ("mse", "error_reduction"):
+    if criterion == "gcv":
         return int(np.argmin(scores)) + 1, scores, False
     reached = np.flatnonzero(scores <= settings.tol)
     return (int(reached[0]) + 1, scores, True) if len(reached) else (tried, scores, False)
-
-
-def _press(columns, path, block):
-    return leave_one_out(block.tail, columns(block), block.targets, path)
 
 
 def group_alphas(alphas):

@@ -26,10 +26,16 @@ import numpy as np
 from scipy.linalg import qr, qr_delete, qr_insert, solve_triangular
 
 from sklearn_raacmm.network._candidates import WhitenedCandidates
+from sklearn_raacmm.network._lookahead import Pool, all_scores
 
 # Running squared lengths are differences: below this part of what they were, only half their digits
 # are left, and they are computed anew.
 STALE = 1e-7
+# Steps are taken together only while no length that may matter has fallen below the first part of
+# what it was (its digits are worth 1e-6 then), and none at all below the second.
+DOUBTFUL, LOST = 1e-9, 1e-11
+# In place of the square of a length that is nothing.
+SMALLEST = 1e-300
 
 
 class Selection(NamedTuple):
@@ -77,6 +83,15 @@ class _Basis:
         return self.rows[: self.size]
 
 
+class _Steps(NamedTuple):
+    """Candidates that are chosen one after the other, as a group of outputs sees them."""
+
+    u: np.ndarray  # (n_steps, rank) orthonormal directions
+    v: np.ndarray  # (n_steps, rank) their duals; the same array where they are the same
+    squared_norms: np.ndarray  # (n_steps,) what is left of each when all before are projected out
+    products: np.ndarray  # (n_steps, n_candidates) inner products with all candidates
+
+
 class _ForwardPass:
     """What a group of outputs knows of every candidate while the chosen ones are projected out."""
 
@@ -91,63 +106,104 @@ class _ForwardPass:
         self.V = self.U if self.whitened else _Basis(candidates.rank)
         self.target = candidates.target.copy()
 
-    def dependent(self):
-        return self.norms <= self.floor
+    def state(self):
+        """Arguments of `gains`."""
+        return self.norms, self.floor, self.correlations
 
-    def gains(self):
-        """By how much each candidate would lower the objective of each output."""
-        usable = np.where(self.norms > self.floor, self.norms, np.inf)
-        return np.square(self.correlations) / usable[:, None]
+    def dependent(self, j):
+        """Whether nothing that can be trusted is left of candidate j."""
+        return self.norms[j] <= self.floor[j]
 
-    def direction(self, j):
-        """Candidate j made orthogonal to the chosen ones, its dual, and its squared norm."""
-        u, v = self.candidates.column(j)
-        # Twice is enough for orthogonality to working precision (Giraud et al. 2005).
-        for _ in range(2 if self.U.size else 0):
-            c = self.V() @ u
+    def project(self, u, v):
+        """Make rows u, with dual rows v, orthogonal to what was chosen, in place."""
+        if self.U.size:
+            c = u @ self.V().T
             u -= c @ self.U()
             if v is not u:
                 v -= c @ self.V()
-        return u, v, u @ v
+
+    def directions(self, picks):
+        """Orthonormal directions of candidates that are chosen one after the other.
+
+        Parameters
+        ----------
+        picks : list of int
+            The candidates.
+
+        Returns
+        -------
+        _Steps
+        """
+        u, v = self.candidates.columns(picks)
+        self.project(u, v)
+        squared_norms = np.empty(len(picks))
+        for i in range(len(picks)):
+            # Twice is enough for orthogonality to working precision (Giraud et al. 2005).
+            for _ in range(2 if i else 0):
+                c = v[:i] @ u[i]
+                u[i] -= c @ u[:i]
+                if v is not u:
+                    v[i] -= c @ v[:i]
+            squared_norms[i] = u[i] @ v[i]
+            _normalise(u[i], v[i], squared_norms[i], u is v)
+        # The second time for the chosen ones before.
+        self.project(u, v)
+        left = np.einsum("ij,ij->i", u, v)[:, None]
+        _normalise(u, v, left, u is v)
+        return _Steps(u, v, squared_norms * left[:, 0], self.candidates.inner(v))
 
     def lost(self, j, squared_norm):
         """Whether repeated subtraction has lost the length of candidate j."""
         norm = self.norms[j]
         return norm > self.floor[j] and abs(squared_norm - norm) > 0.1 * norm
 
-    def correct(self, j, u, _, squared_norm):
-        """Put the truth about candidate j in the place of the running figures."""
-        self.norms[j] = squared_norm
-        self.correlations[j] = u @ self.target
+    def doubtful(self, scores, best):
+        """Whether a candidate that matters, or may matter, is known to too few digits."""
+        if not self.whitened:
+            return False
+        share = self.norms / np.maximum(self.fresh, SMALLEST)
+        stale = np.flatnonzero((share < DOUBTFUL) & (self.fresh > self.floor))
+        return bool(np.any((scores[stale] > 0.1 * best) | (share[stale] < LOST)))
 
-    def choose(self, j, u, v, squared_norm):
-        """Project candidate j out; return by how much it lowers each output's objective."""
-        if self.norms[j] <= self.floor[j]:
+    def correct(self, j, u, squared_norm):
+        """Put the truth about candidate j, of unit direction u, in place of the running figures."""
+        self.norms[j] = squared_norm
+        self.correlations[j] = np.sqrt(max(squared_norm, 0.0)) * (u @ self.target)
+
+    def choose(self, j, steps, i):
+        """Project out candidate j, number i of some steps; return the objectives' falls."""
+        if self.dependent(j):
             # Dependent in this group's eyes, chosen for another's: nothing is left to project.
             return np.zeros(self.target.shape[1])
-        u /= np.sqrt(squared_norm)
+        u, v, h = steps.u[i], steps.v[i], steps.products[i]
         self.U.append(u)
-        if v is not u:
-            v /= np.sqrt(squared_norm)
+        if not self.whitened:
             self.V.append(v)
         on_target = u @ self.target
         self.target -= np.outer(v, on_target)
-        h = self.candidates.inner(v)
         self.norms -= h * h
         self.correlations -= h[:, None] * on_target
-        self.norms[j] = 0.0
-        if self.whitened:
-            self._refresh()
+        self.norms[j] = self.fresh[j] = 0.0
         return on_target**2
 
-    def _refresh(self):
+    def refresh(self):
         """Compute anew what has become a small difference of large numbers."""
+        if not self.whitened:
+            return
         stale = np.flatnonzero((self.norms < STALE * self.fresh) & (self.fresh > self.floor))
         if len(stale):
             left = self.candidates.coordinates[stale]
             left -= (left @ self.U().T) @ self.U()
             self.norms[stale] = self.fresh[stale] = np.einsum("ij,ij->i", left, left)
             self.correlations[stale] = left @ self.target
+
+
+def _normalise(u, v, squared_norm, same):
+    """Divide directions by their length, in place."""
+    length = np.sqrt(np.maximum(squared_norm, SMALLEST))
+    u /= length
+    if not same:
+        v /= length
 
 
 def forward_selection(groups, n_select, *, score=total_score, enough=None):
@@ -170,32 +226,54 @@ def forward_selection(groups, n_select, *, score=total_score, enough=None):
     Selection
     """
     passes = [_ForwardPass(candidates) for candidates in groups]
+    pool = Pool(passes, score)
     indices, reductions, summed = [], [], 0.0
-    stop = "n_select"
-    while len(indices) < n_select:
-        scores = score(np.hstack([one.gains() for one in passes]))
-        scores[np.all([one.dependent() for one in passes], axis=0)] = -1.0
+    stop = None
+    while stop is None and len(indices) < n_select:
+        scores = all_scores(score, [one.state() for one in passes])
         j = int(np.argmax(scores))
         if scores[j] < 0:
             stop = "dependent"
             break
-        ways = [one.direction(j) for one in passes]
-        lost = [one.lost(j, way[2]) for one, way in zip(passes, ways, strict=True)]
-        if any(lost):
-            # Choose again, with the truth about this candidate.
-            for i in np.flatnonzero(lost):
-                passes[i].correct(j, *ways[i])
-            continue
-        chosen = [one.choose(j, *way) for one, way in zip(passes, ways, strict=True)]
-        indices.append(j)
-        reductions.append(np.concatenate(chosen))
-        summed = summed + reductions[-1]
-        if enough is not None and np.all(summed >= enough):
-            stop = "enough"
-            break
+        picks = pool.guess(j, scores, n_select - len(indices))
+        ways = [one.directions(picks) for one in passes]
+        before = len(indices)
+        for i, j in enumerate(picks):
+            if i and not _still_best(j, passes, score):
+                break
+            if _corrected(j, i, passes, ways):
+                break  # choose again, with the truth about this candidate
+            dependent = [one.dependent(j) for one in passes]
+            falls = [one.choose(j, way, i) for one, way in zip(passes, ways, strict=True)]
+            for number in np.flatnonzero(np.logical_not(dependent)):
+                pool.note(number, ways[number].products[i])
+            indices.append(j)
+            reductions.append(np.concatenate(falls))
+            summed = summed + reductions[-1]
+            if enough is not None and np.all(summed >= enough):
+                stop = "enough"
+            if stop is not None or any(dependent):
+                break
+        for one in passes:
+            one.refresh()
+        pool.count(len(indices) - before)
     n_outputs = sum(one.target.shape[1] for one in passes)
     reduction = np.reshape(reductions, (len(indices), n_outputs))
-    return Selection(np.array(indices, dtype=np.intp), reduction, stop)
+    return Selection(np.array(indices, dtype=np.intp), reduction, stop or "n_select")
+
+
+def _still_best(j, passes, score):
+    """Whether a choice that was guessed is the one to make, beyond doubt."""
+    scores = all_scores(score, [one.state() for one in passes])
+    return np.argmax(scores) == j and not any(one.doubtful(scores, scores[j]) for one in passes)
+
+
+def _corrected(j, i, passes, ways):
+    """Whether running figures of candidate j, number i of some steps, had to be put right."""
+    lost = [one.lost(j, way.squared_norms[i]) for one, way in zip(passes, ways, strict=True)]
+    for number in np.flatnonzero(lost):
+        passes[number].correct(j, ways[number].u[i], ways[number].squared_norms[i])
+    return any(lost)
 
 
 class _Subset:

@@ -106,6 +106,14 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
     )
 
 
+def log_likelihood(data, kernel, log_width, log_alpha):
+    """Logarithm of the marginal likelihood with its constants, summed over outputs."""
+    n, q = data.n_total, data.Y.shape[1]
+    found = exact_likelihood(data, kernel, log_width, log_alpha)
+    constant = 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
+    return -found.value - q * constant
+
+
 def _inverses(K, Y, alphas):
     """Solve with every K + alpha_i I.
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 
-class Path(NamedTuple):
+class NestedFits(NamedTuple):
     """Fits with the first 0, 1, ... k members: row m has m of them."""
 
     rss: np.ndarray  # (k + 1, n_outputs) sum of squared residuals
@@ -54,7 +54,7 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within):
 
     Returns
     -------
-    Path
+    NestedFits
     """
     q, p, k = len(alphas), n_tail, penalty_root.shape[1]
     columns, targets = R[: p + k, : p + k], R[:, p + k :]
@@ -83,7 +83,7 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within):
             triangles[i] = triangle
     # A difference of large numbers: the objective is never below its own first part.
     objective = np.maximum(objective, rss)
-    return Path(rss + within, objective + within, dof, columns, triangles, rotated)
+    return NestedFits(rss + within, objective + within, dof, columns, triangles, rotated)
 
 
 def penalise(rows, n_tail, penalty_root, alpha):
@@ -102,50 +102,18 @@ def penalise(rows, n_tail, penalty_root, alpha):
     return qr(stacked, mode="economic", check_finite=False)
 
 
-def leave_one_out(tail, columns, targets, path):
-    """Sum of squared leave-one-out residuals (PRESS) of some rows after 0, 1, ... k members.
-
-    Parameters
-    ----------
-    tail, columns, targets : ndarray of shape (n, p), (n, k), (n, n_outputs)
-        All times root weight.
-    path : Path
-        Of all rows.
-
-    Returns
-    -------
-    ndarray of shape (k + 1, n_outputs)
-    """
-    p, k = tail.shape[1], columns.shape[1]
-    press = np.empty((k + 1, targets.shape[1]))
-    rows = np.hstack([tail, columns]).T
-    for i, R in enumerate(path.triangles):
-        Q = solve_triangular(R, rows, trans="T", check_finite=False).T
-        residual = targets[:, i] - Q[:, :p] @ path.rotated[:p, i]
-        leverage = np.square(Q[:, :p]).sum(axis=1)
-        for m in range(k + 1):
-            if m:
-                direction = Q[:, p + m - 1]
-                residual = residual - direction * path.rotated[p + m - 1, i]
-                leverage = leverage + direction * direction
-            press[m, i] = np.square(residual / np.maximum(1 - leverage, 1e-10)).sum()
-    return press
-
-
-def size_scores(path, criterion, spread, n_total, press=None):
+def size_scores(path, criterion, spread, n_total):
     """What a criterion for the number of members has to say after 1, 2, ... k of them.
 
     Parameters
     ----------
-    path : Path
-    criterion : {"posterior", "gcv", "loo", "bic", "error_reduction", "mse"}
+    path : NestedFits
+    criterion : {"posterior", "gcv", "error_reduction", "mse"}
         For "posterior" the objective is given, which the forward pass has stopped by.
     spread : ndarray of shape (n_outputs,)
         Scale of each output, in which the others are compared; those of scale 0 are left out.
     n_total : float
         Number of observations.
-    press : ndarray of shape (k + 1, n_outputs), optional
-        From `leave_one_out`, for "loo".
 
     Returns
     -------
@@ -166,10 +134,6 @@ def size_scores(path, criterion, spread, n_total, press=None):
     dof = path.dof[1:, varying]
     # Means of logarithms: each output counts by the ratio in which its error changes.
     with np.errstate(divide="ignore"):
-        if criterion == "loo":
-            return np.log(scaled(press)).mean(axis=1)
-        if criterion == "bic":
-            return (n_total * np.log(scaled(path.rss)) + np.log(n_total) * dof).mean(axis=1)
         # Generalised cross-validation, each parameter counted as one and a half: the plain score
         # falls for too many.
         free = 1 - 1.5 * dof / n_total

@@ -1,9 +1,11 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
+from copy import copy
 from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
@@ -11,7 +13,7 @@ from sklearn.utils import check_random_state
 from sklearn_raacmm.network._candidates import Features
 from sklearn_raacmm.network._center_choice import (
     MAX_CANDIDATES,
-    Settings,
+    CenterSettings,
     choose_centers,
     choose_size,
 )
@@ -24,10 +26,22 @@ from sklearn_raacmm.network._nested_fits import (
     stack_triangles,
     triangular_factor,
 )
+from sklearn_raacmm.network._parameters import (
+    check_length_scale,
+    check_resolved,
+    leading_bits,
+    refuse_tiny,
+    relevance,
+    warn_of_bound,
+)
+from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
 from sklearn_raacmm.network._training_data import merge, prepare
-from sklearn_raacmm.network._width_search import AUTO_KERNELS, SAMPLE_ROWS, search
+from sklearn_raacmm.network._width_search import (
+    AUTO_KERNELS,
+    SAMPLE_ROWS,
+    search,
+)
 from sklearn_raacmm.utils import (
-    LARGEST,
     Interval,
     StrOptions,
     VersionedEstimator,
@@ -37,7 +51,6 @@ from sklearn_raacmm.utils import (
     check_weights,
     chunks,
     fit_context,
-    floats,
     one_blas_thread,
 )
 
@@ -45,8 +58,8 @@ from sklearn_raacmm.utils import (
 IN_MEMORY_ROWS = 100_000
 # Kernel values held at a time while predicting: they stay in a core's cache.
 _CHUNK = 2**18
-# Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
-_MAX_RANGE = 1e6
+# Attributes that not every fit has.
+_SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_", "_posterior_")
 _PER_OUTPUT = (
     "coef_",
     "intercept_",
@@ -76,7 +89,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     Parameters
     ----------
     n_centers : int or "auto", default="auto"
-        Number of centres. "auto" leaves it to `criterion`.
+        Number of centres; all candidates, with a warning, where there are fewer. "auto" leaves it
+        to `criterion`.
 
     kernel : str, default="auto"
         Radial function of the scaled distance r. "auto" takes "gaussian", or "matern52" or
@@ -108,8 +122,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
           parameters of the network that has all candidates: leaving them out then costs about
           `tol` of the error that noise causes anyway. Needs `alpha` > 0.
         - "gcv": least generalised cross-validation score along the path, parameters counted
-          1.5-fold. "loo": least leave-one-out error (PRESS). "bic": least Bayesian information
-          criterion.
+          1.5-fold.
         - "error_reduction": stop when the unexplained share of the targets' variance is at most
           `tol` (Chen's criterion).
         - "mse": stop when the mean squared residual, in the squared units of y, is at most `tol`.
@@ -119,11 +132,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         See `criterion`.
 
     max_centers : int, default=None
-        Most centres that "auto" may take. None: 2000.
+        Most centres that "auto" may take. None: 2000 (500 for "gcv"), with a warning where they
+        did not suffice.
 
-    candidates : int, default=None
-        Number of distinct training rows, drawn at random, that may become centres. None: all, or
+    max_candidates : int, default=None
+        Most distinct training rows, drawn at random, that may become centres. None: all, or
         10 000 where there are more.
+
+    loss : {"squared", "tukey"}, default="squared"
+        "tukey": where rows lie farther off than 5.5 standard deviations, all are weighed by Tukey's
+        biweight [3]_, which gives those none, and the network is fitted again, at most six times.
+        Where none does, it is the network of "squared". All rows are held in memory.
 
     selection : {"ols", "newrb"}, default="ols"
         "newrb" chooses as MATLAB's function of this name does: targets are neither centred nor
@@ -135,7 +154,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         given number of centres is then used better, at up to several times the cost.
 
     random_state : int, RandomState instance or None, default=None
-        Draws `candidates`, and the rows on which kernel, widths and ridge are found: the search
+        Draws the candidates, and the rows on which kernel, widths and ridge are found: the search
         starts on 300 rows. With up to 300 rows it has no effect.
 
     Attributes
@@ -167,7 +186,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
         Of the Gaussian process whose posterior the network approximates, in squared units of y;
-        the noise is that of an observation of mean weight.
+        the noise is that of an observation of mean weight, and infinite where the polynomial has as
+        many parameters as there are observations.
+
+    relevance_ : ndarray of shape (n_features,)
+        How steep the modelled function is along each feature, per standard deviation of the
+        feature: the slope's prior standard deviation, as a share of the sum over features. 0 for a
+        feature that is ignored; all 0 where nothing but noise was found.
+
+    log_marginal_likelihood_value_ : float
+        Logarithm of the marginal likelihood, summed over outputs, of the up to 1000 rows on which
+        kernels were compared. Only where kernel, widths or ridge were searched for.
 
     error_reduction_ : ndarray of shape (n_centers,)
         Share of the targets' variance (about the polynomial, averaged over outputs) by which each
@@ -177,8 +206,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         The criterion after 1, 2, ... centres. Empty where `n_centers` is given.
 
     stop_reason_ : str
-        Why no more centres were tried: "n_centers", "max_centers", "criterion" or "dependent"
-        (every other candidate is a combination of the chosen ones to working precision).
+        Why no more centres were tried: "n_centers", "max_centers", "criterion", "dependent" (every
+        other candidate is a combination of the chosen ones to working precision) or "rank" (the
+        same, but only as far as a factor of limited rank tells the candidates apart).
+
+    row_weight_ : ndarray of shape (n_samples,)
+        With ``loss="tukey"``: the factor of each row's weight, 0 for an outlier.
 
     n_iter_ : int
         Number of centres tried.
@@ -223,6 +256,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
        radial basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
     .. [2] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
        2006, chapter 8.
+    .. [3] A. E. Beaton, J. W. Tukey, "The fitting of power series, meaning polynomials, illustrated
+       on band-spectroscopic data", Technometrics 16 (1974), 147-185.
 
     Examples
     --------
@@ -240,7 +275,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     """
 
     _parameter_constraints: dict = {
-        "n_centers": [Interval(Integral, 1, None, closed="left"), StrOptions({"auto"}), None],
+        "n_centers": [Interval(Integral, 1, None, closed="left"), StrOptions({"auto"})],
         "kernel": [StrOptions({"auto", *KERNELS})],
         "length_scale": [
             Interval(Real, 0, None, closed="neither"),
@@ -249,12 +284,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ],
         "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
         "degree": [Interval(Integral, -1, 1, closed="both")],
-        "criterion": [
-            StrOptions({"auto", "posterior", "gcv", "loo", "bic", "error_reduction", "mse"})
-        ],
+        "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
-        "candidates": [Interval(Integral, 1, None, closed="left"), None],
+        "max_candidates": [Interval(Integral, 1, None, closed="left"), None],
+        "loss": [StrOptions({"squared", "tukey"})],
         "selection": [StrOptions({"ols", "newrb"})],
         "refine": ["boolean"],
         "random_state": ["random_state"],
@@ -262,16 +296,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def __init__(
         self,
-        n_centers="auto",
+        n_centers: int | str | None = "auto",
         *,
         kernel="auto",
-        length_scale="auto",
-        alpha="auto",
+        length_scale: ArrayLike | str = "auto",
+        alpha: float | str = "auto",
         degree=0,
         criterion="auto",
         tol=0.02,
         max_centers=None,
-        candidates=None,
+        max_candidates=None,
+        loss="squared",
         selection="ols",
         refine=False,
         random_state=None,
@@ -284,7 +319,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.criterion = criterion
         self.tol = tol
         self.max_centers = max_centers
-        self.candidates = candidates
+        self.max_candidates = max_candidates
+        self.loss = loss
         self.selection = selection
         self.refine = refine
         self.random_state = random_state
@@ -313,23 +349,60 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Raises
         ------
         ValueError
-            If X or y hold NaN or infinity, a weight is negative or all are 0, `length_scale` does
-            not fit the features, or fewer distinct rows than `n_centers` are there.
+            If X or y hold NaN, infinity, or numbers whose squares underflow; if a weight is
+            negative or all are 0; if `length_scale` does not fit the features, or is so narrow or
+            wide that double precision does not resolve the kernel.
+
+        Warns
+        -----
+        UserWarning
+            If more centres are asked for than there are distinct candidates: all are taken then.
+        ConvergenceWarning
+            If a limit that was not set by a parameter decided on the network: the default number of
+            centres, or the rank of the factor from whose span they are chosen.
         """
+        fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
+        for name in _SOMETIMES:
+            vars(fitted).pop(name, None)
+        fitted._fit_weighted(X, y, sample_weight)
+        if self.loss == "tukey":
+            fitted._reweigh(X, y, sample_weight)
+        self.__dict__ = fitted.__dict__
+        return self
+
+    def _reweigh(self, X, y, sample_weight):
+        """Fit again with weights by the residuals, until these have settled."""
+        if is_dask(X):
+            X, y = X.compute(), np.asarray(y)
+        given = check_weights(sample_weight, X)
+        targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
+        factor = np.ones(len(given))
+        for _ in range(MAX_FITS):
+            residuals = targets - self.predict(X).reshape(targets.shape)
+            last, factor = factor, biweights(residuals, given)
+            if np.mean(np.abs(factor - last)) < SETTLED:
+                break
+            self._fit_weighted(X, y, given * factor)
+        if np.any(factor < 1):
+            self.noise_variance_ = self.noise_variance_ / NORMAL_SQUARE
+        self.row_weight_ = factor
+
+    def _fit_weighted(self, X, y, sample_weight):
+        """Fit by least squares with given weights."""
         rng = check_random_state(self.random_state)
         problem = self._problem(X, y, sample_weight, rng)
         width = check_length_scale(self.length_scale, self.n_features_in_)
-        check_not_too_narrow(width, problem.X)
+        check_resolved(width, problem.X, self.alpha)
 
         kernel, length_scale, alpha = self._tune(problem, width, rng)
         shift = problem.X.mean(axis=0)
-        settings = Settings(
+        settings = CenterSettings(
             kernel,
             None if self.n_centers == "auto" else self.n_centers,
             self.criterion,
             self.tol,
             self.max_centers,
-            self.candidates,
+            self.max_candidates,
             self.selection,
             self.refine,
         )
@@ -340,9 +413,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         p = problem.n_tail
         R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
-        k, scores, reached = choose_size(problem, alpha, columns, path, settings)
+        k, scores, reached = choose_size(problem, alpha, path, settings)
 
-        # Only now: who interrupts a fit keeps the model of the last one.
         vars(self).pop("_posterior_", None)
         self.kernel_, self.length_scale_, self.criterion_path_ = kernel, length_scale, scores
         self.stop_reason_ = "criterion" if reached else stop_reason
@@ -363,9 +435,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ridged = alpha > 0
         plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
         noise = np.where(ridged, path.objective[k] / max(problem.n_total - p, 1), plain)
+        known = problem.n_total > p  # one observation says nothing of its error
+        noise = noise if known else np.full(len(noise), np.inf)
         signal = noise / np.where(ridged, alpha, 1.0)
         self.noise_variance_ = noise
-        self.signal_variance_ = np.where(ridged, signal, problem.spread**2)
+        self.signal_variance_ = np.where(ridged & known, signal, problem.spread**2)
+        self.relevance_ = relevance(problem, alpha, length_scale, self.signal_variance_)
         self.alpha_ = alpha * problem.unit
         self._weight_unit, self._tail_map = problem.unit, problem.tail_map
         # One triangle, packed, from which those of all outputs follow.
@@ -374,11 +449,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         if self._flat:
             for name in _PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
-        return self
 
     def _problem(self, X, y, sample_weight, rng):
         """The data, checked: in memory, or in blocks where they are many or elsewhere."""
-        held = max(MAX_CANDIDATES if self.candidates is None else self.candidates, SAMPLE_ROWS)
+        held = max(
+            MAX_CANDIDATES if self.max_candidates is None else self.max_candidates, SAMPLE_ROWS
+        )
         if is_dask(X):
             chunks = dask_chunks(X, y, sample_weight)
             if len(chunks) > IN_MEMORY_ROWS:
@@ -388,6 +464,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             X, y = X.compute(), np.asarray(y)
             sample_weight = None if sample_weight is None else np.asarray(sample_weight)
         X, y = check_data(self, X, y)
+        refuse_tiny("X", X)
+        refuse_tiny("y", y)
         weights = check_weights(sample_weight, X)
         self._flat = y.ndim == 1
         Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
@@ -420,7 +498,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         )
         if alpha is None:
             alphas[view.outputs] = leading_bits(tuned.alpha * sample.unit / problem.unit)
+        units = tuned.n_observations * np.log(view.scale).sum()
+        self.log_marginal_likelihood_value_ = float(tuned.log_likelihood - units)
         if width is None:
+            warn_of_bound(tuned.at_bound)
             unit = sample.X.std(axis=0)
             unit[unit == 0] = 1.0
             width = unit * leading_bits(tuned.length_scale / unit)
@@ -520,43 +601,3 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 def _triangle(columns, block):
     """Triangular factor of the tail, the centres' columns and the targets on some rows."""
     return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
-
-
-def leading_bits(values):
-    """Values to the 14 leading bits, four digits.
-
-    An optimum that is flat is found to a few digits, the others are rounding of this or that BLAS;
-    of two centres worth the same they would choose one here, the other there.
-    """
-    mantissa, exponent = np.frexp(values)
-    return np.ldexp(np.round(mantissa * 2**14) / 2**14, exponent)
-
-
-def check_length_scale(length_scale, n_features):
-    """Widths as an array of one a feature; None where they are to be found."""
-    if isinstance(length_scale, str):
-        return None
-    width = floats("length_scale", length_scale)
-    if width.ndim > 1 or (width.ndim == 1 and len(width) != n_features):
-        raise ValueError(
-            f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
-            f"of the {n_features} features."
-        )
-    if not np.all(width >= 1 / LARGEST):
-        raise ValueError(
-            f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r}."
-        )
-    return np.broadcast_to(width, n_features).copy()
-
-
-def check_not_too_narrow(width, X):
-    """Refuse given widths at which rounding of the distances changes the kernel."""
-    if width is None or not len(X):
-        return
-    ranges = np.ptp(X, axis=0)
-    i = int(np.argmax(ranges / width))
-    if ranges[i] > _MAX_RANGE * width[i]:
-        raise ValueError(
-            f"length_scale is {width[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
-            f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
-        )

@@ -32,6 +32,7 @@ from sklearn_raacmm.network._likelihood import (
     Data,
     exact_likelihood,
     leave_one_out,
+    log_likelihood,
     noise_likelihood,
     projected_likelihood,
 )
@@ -80,6 +81,9 @@ class Found(NamedTuple):
     alpha: np.ndarray  # (q,)
     objective: float  # negative log likelihood and penalty per target value, on the rows used
     start: float  # the same where the last stage started
+    log_likelihood: float = 0.0  # logarithm of the likelihood itself, of so many observations
+    n_observations: float = 0.0
+    at_bound: np.ndarray = np.empty(0, dtype=int)  # features whose width ended at the lower bound
 
 
 class End(NamedTuple):
@@ -262,7 +266,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         )
         width = np.full(d, np.inf)
         width[varying] = found.length_scale
-        return found._replace(length_scale=width)
+        return found._replace(length_scale=width, at_bound=np.flatnonzero(varying)[found.at_bound])
     spread = np.where(varying, spread, 1.0)
     if not q or not d:
         # Nothing varies, nothing can be learnt.
@@ -290,7 +294,18 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
     if task.n_widths and task.n_alphas and len(X) > 1 and _links_nothing(X / width, end.kernel):
         # A kernel that links no row to another is noise by another name.
         width, ridge = spread * np.sqrt(d), np.full(q, ALPHA_BOUNDS[1])
-    return Found(end.kernel, width, ridge, end.value / unit, end.start / unit)
+    narrow = np.flatnonzero(width < 1.01 * WIDTH_BOUNDS[0] * spread) if task.n_widths else []
+    judged = task.rows(many)
+    return Found(
+        end.kernel,
+        width,
+        ridge,
+        end.value / unit,
+        end.start / unit,
+        log_likelihood(judged, end.kernel, np.log(width), np.log(ridge)),
+        judged.n_total,
+        np.array(narrow, dtype=int),
+    )
 
 
 def _coarse(task, kernels, rows):

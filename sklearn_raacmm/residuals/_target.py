@@ -10,6 +10,8 @@ doi 10.1177/1729881420925638. The printed equations are lost in every copy at ha
 here are reconstructions, checked numerically.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import issparse
 from sklearn import get_config
@@ -137,7 +139,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         "azimuth": [StrOptions({"appended"}), callable, None],
     }
 
-    def __init__(self, regressor=None, *, azimuth="appended"):
+    def __init__(self, regressor=None, *, azimuth: str | Callable | None = "appended"):
         self.regressor = regressor
         self.azimuth = azimuth
 

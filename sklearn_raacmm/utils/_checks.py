@@ -12,7 +12,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm.utils._sklearn import check_sample_weight
 
-# Squares, and squares of sums of them, of anything smaller do not overflow.
+# Smaller numbers can be squared, summed and squared again without overflow.
 LARGEST = 1e50
 
 
@@ -25,7 +25,8 @@ def show(value, limit=60):
 def refuse_disguised(name, value):
     """Refuse masked values, dates and mappings.
 
-    NumPy shows what is under a mask and counts days; of a mapping scikit-learn sees the keys.
+    NumPy would use the values under a mask and convert dates to numbers of days; scikit-learn would
+    take the keys of a mapping for data.
     """
     refuse_masked(name, value)
     if isinstance(value, dict) and not issparse(value):  # SciPy has a sparse one
@@ -74,7 +75,7 @@ def floats(name, value):
     refuse_disguised(name, value)
     try:
         array = np.asarray(value)
-        # Strings and booleans convert, but nobody means them; complex numbers lose a part.
+        # Text and booleans would be converted silently, and complex numbers would lose a part.
         if array.dtype.kind in "iuf":
             return array.astype(np.float64, copy=False)
         if array.dtype.kind == "O" and not any(

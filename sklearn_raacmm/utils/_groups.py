@@ -131,7 +131,7 @@ def group_weights(codes, weights=None, n_groups=None):
 
 def group_means(values, codes, weights=None):
     """Weighted mean of the rows of each group, (n_groups, ...); see `group_sums`."""
-    # Sums of small differences: no digits are lost to a large mean.
+    # The sums are those of differences from the first row, so that a large mean costs no digits.
     origin = values[0]
     total = np.maximum(group_weights(codes, weights), _TINY)
     total = total.reshape(-1, *[1] * (values.ndim - 1))

@@ -34,6 +34,7 @@ __all__ = [
     "validate_params",
 ]
 
-# Rounding depends on how many threads share a product, and choices hang on rounding: one thread
-# makes a fit the same everywhere, and on small matrices it is the faster one too.
+# The rounding of a matrix product depends on the number of threads, and the choice of centres and
+# columns depends on rounding. With one thread a fit is the same everywhere; on small matrices it is
+# also faster.
 one_blas_thread = _threadpool_controller_decorator(limits=1, user_api="blas")

@@ -126,6 +126,12 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     place = [entry[0] for entry in scores.lengths].index(first)
     assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
     assert "6 lengths, mean error" in str(scores)
+    # The two ends of a placement resemble each other: the bootstrap draws placements.
+    rng = np.random.default_rng(1)
+    draws = rng.integers(6, size=(20_000, 6))
+    pairs = scores.table["after"].reshape(6, 2).mean(axis=1)
+    low, high = np.quantile(pairs[draws].mean(axis=1), [0.025, 0.975])
+    assert scores.summary["after"][1:] == pytest.approx((low, high), abs=0.1 * (high - low))
 
 
 def test_a_plate_of_known_distances_still_leaves_positions_out(test_data):

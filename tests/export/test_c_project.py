@@ -73,7 +73,7 @@ def test_the_test_program_agrees_with_predict(models, data, tmp_path, compiler, 
 def test_the_test_program_notices_another_model(models, data, tmp_path):
     source, _ = export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
     text = source.read_text()
-    weight = re.search(r"static const double weight\[20\]\[3\] = \{\n    \{([-0-9.e]+),", text)[1]
+    weight = re.search(r"static const double weight\[3\]\[24\] = \{\n    \{([-0-9.e]+),", text)[1]
     source.write_text(text.replace(weight, str(1.001 * float(weight))))
     command = [COMPILERS[0], "-std=c99", "-o", "t", "arm_test.c", "arm.c", "-lm"]
     assert run(command, tmp_path).returncode == 0

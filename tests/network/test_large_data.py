@@ -30,7 +30,7 @@ SETTINGS = {
     "defaults": {},
     "linear tail": {"degree": 1},
     "no tail, plain": {"degree": -1, "n_centers": 20, "length_scale": 0.5, "alpha": 0.0},
-    "leave one out": {"criterion": "loo", "max_centers": 40},
+    "cross-validation": {"criterion": "gcv", "max_centers": 40},
     "newrb": {"selection": "newrb", "n_centers": 10, "length_scale": 0.5, "alpha": 0.0},
 }
 
@@ -39,7 +39,7 @@ SETTINGS = {
 def test_neither_order_nor_splits_matter(name, few_in_memory):
     da = pytest.importorskip("dask.array")
     X, Y, weights = data()
-    model = RBFNetRegressor(random_state=0, candidates=300).set_params(**SETTINGS[name])
+    model = RBFNetRegressor(random_state=0, max_candidates=300).set_params(**SETTINGS[name])
     expected = model.fit(X, Y, sample_weight=weights).predict(X)
     np.testing.assert_array_equal(X[model.center_indices_], model.centers_)
     order = np.random.default_rng(1).permutation(len(X))
@@ -69,7 +69,7 @@ def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, mon
 
 def test_centres_chosen_by_a_coarse_factor_leave_hardly_more(few_in_memory):
     X, Y, _ = data()
-    settings = {"n_centers": 40, "length_scale": 0.8, "alpha": 0.0, "candidates": 1500}
+    settings = {"n_centers": 40, "length_scale": 0.8, "alpha": 0.0, "max_candidates": 1500}
     coarse = RBFNetRegressor(**settings, random_state=0).fit(X, Y)
     # The exact choice among as many candidates, on a quarter of the rows.
     exact = RBFNetRegressor(**settings, random_state=0).fit(X[:1000], Y[:1000])
@@ -129,7 +129,7 @@ def test_rows_of_a_file_are_not_read_into_memory(tmp_path, monkeypatch):
     X, y = (np.memmap(f.filename, dtype=np.float64, mode="r", shape=f.shape) for f in (X, y))
     width = np.full(12, 1e3)
     width[0] = 0.7
-    model = RBFNetRegressor(8, length_scale=width, alpha=1e-3, candidates=100, random_state=0)
+    model = RBFNetRegressor(8, length_scale=width, alpha=1e-3, max_candidates=100, random_state=0)
     tracemalloc.start()
     model.fit(X, y)
     peak = tracemalloc.get_traced_memory()[1]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
+from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _width_search
@@ -153,3 +154,10 @@ def test_robust_spread_is_the_standard_deviation_where_nothing_is_far_out():
     rare = np.zeros((500, 1))
     rare[:5] = 1.0
     assert robust_spread(rare, np.ones(500))[0] == pytest.approx(rare.std())
+
+
+def test_a_width_at_its_bound_is_said(monkeypatch):
+    monkeypatch.setattr(_width_search, "WIDTH_BOUNDS", (0.8, 1e3))
+    X = np.sort(np.random.default_rng(0).uniform(-1, 1, (200, 1)), axis=0)
+    with pytest.warns(ConvergenceWarning, match="width of feature 0 ended at its lower bound"):
+        RBFNetRegressor(random_state=0).fit(X, np.sin(8 * X[:, 0]))

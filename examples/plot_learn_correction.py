@@ -1,0 +1,72 @@
+"""
+One call, and a verdict
+=======================
+
+From a logger's table to a calibrated arm, a correction and a verdict: ``learn_correction``
+calibrates, learns what calibration leaves, and judges both at positions that neither has seen. The
+same is done by ``raacmm learn`` in the shell.
+
+The table here is simulated. One probe slips out of its seat.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from sklearn_raacmm import JointHarmonicRegressor, learn_correction
+from sklearn_raacmm.app import read_table
+from sklearn_raacmm.datasets import make_single_point
+
+# %%
+# A file such as yours
+# --------------------
+
+simulated = make_single_point(n_positions=8, n_poses=20, random_state=0)
+angles = np.rad2deg(simulated.data)
+angles[42, 3] += 0.3
+written = pd.DataFrame(angles, columns=[f"q{i} [deg]" for i in range(1, 7)])
+written.insert(0, "cone", [f"C{label + 1}" for label in simulated.groups])
+folder = TemporaryDirectory()
+path = Path(folder.name, "cone_test.csv")
+written.to_csv(path, sep=";", decimal=",", index=False, encoding="utf-8-sig")
+
+# %%
+# Read it
+# -------
+# What was guessed is said.
+
+table = read_table(path, n_joints=6)
+print(*table.notes, sep="\n")
+
+# %%
+# Learn, and be told whether it helps
+# -----------------------------------
+# Without ``model=`` the guarded :class:`~sklearn_raacmm.ArmResidualRegressor` is fitted, which
+# takes some ten times as long. Any regressor of joint angles can take its place, and is judged
+# alike.
+
+learned = learn_correction(
+    simulated.nominal_arm,
+    table.angles,
+    table.positions,
+    angle_unit=table.angle_unit,
+    model=JointHarmonicRegressor(max_order=12),
+)
+print(learned)
+
+# %%
+# Correct what you measure from now on
+# ------------------------------------
+
+points, std = learned.correct(table.angles[:3], angle_unit="deg")
+print("corrected points (mm):", points.round(3), "standard deviations:", std.round(4), sep="\n")
+
+scores = pd.DataFrame(learned.scores.table).set_index("position")
+ax = (1000 * scores[["before", "after"]]).plot.bar(color=["0.6", "tab:blue"], figsize=(7, 3))
+ax.set_ylabel("2S at positions left out, µm")
+plt.tight_layout()
+plt.show()
+folder.cleanup()

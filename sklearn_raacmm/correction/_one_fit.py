@@ -1,0 +1,162 @@
+"""What is learnt from, checked once, and one fit of calibration and model on some of its rows."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import dataclass
+from inspect import ismethod
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from sklearn.base import clone
+from sklearn.pipeline import Pipeline
+from sklearn.utils.validation import has_fit_parameter
+
+from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
+from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.utils import encode_groups, floats, refuse_huge
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths."""
+
+    arm: Arm
+    angles: np.ndarray
+    positions: np.ndarray
+    points: np.ndarray | None
+    lengths: list
+
+    @classmethod
+    def checked(cls, arm, angles, positions, points, lengths, angle_unit):
+        if not isinstance(arm, Arm):
+            raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
+        angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
+        # Within one turn, lest a warning of far angles be said again by everything that follows.
+        angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+        labels, codes = encode_groups(positions, len(angles))
+        lengths = list(lengths)
+        if points is not None:
+            points = floats("points", points)
+            if points.shape != (len(angles), 3):
+                raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
+            refuse_huge("points", points)
+        tied = {label for entry in lengths for label in entry[:2]}
+        unknown = sorted(map(str, tied - set(labels.tolist())))
+        if unknown:
+            raise ValueError(f"lengths name position {unknown[0]!r}, which has no rows.")
+        for code in np.flatnonzero(np.bincount(codes) == 1) if points is None else ():
+            if labels[code].item() not in tied:
+                raise ValueError(
+                    f"position {labels[code].item()!r} has a single row, row "
+                    f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
+                )
+        return cls(arm, angles, labels[codes], points, lengths)
+
+    def without_lonely(self, rows):
+        """Rows of positions with at least two, and the others: those have no residuals."""
+        if self.points is not None:
+            return rows, rows[:0]
+        _, codes, counts = np.unique(self.positions[rows], return_inverse=True, return_counts=True)
+        alone = counts[codes] < 2
+        return rows[~alone], rows[alone]
+
+    def blocks(self):
+        """Block of each row: positions joined by known lengths stand side by side, and are one."""
+        labels, codes = np.unique(self.positions, return_inverse=True)
+        if not self.lengths:
+            return codes
+        place = {label: i for i, label in enumerate(labels.tolist())}
+        ends = np.array([[place[a], place[b]] for a, b, *_ in self.lengths]).T
+        graph = coo_array((np.ones(ends.shape[1]), ends), shape=(len(labels), len(labels)))
+        n_blocks, block_of = connected_components(graph, directed=False)
+        # Otherwise a plate whose distances are all known: position by position.
+        return block_of[codes] if n_blocks >= 3 else codes
+
+    def lengths_among(self, rows):
+        """Known lengths whose two ends are among these rows' positions."""
+        present = set(self.positions[rows].tolist())
+        return [entry for entry in self.lengths if {*entry[:2]} <= present]
+
+    def calibrate(self, rows):
+        """Calibrate on these rows."""
+        if self.points is not None:
+            return calibrate(self.arm, self.angles[rows], points=self.points[rows])
+        groups, lengths = self.positions[rows], self.lengths_among(rows)
+        return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
+
+    def residuals(self, calibration, rows):
+        """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
+        measured = calibration.arm.forward(self.angles[rows])
+        if self.points is None:
+            return position_residuals(measured, self.positions[rows])
+        shifted = self.points[rows] - calibration.base_translation
+        return measured - shifted @ calibration.base_rotation
+
+    def outliers(self, calibration):
+        """Rows far from where the calibrated arm has them, which its error model cannot explain.
+
+        Calibration alone names too many: poses in which the arm bends most are not slipped probes.
+        """
+        far = np.sort(np.asarray(calibration.outliers, dtype=int))
+        if not len(far):
+            return far
+        every = np.arange(len(self.angles))
+        rows, lonely = self.without_lonely(every)
+        model = JointHarmonicRegressor(calibration.arm)
+        model.fit(self.angles[rows], self.residuals(calibration, rows), groups=self.positions[rows])
+        return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
+
+    def fit(self, model, calibration, rows):
+        """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
+        fitted = model_for(model, calibration.arm)
+        y = self.residuals(calibration, rows)
+        # Of a pipeline, what its last step takes.
+        prefix, last = "", fitted
+        while isinstance(last, Pipeline):
+            prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
+        # A tracker knows where the positions are: lengths between them tell the model nothing.
+        lengths = [] if self.points is not None else self.lengths_among(rows)
+        extra = {"groups": self.positions[rows], "lengths": lengths}
+        extra = {
+            f"{prefix}{name}": value
+            for name, value in extra.items()
+            if len(value) and has_fit_parameter(last, name)
+        }
+        fitted.fit(self.angles[rows], y, **extra)
+        left = y - fitted.predict(self.angles[rows])
+        if self.points is None:
+            left = position_residuals(left, self.positions[rows])
+        return fitted, float(np.sqrt(np.mean(np.square(left))))
+
+
+def model_for(model, arm):
+    """Copy of a model, or the default one, for this arm and for angles in rad."""
+    if model is None:
+        return ArmResidualRegressor(arm)
+    model = clone(model)
+    changes = {}
+    for name, value in model.get_params(deep=True).items():
+        last = name.rsplit("__")[-1]
+        if last == "arm":
+            changes[name] = arm
+        elif last == "angle_unit":
+            changes[name] = "rad"
+        elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):
+            changes[name] = arm.azimuth
+    return model.set_params(**changes)
+
+
+def predict_with_std(model, angles, noise):
+    """Prediction (n, 3) and standard deviation of a new measurement (n, 3), mm."""
+    try:
+        mean, std = model.predict(angles, return_std=True)
+        std = np.broadcast_to(std, mean.shape)
+    except (TypeError, ValueError):  # a regressor without standard deviations of this form
+        mean = model.predict(angles)
+        std = np.zeros_like(mean)
+    return mean, np.hypot(std, noise)

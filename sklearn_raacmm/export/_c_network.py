@@ -1,0 +1,252 @@
+"""The C99 source of a network: its radial functions, its sum and its variance."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from math import factorial
+
+import numpy as np
+
+from sklearn_raacmm.export._steps import n_outputs
+
+# Centres that are computed together: a multiple of the numbers in a processor's vector.
+_VECTOR = 8
+# From the squared scaled distance s in phi[c] to the radial function, a loop over all centres for
+# each line: only loops without branches and calls are computed for several centres at once.
+# {f} is the suffix of the precision, {most} where falling_exp ends.
+_BOUND = "phi[c] = phi[c] > {most} ? {most} : phi[c];"
+_KERNEL_LOOPS = {
+    "gaussian": ["phi[c] *= 0.5{f};", _BOUND, "phi[c] = falling_exp(-phi[c]);"],
+    "matern32": [
+        "phi[c] = {sqrt3} * sqrt{f}(phi[c]);",
+        _BOUND,
+        "phi[c] = (1 + phi[c]) * falling_exp(-phi[c]);",
+    ],
+    "matern52": [
+        "phi[c] = {sqrt5} * sqrt{f}(phi[c]);",
+        _BOUND,
+        "phi[c] = (1 + phi[c] + phi[c] * phi[c] / 3) * falling_exp(-phi[c]);",
+    ],
+    "rational_quadratic": ["phi[c] = 1 / (1 + 0.5{f} * phi[c]);"],
+    "inverse_multiquadric": ["phi[c] = 1 / sqrt{f}(1 + phi[c]);"],
+}
+
+
+def network(numbers, step, std, with_noise=True):
+    """``network(x, y, v)`` of an `RBFNetRegressor`, and its number of outputs.
+
+    v takes the variances; it is there with `std` only.
+    """
+    real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
+    text = numbers.table("intercept", np.atleast_1d(step.intercept_))
+    linear_coef = np.atleast_2d(step.linear_coef_)
+    lines = ["(void)x;"] if not k else [f"{real} phi[{-(-k // _VECTOR) * _VECTOR}];"]
+    lines += [f"for (int j = 0; j < {q}; ++j)", "    y[j] = intercept[j];"]
+    if np.any(linear_coef):
+        text += numbers.table("linear_coef", linear_coef)
+        lines += [
+            f"for (int j = 0; j < {q}; ++j)",
+            f"    for (int i = 0; i < {d}; ++i)",
+            "        y[j] += linear_coef[j][i] * x[i];",
+        ]
+    if k:
+        # Centred as predict does it: the rounding is the same.
+        shift = step.centers_.mean(axis=0)
+        text += numbers.table("center_shift", shift, "middle of the centres")
+        text += numbers.table(
+            "inverse_width",
+            1 / step.length_scale_,
+            "1 / length scale; 0 for a feature that did not vary",
+        )
+        # Columns of zeros fill up whole vectors of the processor: compilers need no remainder.
+        full = -(-k // _VECTOR) * _VECTOR
+        fill = ((0, 0), (0, full - k))
+        centers = ((step.centers_ - shift) / step.length_scale_).T
+        note = "one column a centre, less their middle, in units of the length scales"
+        text += numbers.table("center", np.pad(centers, fill), note)
+        weights = np.atleast_2d(step.coef_)
+        text += numbers.table("weight", np.pad(weights, fill), "one column a centre")
+        exp, loops = _kernel(numbers, step.kernel_, full)
+        text += exp
+        lines += [
+            f"for (int c = 0; c < {full}; ++c)",
+            "    phi[c] = 0;",
+            f"for (int i = 0; i < {d}; ++i) {{",
+            f"    const {real} z = (x[i] - center_shift[i]) * inverse_width[i];",
+            f"    for (int c = 0; c < {full}; ++c)",
+            "        phi[c] += (z - center[i][c]) * (z - center[i][c]);",
+            "}",
+            *loops,
+            f"for (int j = 0; j < {q}; ++j) {{",
+            f"    {real} sum[{_VECTOR}] = {{0}};",
+            f"    for (int c = 0; c < {full}; c += {_VECTOR})",
+            f"        for (int i = 0; i < {_VECTOR}; ++i)",
+            "            sum[i] += weight[j][c + i] * phi[c + i];",
+            f"    for (int i = 0; i < {_VECTOR}; ++i)",
+            "        y[j] += sum[i];",
+            "}",
+        ]
+    if std:
+        text += "\n" + _network_variance(numbers, step, with_noise)
+        lines += ["if (v)", f"    network_variance(x, {'phi' if k else '0'}, v);"]
+    body = "\n".join(f"    {line}" for line in lines)
+    head = f"static void network(const {real} x[{d}], {real} y[{q}]"
+    head += f", {real} *v)" if std else ")"
+    return f"{text}\n{head}\n{{\n{body}\n}}\n", q
+
+
+def _network_variance(numbers, step, with_noise):
+    """``network_variance(x, phi, v)``: the arithmetic of ``RBFNetRegressor._variance``."""
+    real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
+    shift = step.centers_.mean(axis=0) if k else 0.0
+    inside, triangles = step._posterior((step.centers_ - shift) / step.length_scale_)
+    tail, p = step._tail_map, len(step._tail_map)
+    m = p + k
+    distinct = list({id(R): R for R in triangles}.values())
+    ids = [id(R) for R in distinct]
+    of = [ids.index(id(R)) for R in triangles]
+    text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
+    text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
+    lines = []
+    if m:
+        lines.append(f"{real} row[{m}];")
+        text += numbers.integers("triangle_of", of, "which triangle each output has")
+        packed = [R.T[np.tril_indices(m)] for R in distinct]
+        text += numbers.table("triangle", np.stack(packed), "rows of the transposed triangles")
+    lines.append(f"{real} outside = 1;")
+    lines.append(f"{real} of_weights[{len(distinct)}];")
+    if p:
+        text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")
+        lines += [
+            f"for (int i = 0; i < {p}; ++i) {{",
+            "    row[i] = tail_map[i][0];",
+            f"    for (int j = 0; j < {d}; ++j)",
+            "        row[i] += tail_map[i][1 + j] * x[j];",
+            "}",
+        ]
+    else:
+        lines.append("(void)x;")
+    if k:
+        lines += [f"for (int c = 0; c < {k}; ++c)", f"    row[{p} + c] = phi[c];"]
+    else:
+        lines.append("(void)phi;")
+    if k:
+        text += numbers.table("span", inside, "root of the inverse kernel matrix of the centres")
+        lines += [
+            f"for (int i = 0; i < {len(inside)}; ++i) {{",
+            f"    {real} dot = 0;",
+            f"    for (int c = 0; c < {k}; ++c)",
+            "        dot += span[i][c] * phi[c];",
+            "    outside -= dot * dot;",
+            "}",
+            "if (outside < 0)",
+            "    outside = 0;",
+        ]
+    lines.append(f"for (int t = 0; t < {len(distinct)}; ++t) {{")
+    lines.append(f"    of_weights[t] = {int(with_noise)};")
+    if m:
+        lines += [
+            f"    {real} solved[{m}];",
+            f"    const {real} *entry = triangle[t];",
+            f"    for (int i = 0; i < {m}; ++i) {{",
+            "        solved[i] = row[i];",
+            "        for (int j = 0; j < i; ++j)",
+            "            solved[i] -= *entry++ * solved[j];",
+            "        solved[i] /= *entry++;",
+            "        of_weights[t] += solved[i] * solved[i];",
+            "    }",
+        ]
+    lines += ["}", f"for (int j = 0; j < {q}; ++j)"]
+    which = "triangle_of[j]" if m else "0"
+    lines.append(
+        f"    v[j] = outside * signal_variance[j] + noise_variance[j] * of_weights[{which}];"
+    )
+    body = "\n".join(f"    {line}" for line in lines)
+    return (
+        f"{text}\nstatic void network_variance(const {real} *x, const {real} *phi, {real} v[{q}])"
+        f"\n{{\n{body}\n}}\n"
+    )
+
+
+_FALLING_EXP = """
+/* exp(x) for {least} <= x <= 0, to {error} of itself: libm's cannot be computed for several x at
+   once. x = n log 2 + r; the power series of exp(r); 2^n by its bits. */
+#if FLT_EVAL_METHOD == 0 && FLT_RADIX == 2 && {digits_macro} == {digits}
+static {real} falling_exp({real} x)
+{{
+    /* The sum is rounded to a whole number, which its last bits then are. */
+    const {real} shifted = x * {log2e} + {shifter};
+    const {real} n = shifted - {shifter};
+    const {real} r = (x - n * {high}) - n * {low};
+    {real} p = {last};
+{series}
+    uint{bits}_t power;
+    {real} scale;
+    memcpy(&power, &shifted, sizeof power);
+    power = (power + {bias}) << {shift};
+    memcpy(&scale, &power, sizeof scale);
+    return p * scale;
+}}
+#else
+static {real} falling_exp({real} x)
+{{
+    return exp{f}(x);
+}}
+#endif
+"""
+# high + low = log 2; high has so few digits that its product with n is exact (W. J. Cody, W. Waite,
+# "Software manual for the elementary functions", 1980). The first term left out of the series is
+# 4e-18 and 5e-9 of the sum. The tests measure the error against decimals of 40 digits.
+_EXP = {
+    "double": {
+        "least": -708.0,  # the smallest normal number is exp(-708.4)
+        "error": "3e-16",
+        "digits_macro": "DBL_MANT_DIG",
+        "digits": 53,
+        "bits": 64,
+        "shifter": 1.5 * 2.0**52,
+        "high": 6.93147180369123816490e-01,
+        "low": 1.90821492927058770002e-10,
+        "degree": 13,
+        "bias": 1023,
+        "shift": 52,
+    },
+    "float": {
+        "least": -87.0,
+        "error": "2e-7",
+        "digits_macro": "FLT_MANT_DIG",
+        "digits": 24,
+        "bits": 32,
+        "shifter": 1.5 * 2.0**23,
+        "high": 0.693359375,
+        "low": -2.12194440e-4,
+        "degree": 7,
+        "bias": 127,
+        "shift": 23,
+    },
+}
+
+
+def _kernel(numbers, kernel, n):
+    """Functions that a kernel needs, and its loops over n centres as lines."""
+    facts = dict(_EXP[numbers.real])
+    lines = _KERNEL_LOOPS[kernel]
+    degree = facts.pop("degree")
+    factors = [numbers.literal(1 / factorial(i)) for i in range(degree + 1)]
+    most = numbers.literal(-facts["least"])
+    for name in ("least", "shifter", "high", "low"):
+        facts[name] = numbers.literal(facts[name])
+    exp = _FALLING_EXP.format(
+        real=numbers.real,
+        f=numbers.suffix,
+        log2e=numbers.literal(1 / np.log(2)),
+        last=factors[-1],
+        series="\n".join(f"    p = p * r + {factor};" for factor in factors[-2::-1]),
+        **facts,
+    )
+    loops = [f"/* {kernel}, of the squared distance in units of the length scales */"]
+    for line in lines:
+        roots = {f"sqrt{i}": numbers.literal(np.sqrt(i)) for i in (3, 5)}
+        body = line.format(f=numbers.suffix, most=most, **roots)
+        loops += [f"for (int c = 0; c < {n}; ++c)", f"    {body}"]
+    return exp if any("falling_exp" in line for line in lines) else "", loops

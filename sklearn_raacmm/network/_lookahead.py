@@ -1,0 +1,190 @@
+"""A guess at the next steps of a forward selection, so that they can be taken together.
+
+A step of the selection reads the coordinates of all candidates once, for their products with the
+direction just chosen: memory is the limit, not arithmetic. If the next choices are guessed, all
+their products are one matrix product, which reads the memory once. The guess is a forward selection
+among a pool of candidates, whose steps are those of a pivoted Cholesky factorisation of their Gram
+matrix. `_forward_selection` checks every guess against all candidates: the pool decides on the time
+only, not on the choice, and needs no more digits than a guess does.
+"""
+
+import numpy as np
+
+from sklearn_raacmm.network._kernels import largest
+
+# Directions looked ahead at least and at most. As many are projected out of the Gram matrix at
+# once: fewer would read the memory too often, more would cost each guess as much.
+FEWEST, MOST = 4, 64
+# Candidates that enter a pool that does not hold all, when one outside turns out to be the best.
+_ENTRANTS = 64
+# Numbers that a processor multiplies in the time in which it reads one: a pool is filled once the
+# single steps so far have taken as long as the product that makes its Gram matrix takes.
+_PRODUCTS_PER_READ = 20
+# Below this many steps a guess on the mean of so many guesses, looking ahead does not pay.
+_SHORT_RUN, _TRIALS = 6, 4
+# Candidates in the pool where the kernel matrix itself is worked on: with 256 runs of 25 guesses
+# were right on average (3000 rows, width a tenth), with 64 half as many.
+_FEW_CANDIDATES = 256
+# Memory of the Gram matrix, in coordinates: as much as their factor has needed while it grew.
+_MEMORY = 1.25
+# Part of a squared length below which its running figure is not good enough for a guess.
+_FEW_DIGITS = 1e-7
+# Rows of the Gram matrix that are updated together.
+_ROWS = 512
+
+
+def gains(norms, floor, correlations):
+    """By how much candidates would lower the objective of each output of a group.
+
+    Parameters
+    ----------
+    norms, floor : ndarray of shape (n,)
+        What is left of the squared lengths, and up to where a candidate counts as dependent.
+    correlations : ndarray of shape (n, n_outputs)
+        Inner products with what is left of the targets.
+
+    Returns
+    -------
+    ndarray of shape (n, n_outputs)
+    """
+    return np.square(correlations) / np.where(norms > floor, norms, np.inf)[:, None]
+
+
+def all_scores(score, states):
+    """Score of candidates, -1 of those that depend on the chosen ones in every group's eyes.
+
+    Parameters
+    ----------
+    score : callable
+        As for `forward_selection`.
+    states : list of tuple
+        Arguments of `gains` for each group.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+    """
+    scores = score(np.hstack([gains(*state) for state in states]))
+    scores[np.all([norms <= floor for norms, floor, _ in states], axis=0)] = -1.0
+    return scores
+
+
+class Pool:
+    """Candidates that score high, with the Gram matrix of what is left of them.
+
+    Parameters
+    ----------
+    passes : list of ForwardPass
+        One for each group of outputs.
+    score : callable
+        As for `forward_selection`.
+    """
+
+    def __init__(self, passes, score):
+        self.passes, self.score = passes, score
+        n, rank = len(passes[0].norms), passes[0].candidates.rank
+        if not passes[0].whitened:
+            # Widths are narrow there: the best candidates are far apart, and few are enough.
+            self.size = min(n, _FEW_CANDIDATES)
+        else:
+            # Some of the candidates would not do: the next best is among the others too often.
+            self.size = n if n <= _MEMORY * rank else 0
+        self.members = np.empty(0, dtype=np.intp)
+        self.grams = []  # of each pass; only the lower triangle is up to date
+        self.pending = [[] for _ in passes]  # products not yet projected out of it
+        self.length, self.taken, self.rounds, self.n_read = FEWEST, 0, 0, 0
+
+    def guess(self, j, scores, room):
+        """Candidate j, which scores highest, and those that are likely to be chosen after it."""
+        n = len(scores)
+        if self.rounds >= _TRIALS and self.taken < _SHORT_RUN * self.rounds:
+            self.size, self.rounds, self.grams = 0, 0, []
+        if not self.grams:
+            self.n_read += n + 2 * self.passes[0].U.size
+            price = self.size**2 / _PRODUCTS_PER_READ
+            if self.size < FEWEST or min(self.n_read, room * n) < price:
+                return [j]
+        if not self.grams or j not in self.members:
+            self._fill(scores)
+        return self._walk(j, min(self.length, room))
+
+    def count(self, taken):
+        """Note how many choices of the last guess were right."""
+        if self.grams:
+            self.rounds, self.taken = self.rounds + 1, self.taken + taken
+            self.length = min(max(FEWEST, 2 * taken + 2), MOST)
+
+    def note(self, i, h):
+        """Note the products h of all candidates with a direction chosen in pass i."""
+        if self.grams:
+            self.pending[i].append(h[self.members])
+            if len(self.pending[i]) >= MOST:
+                self._settle()
+
+    def _settle(self):
+        """Project the directions that were chosen since out of the Gram matrices."""
+        for gram, rows in zip(self.grams, self.pending, strict=True):
+            H = np.array(rows)
+            for start in range(0, len(gram) if rows else 0, _ROWS):
+                part, below = slice(start, start + _ROWS), slice(0, start + _ROWS)
+                gram[part, below] -= H[:, part].T @ H[:, below]
+            rows.clear()
+
+    def _fill(self, scores):
+        """Take in the candidates that score highest now; those of low score make room."""
+        if not self.grams:
+            self.members = np.sort(largest(scores, self.size))
+            for one in self.passes:
+                u, v = one.candidates.columns(self.members)
+                one.project(u, v)
+                self.grams.append(u @ v.T)
+            return
+        self._settle()
+        outside = scores.copy()
+        outside[self.members] = -np.inf
+        new = largest(outside, min(_ENTRANTS, self.size, len(scores) - self.size))
+        places = largest(-scores[self.members], len(new))
+        self.members[places] = new
+        for gram, one in zip(self.grams, self.passes, strict=True):
+            u, v = one.candidates.columns(new)
+            one.project(u, v)
+            for place, row in zip(places, one.candidates.products(v, self.members), strict=True):
+                gram[place, :place], gram[place:, place] = row[:place], row[place:]
+
+    def _walk(self, j, length):
+        """Forward selection in the pool alone, from candidate j on."""
+        picks, m = [j], self.members
+        states = [(one.norms[m], one.floor[m], one.correlations[m]) for one in self.passes]
+        place = int(np.flatnonzero(m == j)[0])
+        products = []
+        for pending in self.pending:
+            H = np.empty((len(pending) + length, len(m)))
+            H[: len(pending)] = pending if pending else 0.0
+            products.append((H, len(pending)))
+        while len(picks) < length:
+            for gram, (H, start), state in zip(self.grams, products, states, strict=True):
+                if not _project_out(gram, H, start + len(picks) - 1, place, *state):
+                    return picks
+            scores = all_scores(self.score, states)
+            place = int(np.argmax(scores))
+            if scores[place] <= 0:
+                return picks
+            picks.append(int(m[place]))
+        return picks
+
+
+def _project_out(gram, H, size, place, norms, floor, correlations):
+    """One step of a pivoted Cholesky factorisation in place; False where digits are too few."""
+    if norms[place] <= floor[place]:
+        return False
+    h = np.concatenate([gram[place, :place], gram[place:, place]])
+    squared_norm = h[place]
+    h -= H[:size, place] @ H[:size]
+    if not h[place] > _FEW_DIGITS * squared_norm:
+        return False
+    h /= np.sqrt(h[place])
+    H[size] = h
+    correlations -= np.outer(h, correlations[place] / h[place])
+    norms -= h * h
+    norms[place] = 0.0
+    return True

@@ -1,0 +1,93 @@
+"""Checks of the network's parameters and data, and what its widths say of the features."""
+
+import warnings
+
+import numpy as np
+from sklearn.exceptions import ConvergenceWarning
+
+from sklearn_raacmm.network._width_search import ALPHA_BOUNDS, WIDTH_BOUNDS
+from sklearn_raacmm.utils import LARGEST, floats
+
+# Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
+_MAX_RANGE = 1e6
+# Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
+_MAX_WIDTH = 1e7
+
+
+def leading_bits(values):
+    """Values to the 14 leading bits, four digits.
+
+    An optimum that is flat is found to a few digits, the others are rounding of this or that BLAS;
+    of two centres worth the same they would choose one here, the other there.
+    """
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2**14) / 2**14, exponent)
+
+
+def check_length_scale(length_scale, n_features):
+    """Widths as an array of one a feature; None where they are to be found."""
+    if isinstance(length_scale, str):
+        return None
+    width = floats("length_scale", length_scale)
+    if width.ndim > 1 or (width.ndim == 1 and len(width) != n_features):
+        raise ValueError(
+            f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
+            f"of the {n_features} features."
+        )
+    if not np.all(width >= 1 / LARGEST):
+        raise ValueError(
+            f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r}."
+        )
+    return np.broadcast_to(width, n_features).copy()
+
+
+def refuse_tiny(name, array):
+    """Refuse columns of numbers so small that their squares underflow."""
+    if not array.size:
+        return
+    size = np.maximum(array.max(axis=0), -array.min(axis=0))
+    tiny = (size > 0) & (size < 1 / LARGEST**2)
+    if np.any(tiny):
+        raise ValueError(
+            f"{name} holds a column of numbers no larger than {np.min(size[tiny]):g}: numbers "
+            f"below {1 / LARGEST**2:g} are refused, as their squares underflow. Use a smaller unit."
+        )
+
+
+def warn_of_bound(features):
+    """Warn of widths that were found at their lower bound."""
+    if len(features):
+        warnings.warn(
+            f"The width of feature {', '.join(map(str, features))} ended at its lower bound, "
+            f"{WIDTH_BOUNDS[0]:g} of the feature's spread: the function may vary faster than the "
+            "rows can show, or a few values lie far from all others.",
+            ConvergenceWarning,
+            stacklevel=4,
+        )
+
+
+def relevance(problem, alpha, length_scale, signal_variance):
+    """Slope of the modelled function along every feature, per spread, as a share of their sum."""
+    varying = (problem.spread > 0) & (alpha < ALPHA_BOUNDS[1])
+    share = np.sum(signal_variance[varying] / problem.spread[varying] ** 2)
+    slope = np.sqrt(share) * problem.X.std(axis=0) / length_scale
+    total = slope.sum()
+    return slope / total if 0 < total < np.inf else np.zeros(len(slope))
+
+
+def check_resolved(width, X, alpha):
+    """Refuse given widths for which rounding of the distances changes the kernel."""
+    if width is None or not len(X):
+        return
+    ranges = np.ptp(X, axis=0)
+    i = int(np.argmax(ranges / width))
+    if ranges[i] > _MAX_RANGE * width[i]:
+        raise ValueError(
+            f"length_scale is {width[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
+            f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
+        )
+    if not isinstance(alpha, str) and alpha == 0 and 0 < ranges[i] * _MAX_WIDTH < width[i]:
+        raise ValueError(
+            f"length_scale is more than {_MAX_WIDTH:g} times the range of every feature: with "
+            "alpha=0 double precision does not tell the radial functions from a constant."
+        )

@@ -1,0 +1,104 @@
+"""The exponential of the C source against 40 digits, and processors that round in another way."""
+
+import ctypes
+import platform
+import re
+import shutil
+import subprocess
+from decimal import Context, Decimal
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.export import export_c
+
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
+
+
+@pytest.fixture(scope="module")
+def model():
+    X = np.random.default_rng(0).uniform(-2, 2, (60, 2))
+    return RBFNetRegressor(11, length_scale=1.0, alpha=0.01).fit(X, np.sin(X[:, 0]))
+
+
+def library(folder, compiler, source, *flags):
+    """The loaded library, or None where the compiler knows no such processor."""
+    out = folder / f"{compiler}.so"
+    command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", out, source, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return ctypes.CDLL(str(out)) if done.returncode == 0 else None
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize(
+    ("dtype", "least", "error"), [("double", -708.0, 3e-16), ("float", -87.0, 2e-7)]
+)
+def test_the_exponential(model, tmp_path, compiler, dtype, least, error):
+    source, _ = export_c(model, tmp_path / "arm.c", dtype=dtype)
+    source.write_text(
+        source.read_text()
+        + f"\nvoid exps(const {dtype} *x, {dtype} *y, int n);\n"
+        + f"void exps(const {dtype} *x, {dtype} *y, int n)\n"
+        + "{\n    for (int i = 0; i < n; ++i)\n        y[i] = falling_exp(x[i]);\n}\n"
+    )
+    real = {"double": np.float64, "float": np.float32}[dtype]
+    rng = np.random.default_rng(0)
+    halves = -np.log(2) * (np.arange(0, 125) + 0.5)  # where n changes
+    x = np.concatenate(
+        [
+            rng.uniform(least, 0, 3000),
+            -np.exp(rng.uniform(-40, np.log(-least), 3000)),
+            *(halves * (1 + shift) for shift in (-1e-12, 0, 1e-12)),
+            [0.0, -0.0, least],
+        ]
+    ).astype(real)
+    got = np.empty_like(x)
+    place = ctypes.c_void_p
+    for flags in (["-O1"], ["-O3"]):  # scalar, and several at once
+        loaded = library(tmp_path, compiler, source, *flags)
+        loaded.exps(place(x.ctypes.data), place(got.ctypes.data), len(x))
+        digits = Context(prec=40)
+        exact = [digits.exp(Decimal(float(value))) for value in x]
+        gaps = [
+            abs(Decimal(float(value)) / true - 1) for value, true in zip(got, exact, strict=True)
+        ]
+        assert max(gaps) <= error
+        assert max(gaps) > error / 4  # the bound says something
+    said = re.search(r"exp\(x\) for (\S+?)f? <= x <= 0, to (\S+) of itself", source.read_text())
+    assert (float(said[1]), float(said[2])) == (least, error)
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("flags", [["-mfpmath=387"], ["-m32"], ["-O3"]], ids=" ".join)
+def test_other_processors(model, tmp_path, compiler, flags):
+    """With registers of 80 bits the last bits of a sum are not a whole number: libm's is taken."""
+    if flags != ["-O3"] and platform.machine() not in ("x86_64", "AMD64"):
+        pytest.skip("options of x86")
+    source, _ = export_c(model, tmp_path / "arm.c")
+    X = np.random.default_rng(1).uniform(-60, 60, (200, 2))
+    X[:100] /= 30
+    rows = ", ".join(float(value).hex() for value in X.ravel())
+    main = tmp_path / "main.c"
+    main.write_text(
+        f'#include "arm.h"\n#include <stdio.h>\nstatic const double rows[] = {{{rows}}};\n'
+        "int main(void)\n{\n    for (int i = 0; i < 200; ++i) {\n        double y;\n"
+        '        arm_predict(rows + 2 * i, &y);\n        printf("%a\\n", y);\n    }\n'
+        "    return 0;\n}\n"
+    )
+    program = tmp_path / "main"
+    command = [compiler, "-std=c99", "-O2", *flags, "-o", program, main, source, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        assert flags == ["-m32"], done.stderr
+        pytest.skip("no libraries for 32 bits")
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    got = np.array([float.fromhex(line) for line in said.split()])
+    np.testing.assert_allclose(got, model.predict(X), rtol=0, atol=1e-13)
+
+
+def test_centres_fill_whole_vectors(model, tmp_path):
+    text = export_c(model, tmp_path / "arm.c")[0].read_text()
+    assert "center[2][16]" in text  # 11 centres
+    assert "weight[1][16]" in text

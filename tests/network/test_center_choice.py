@@ -1,0 +1,89 @@
+"""What ends the choice of centres is what is said to have ended it."""
+
+import numpy as np
+import pytest
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network import _candidates, _center_choice
+
+
+def rough(n=500, d=4, seed=0):
+    """Waves of the length of the rows' spacing: no factor of low rank tells the rows apart."""
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, d))
+    f = np.sin(4 * X).sum(axis=1)
+    return X, f + 0.1 * rng.standard_normal(n), f
+
+
+GIVEN = {"length_scale": 0.5, "alpha": 0.01}
+
+
+def test_a_cut_factor_does_not_end_the_choice(monkeypatch):
+    # What the factor leaves out says nothing of the candidates within its span: with a rank of 200
+    # of 500 the choice used to end after a few dozen, as if the others depended on them.
+    X, y, _ = rough()
+    monkeypatch.setattr(_center_choice, "MAX_RANK", 200)
+    with pytest.warns(ConvergenceWarning, match="lies outside the 200 dimensions"):
+        model = RBFNetRegressor(**GIVEN, max_centers=130).fit(X, y)
+    assert model.stop_reason_ == "max_centers"
+    assert len(model.centers_) == 130
+    with pytest.warns(ConvergenceWarning):
+        more = RBFNetRegressor(**GIVEN, max_centers=133, tol=1e-9).fit(X, y)
+    assert len(more.centers_) == 133
+
+
+def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
+    X, y, _ = rough(300)
+    monkeypatch.setattr(_center_choice, "MAX_RANK", 100)
+    monkeypatch.setattr(_center_choice, "_RANK_PER_CENTER", 0.1)
+    with pytest.warns(ConvergenceWarning, match="of the prior variance at the candidates"):
+        model = RBFNetRegressor(**GIVEN, tol=0).fit(X, y)
+    assert model.stop_reason_ == "rank"
+    assert len(model.centers_) == 100
+
+
+def test_share_outside_the_factor_is_that_of_the_whole_matrix(monkeypatch):
+    X, y, _ = rough(300)
+    monkeypatch.setattr(_center_choice, "MAX_RANK", 100)
+    monkeypatch.setattr(_center_choice, "_RANK_PER_CENTER", 0.1)
+    seen = []
+    whiten = _candidates.whiten
+
+    def noted(problem, view, factor, *args):
+        seen.append(np.mean(1 - np.sum(factor.rows**2, axis=1)))
+        return whiten(problem, view, factor, *args)
+
+    monkeypatch.setattr(_candidates, "whiten", noted)
+    with pytest.warns(ConvergenceWarning) as record:
+        RBFNetRegressor(**GIVEN).fit(X, y)
+    assert f"{100 * seen[0]:.2g} % of the prior variance" in str(record[-1].message)
+
+
+def test_more_centres_on_demand_raise_the_rank(monkeypatch):
+    X, y, _ = rough(500)
+    monkeypatch.setattr(_center_choice, "MAX_RANK", 100)
+    monkeypatch.setitem(_center_choice._MAX_CENTERS, "posterior", 60)
+    T, _, truth = rough(400, seed=1)
+    with pytest.warns(ConvergenceWarning) as record:
+        few = RBFNetRegressor(**GIVEN).fit(X, y)
+    assert any("Give a larger max_centers" in str(w.message) for w in record)
+    assert len(few.centers_) == 60
+    many = RBFNetRegressor(**GIVEN, max_centers=500).fit(X, y)  # and no warning
+    assert many.stop_reason_ == "criterion"
+    process = GaussianProcessRegressor(RBF(0.5), alpha=0.01, optimizer=None)
+    exact = process.fit(X, y - y.mean()).predict(T) + y.mean()
+
+    def error(prediction):
+        return np.sqrt(np.mean((prediction - truth) ** 2))
+
+    errors = [error(p) for p in (few.predict(T), many.predict(T), exact)]
+    assert errors[1] < 1.02 * errors[2] < errors[0]
+
+
+def test_a_limit_of_the_users_own_is_no_warning():
+    X, y, _ = rough(300)
+    model = RBFNetRegressor(**GIVEN, max_centers=20).fit(X, y)
+    assert model.stop_reason_ == "max_centers"

@@ -1,0 +1,80 @@
+"""Outliers in the targets: Tukey's biweight."""
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network._robust_loss import CUT, NORMAL_SQUARE, biweights
+
+
+def table(share, seed=0, n=250, q=1):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, 2))
+    f = np.stack([np.sin(3 * X[:, 0]) + X[:, 1] ** 2, np.cos(2 * X[:, 1])][:q], axis=1)
+    y = f + 0.05 * rng.standard_normal((n, q))
+    bad = rng.random(n) < share
+    y[bad] += rng.normal(0, 5, (bad.sum(), 1))
+    return X, (y, f) if q > 1 else (y[:, 0], f[:, 0]), bad
+
+
+def rms(model, f):
+    rng = np.random.default_rng(99)
+    X = rng.uniform(-1, 1, (1000, 2))
+    truth = np.sin(3 * X[:, 0]) + X[:, 1] ** 2
+    return np.sqrt(np.mean((np.reshape(model.predict(X), (1000, -1))[:, 0] - truth) ** 2))
+
+
+@pytest.mark.parametrize("q", [1, 2])
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_outliers_cost_little(share, q):
+    X, (y, f), bad = table(share, q=q)
+    clean = RBFNetRegressor(random_state=0).fit(X, f + (y - f) * ~bad.reshape(-1, *[1] * (q - 1)))
+    robust = RBFNetRegressor(loss="tukey", random_state=0).fit(X, y)
+    plain = RBFNetRegressor(random_state=0).fit(X, y)
+    assert rms(robust, f) < 2 * rms(clean, f)
+    assert rms(plain, f) > 3 * rms(robust, f)
+    # An error that is no larger than the noise is no outlier.
+    assert np.mean(robust.row_weight_[bad] == 0) > 0.85
+    assert np.mean(robust.row_weight_[~bad] > 0.5) > 0.98
+    assert np.sqrt(np.ravel(robust.noise_variance_)[0]) == pytest.approx(0.05, rel=0.15)
+
+
+def test_without_outliers_nothing_changes():
+    X, (y, _), _ = table(0)
+    plain = RBFNetRegressor(random_state=0).fit(X, y)
+    robust = RBFNetRegressor(loss="tukey", random_state=0).fit(X, y)
+    np.testing.assert_array_equal(robust.row_weight_, 1.0)
+    np.testing.assert_array_equal(robust.predict(X), plain.predict(X))
+    assert not hasattr(plain, "row_weight_")
+
+
+def test_rows_of_weight_zero_do_not_set_the_scale():
+    residuals = np.concatenate([np.random.default_rng(0).standard_normal(50), np.full(60, 1e3)])
+    weights = np.concatenate([np.ones(50), np.zeros(60)])
+    np.testing.assert_array_equal(biweights(residuals[:, None], weights), 1.0)
+    factors = biweights(residuals[:, None], np.ones(110))
+    assert factors.min() > 0  # more than half of them: nobody is far off
+
+
+def test_constant_of_the_noise_by_quadrature():
+    z = np.linspace(-CUT, CUT, 200_001)
+    density, weight = np.exp(-0.5 * z**2), (1 - (z / CUT) ** 2) ** 2
+    expected = np.sum(density * weight * z**2) / np.sum(density * weight)
+    assert expected == pytest.approx(NORMAL_SQUARE, rel=1e-5)
+
+
+def test_an_interrupted_fit_leaves_the_model_as_it_was(monkeypatch):
+    X, (y, _), _ = table(0.1, n=80)
+    model = RBFNetRegressor(loss="tukey", random_state=0).fit(X, y)
+    before = model.predict(X, return_std=True)
+    calls = []
+
+    def interrupt(*args):
+        calls.append(args)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sklearn_raacmm.network._rbf_net.biweights", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        model.fit(X[:, :1], y)
+    assert calls
+    np.testing.assert_array_equal(model.predict(X, return_std=True), before)
