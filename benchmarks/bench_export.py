@@ -1,35 +1,47 @@
-"""Time a row in C and in ONNX against `predict`, and how far they are from it.
+"""The latency table of doc/deployment.md: a row in C, in ONNX and in Python, and the files' sizes.
 
-    python benchmarks/bench_export.py
+    python benchmarks/bench_export.py            # prints the table
+    python benchmarks/bench_export.py --write    # and puts it into doc/deployment.md
 
-C is timed in a loop in C, one row a call; ONNX and `predict` one row a call and in one batch. CPU
-time, best of five.
+C is timed in a loop in C, one row a call; `load_c`, ONNX and `predict` one row a call from Python.
+CPU time of one thread, best of five. `gap` is the largest distance to `predict`, mm.
 """
 
+import argparse
 import ctypes
+import platform
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+from sklearn_raacmm import (
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+    RBFNetRegressor,
+)
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import export_c, to_onnx
+from sklearn_raacmm.export import export_c, load_c, to_json, to_onnx
 
+PAGE = Path(__file__).parents[1] / "doc" / "deployment.md"
+START, END = "<!-- bench_export -->", "<!-- end of bench_export -->"
 LOOP = """
 #include "arm.h"
 void correct_rows(const double *q, double *out, long n)
 { for (long i = 0; i < n; ++i) arm_correct(q + 6 * i, out + 3 * i); }
-void point_rows(const double *q, double *out, long n)
-{ for (long i = 0; i < n; ++i) arm_point(q + 6 * i, out + 3 * i); }
+void std_rows(const double *q, double *out, long n)
+{ double s[3]; for (long i = 0; i < n; ++i) arm_correct_std(q + 6 * i, out + 3 * i, s); }
 """
+FLAGS = {"-O2": ["-O2"], "-O3 -march=native": ["-O3", "-march=native"]}
 
 
 def best(function, repeats=5):
@@ -42,77 +54,136 @@ def best(function, repeats=5):
     return min(times)
 
 
-def compiled(model, compiler, folder, flags, std=False):
-    """Return the library of a model with loops over rows."""
-    source, _ = export_c(model, folder / "arm.c", std=std)
-    (folder / "loop.c").write_text(LOOP)
-    library = folder / f"{compiler}{len(list(folder.iterdir()))}.so"
-    command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", library, source]
-    subprocess.run([*command, folder / "loop.c", "-lm"], check=True)
-    return ctypes.CDLL(library)
+def models(data):
+    """Fitted models by name: networks of two sizes, the linear model, and both with guards."""
+    arm = data.arm
 
-
-def one_by_one(call, X, n_rows=300):
-    """Return the CPU time of a call of one row in s."""
-    return best(lambda: [call(X[i : i + 1]) for i in range(n_rows)]) / n_rows
-
-
-def main(n_rows=100_000, n_centers=60):
-    data = make_single_point(n_positions=12, n_poses=40, random_state=0)
-    X = np.random.default_rng(0).uniform(-np.pi, np.pi, (n_rows, 6))
-    print(f"{n_centers} centres, {n_rows} rows, CPU microseconds a row, largest gap to predict\n")
-    print(f"{'features':<24}{'':<28}{'us / row':>10}{'gap mm':>10}")
-    for joints, encoding in (("pose", "angle"), ("all", "periodic")):
-        model = make_pipeline(
-            PoseFeatures(data.arm, joints=joints, encoding=encoding, append_azimuth=True),
+    def chain(n_centers):
+        return make_pipeline(
+            PoseFeatures(arm, joints="all", append_azimuth=True),
             CylindricalResidualTarget(
                 make_pipeline(StandardScaler(), RBFNetRegressor(n_centers, random_state=0))
             ),
-        ).fit(data.data, data.target)
-        expected = model.predict(X)
-        inputs = f"{joints}, {encoding}"
+        )
 
-        def row(name, seconds, result=None, inputs=inputs, expected=expected):
-            gap = "" if result is None else f"{np.abs(result - expected).max():.0e}"
-            print(f"{inputs:<24}{name:<28}{1e6 * seconds:>10.2f}{gap:>10}")
+    linear = JointHarmonicRegressor(arm, max_order=3)
+    network = RBFNetRegressor(60, degree=-1, random_state=0)
+    both = ArmResidualRegressor(
+        arm, harmonics=linear, network=network, use="harmonics+network", fade=1.0
+    )
+    found = {
+        "network, 60 centres": chain(60),
+        "network, 266 centres": chain(266),
+        "linear model of the arm": linear,
+        "both, faded": both,
+    }
+    for model in found.values():
+        model.fit(data.data, data.target)
+    return found
 
-        for compiler in filter(shutil.which, ("gcc", "clang")):
-            with tempfile.TemporaryDirectory() as folder:
-                for flags in (["-O2"], ["-O3", "-march=native"]):
-                    library = compiled(model, compiler, Path(folder), flags)
-                    out = np.empty((n_rows, 3))
-                    for name in ("correct", "point"):
-                        function = getattr(library, f"{name}_rows")
-                        arguments = (X.ctypes.data_as(ctypes.c_void_p),)
-                        arguments += (out.ctypes.data_as(ctypes.c_void_p), ctypes.c_long(n_rows))
-                        seconds = best(lambda f=function, a=arguments: f(*a)) / n_rows
-                        result = out if name == "correct" else data.arm.forward(X) - out
-                        row(f"{compiler} {' '.join(flags)} {name}", seconds, result)
-        row("predict, one batch", best(lambda m=model: m.predict(X)) / n_rows)
-        row("predict, one row a call", one_by_one(model.predict, X))
-        try:
-            import onnxruntime
-        except ImportError:
-            print("onnxruntime is not installed: left out")
-            continue
-        for dtype, kind in (("double", np.float64), ("float", np.float32)):
-            options = onnxruntime.SessionOptions()
-            options.intra_op_num_threads = 1
-            session = onnxruntime.InferenceSession(
-                to_onnx(model, dtype=dtype).SerializeToString(),
-                options,
-                providers=["CPUExecutionProvider"],
-            )
-            given = X.astype(kind)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                exact = model.predict(given.astype(float))
-            result = session.run(None, {"X": given})[0]
-            seconds = best(lambda s=session, g=given: s.run(None, {"X": g})) / n_rows
-            row(f"ONNX {dtype}, one batch", seconds, result - exact + expected)
-            seconds = one_by_one(lambda rows, s=session: s.run(None, {"X": rows}), given)
-            row(f"ONNX {dtype}, one row a call", seconds)
+
+def one_by_one(call, X, n_rows=200):
+    """Return the CPU time of a call of one row in s."""
+    return best(lambda: [call(row) for row in X[:n_rows]], 3) / n_rows
+
+
+def in_c(model, folder, X, expected):
+    """Rows of the table for one model in C: name, microseconds, gap."""
+    source, _ = export_c(model, folder / "arm.c", std=True)
+    (folder / "loop.c").write_text(LOOP)
+    out = np.empty((len(X), 3))
+    place = ctypes.c_void_p
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        for name, flags in FLAGS.items():
+            library = folder / f"{compiler}{len(flags)}.so"
+            command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", library]
+            subprocess.run([*command, source, folder / "loop.c", "-lm"], check=True)
+            loaded = ctypes.CDLL(str(library))
+            for what in ("correct", "std"):
+                rows = X if what == "correct" else X[: len(X) // 10]
+                arguments = (place(rows.ctypes.data), place(out.ctypes.data))
+                function = getattr(loaded, f"{what}_rows")
+                seconds = best(partial(function, *arguments, ctypes.c_long(len(rows))))
+                gap = np.abs(out - expected).max()
+                label = f"C, {compiler} {name}" + (", with std" if what == "std" else "")
+                yield label, 1e6 * seconds / len(rows), gap
+
+
+def in_python(model, X, expected):
+    """The same for ways that are called from Python, one row a call."""
+    compiled = load_c(model)
+    gap = np.abs(compiled.predict(X) - expected).max()
+    yield "`load_c`, one row a call", 1e6 * one_by_one(compiled.predict, X), gap
+    yield "`load_c`, one batch", 1e6 * best(lambda: compiled.predict(X)) / len(X), gap
+    try:
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        converted = to_onnx(model).SerializeToString()
+        session = onnxruntime.InferenceSession(
+            converted, options, providers=["CPUExecutionProvider"]
+        )
+    except (ImportError, ValueError):  # not installed, or no converter
+        pass
+    else:
+        gap = np.abs(session.run(None, {"X": X})[0] - expected).max()
+        seconds = one_by_one(lambda row: session.run(None, {"X": row[None]}), X)
+        yield "ONNX, one row a call", 1e6 * seconds, gap
+    yield "`predict`, one row a call", 1e6 * one_by_one(lambda row: model.predict(row[None]), X), 0
+    yield "`predict`, one batch", 1e6 * best(lambda: model.predict(X), 3) / len(X), 0
+
+
+def _digits(microseconds):
+    """Two digits, without an exponent."""
+    return f"{microseconds:.{0 if microseconds >= 10 else 1}f}"
+
+
+def table(n_rows):
+    """Lines of Markdown."""
+    data = make_single_point(n_positions=12, n_poses=40, random_state=0)
+    X = np.random.default_rng(0).uniform(-np.pi, np.pi, (n_rows, 6))
+    found, sizes, gaps, names = {}, {}, [], []
+    for name, model in models(data).items():
+        names.append(name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            expected = model.predict(X)
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            for way in (in_c(model, folder, X, expected), in_python(model, X, expected)):
+                for label, microseconds, gap in way:
+                    found.setdefault(label, {})[name] = _digits(microseconds)
+                    gaps.append(gap)
+            for label, std in (("C source, kB", False), ("C source with std, kB", True)):
+                source, _ = export_c(model, folder / "arm.c", std=std)
+                sizes.setdefault(label, {})[name] = f"{source.stat().st_size / 1e3:.0f}"
+            sizes.setdefault("JSON, kB", {})[name] = f"{len(to_json(model)) / 1e3:.0f}"
+    head = [f"| µs a row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
+    body = [
+        f"| {label} | {' | '.join(cells.get(name, '-') for name in names)} |"
+        for label, cells in {**found, **sizes}.items()
+    ]
+    note = (
+        f"{platform.machine()}, one core, {n_rows} rows; all answers within {max(gaps):.0e} mm of "
+        "`predict`."
+    )
+    return [*head, *body, "", note]
+
+
+def main(argv=None):
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rows", type=int, default=20_000)
+    parser.add_argument("--write", action="store_true", help="into doc/deployment.md")
+    args = parser.parse_args(argv)
+    lines = table(args.rows)
+    print("\n".join(lines))
+    if args.write:
+        text = PAGE.read_text(encoding="utf-8")
+        before, rest = text.split(START)
+        after = rest.split(END)[1]
+        PAGE.write_text(f"{before}{START}\n\n" + "\n".join(lines) + f"\n\n{END}{after}", "utf-8")
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main()

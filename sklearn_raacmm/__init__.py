@@ -8,13 +8,16 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction import (
     ArmResidualRegressor,
+    CorrectionCheck,
     CorrectionScores,
     LearnedCorrection,
     TableChange,
+    check_correction,
     cross_validate_correction,
     learn_correction,
     next_poses,
     search_table,
+    update_correction,
 )
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.network import RBFNetRegressor
@@ -30,6 +33,7 @@ __all__ = [
     "Arm",
     "ArmResidualRegressor",
     "CalibrationResult",
+    "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
     "JointHarmonicRegressor",
@@ -40,10 +44,12 @@ __all__ = [
     "__version__",
     "calibrate",
     "cartesian_to_cylindrical",
+    "check_correction",
     "cross_validate_correction",
     "cylindrical_to_cartesian",
     "learn_correction",
     "next_poses",
     "position_residuals",
     "search_table",
+    "update_correction",
 ]

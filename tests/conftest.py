@@ -15,6 +15,8 @@ import sklearn_raacmm  # noqa: F401
 from sklearn_raacmm.utils import _chunks
 
 ROOT = Path(__file__).resolve().parent.parent
+# Files and functions that take half a second of CPU time or more, found by ``pytest --durations``.
+SLOW = {*(ROOT / "tests" / "slow.txt").read_text(encoding="utf-8").split()}
 
 # The suite runs in parallel: two workers with two BLAS threads each on two cores wait for one
 # another most of the time.
@@ -28,7 +30,6 @@ def pytest_addoption(parser):
         metavar="N",
         help="compute everything in chunks of N rows, so that small data cross their borders, too",
     )
-
     parser.addoption(
         "--exhaustive",
         action="store_true",
@@ -41,6 +42,10 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(config, items):
+    for item in items:
+        file = item.path.relative_to(ROOT).as_posix()
+        if {file, f"{file}::{getattr(item, 'originalname', '')}"} & SLOW:
+            item.add_marker(pytest.mark.slow)
     if not config.getoption("--exhaustive"):
         left_out = [item for item in items if item.get_closest_marker("exhaustive")]
         if left_out:
@@ -84,22 +89,22 @@ def read_panda(folder):
     )
 
 
-def read_ur10(path, point=(14, 15, 16)):
+def read_ur10(path):
     """Read the UR10's tracker series.
 
     Returns a namespace of ``angles`` (n, 6) rad (commanded), ``points`` (n, 3) mm in the tracker's
     frame, ``groups`` (n,) number of the goal position, ``temperature`` (n,) degC.
     """
+    header, *lines = path.read_text(encoding="utf-8-sig").splitlines()
     table = np.array(
-        [
-            [float(field.replace(",", ".")) for field in line.split(";")]
-            for line in path.read_text(encoding="utf-8-sig").splitlines()[1:]
-        ]
+        [[float(field.replace(",", ".")) for field in line.split(";")] for line in lines]
     )
+    # The second series has standard deviations between the coordinates.
+    place = [header.split(";").index(f"measurement_{axis}") for axis in "xyz"]
     _, groups = np.unique(table[:, 1:4].round(6), axis=0, return_inverse=True)
     return SimpleNamespace(
         angles=table[:, 7:13],
-        points=table[:, list(point)],
+        points=table[:, place],
         groups=groups.ravel(),
         temperature=table[:, 13],
     )
@@ -132,6 +137,6 @@ def ur10():
 
 @pytest.fixture(scope="session")
 def ur10_b():
-    """The UR10's second series, see `read_ur10`: its points stand in another column."""
+    """The UR10's second series, see `read_ur10`."""
     path = data_dir("ur10_tracker") / "measurements_joint_configurations.csv"
-    return read_ur10(path, point=[14, 16, 18])
+    return read_ur10(path)

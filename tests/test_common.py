@@ -1,11 +1,13 @@
 """scikit-learn's own checks, for every estimator, with metadata routing off and on."""
 
 import inspect
+import warnings
 
 import numpy as np
 import pytest
 from sklearn import config_context
 from sklearn.base import clone
+from sklearn.pipeline import make_pipeline
 from sklearn.utils import estimator_checks
 from sklearn.utils.estimator_checks import estimator_checks_generator, parametrize_with_checks
 
@@ -225,3 +227,30 @@ def test_sklearn_checks_of_many_combinations_of_parameters(base, routing):
                 except Exception as error:  # all are reported, not the first
                     failures.append(f"{estimator!r}, {name}: {type(error).__name__} {error}")
     assert failures == []
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        PoseFeatures(),
+        JointHarmonicRegressor(max_order=2, gravity=False),
+        ArmResidualRegressor(
+            harmonics=JointHarmonicRegressor(max_order=2, gravity=False), use="harmonics", fade=0
+        ),
+        make_pipeline(PoseFeatures(append_azimuth=True), CylindricalResidualTarget()),
+    ],
+    ids=["PoseFeatures", "JointHarmonicRegressor", "ArmResidualRegressor", "chain"],
+)
+def test_the_arm_of_somebody_else_is_not_taken_without_a_word(estimator):
+    X = np.random.default_rng(0).uniform(-1, 1, (40, 6))
+    y = 0.05 * np.cos(X[:, :3])
+    with pytest.warns(UserWarning, match="no arm and takes the built-in arm 'aacmm6'") as caught:
+        silent = clone(estimator).fit(X, y)
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        own = clone(estimator)
+        (own[0] if hasattr(own, "steps") else own).set_params(arm=Arm.from_name("aacmm6"))
+        own.fit(X, y)
+    if hasattr(own, "predict"):
+        np.testing.assert_array_equal(silent.predict(X), own.predict(X))

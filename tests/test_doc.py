@@ -8,6 +8,8 @@ import sys
 import types
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from sklearn_raacmm import __version__
@@ -22,6 +24,23 @@ def test_examples_run(page, tmp_path, monkeypatch):
     flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
     failed, _ = doctest.testfile(str(page), module_relative=False, optionflags=flags)
     assert failed == 0
+
+
+def test_get_started_runs_for_a_reader_with_a_file_of_his_own(tmp_path, monkeypatch):
+    """The part that may be skipped is skipped, and a file of this form is there."""
+    monkeypatch.chdir(tmp_path)
+    text = (DOC / "get_started.md").read_text(encoding="utf-8")
+    start = text.index("### A file to try with")
+    skipped = text[start : text.index("## Read", start)]
+    assert "Skip this part" in skipped
+    doctest.run_docstring_examples(skipped, {"np": np, "pd": pd})
+    assert Path("cone_test.csv").exists()
+    page = tmp_path / "page.md"
+    page.write_text(text.replace(skipped, ""), encoding="utf-8")
+    flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+    failed, tried = doctest.testfile(str(page), module_relative=False, optionflags=flags)
+    assert failed == 0
+    assert tried > 20
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

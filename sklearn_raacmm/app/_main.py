@@ -30,6 +30,10 @@ def main(arguments=None):
         0: done; 2: bad input, said in one sentence; 3: the correction does not help.
     """
     options = _parser().parse_args(arguments)
+    for stream in (sys.stdout, sys.stderr):
+        # Labels that a terminal cannot show must not end the work.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = _show_warning

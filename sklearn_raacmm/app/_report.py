@@ -222,9 +222,7 @@ def _parameters(calibration):
 
 def _harmonics(model):
     """The largest harmonics that the model found: joint, order, amplitude, its sd, cause."""
-    table = getattr(getattr(model, "harmonics_", None), "harmonics_", None)
-    if table is None:
-        table = getattr(model, "harmonics_", None)
+    table = getattr(model, "harmonics_", None)
     if not isinstance(table, np.ndarray) or getattr(model, "use_", "") == "none":
         return []
     rows = []

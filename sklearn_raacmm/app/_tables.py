@@ -74,7 +74,8 @@ def read_table(
     angles : list of str, default=None
         Names of the columns of the joint angles. None: columns numbered from 1, such as q1 to q6.
     position : str, default=None
-        Name of the column of the positions' labels. None: one called so, or the only one of text.
+        Name of the column of the positions' labels. None: one called so, or the only one of text;
+        with `points` one called so, or none.
     points : list of three str, default=None
         Names of the columns of a tracker's x, y and z. None: there are none.
     angle_unit : {"rad", "deg"}, default=None
@@ -113,7 +114,9 @@ def read_table(
     table = Table(
         angles=np.concatenate([block.angles for block in blocks]),
         angle_unit=layout.angle_unit,
-        positions=np.concatenate([b.positions for b in blocks]) if labelled else None,
+        positions=None
+        if layout.position_column is None
+        else np.concatenate([block.positions for block in blocks]),
         points=np.concatenate([block.points for block in blocks]) if points else None,
         rows=np.concatenate([block.rows for block in blocks]),
         notes=layout.notes,
@@ -232,7 +235,8 @@ def find_layout(
     angle_columns = _find_angles(path, header, names, looked_at, dialect, n_joints, angles, notes)
     point_columns = [_named(path, header, names, name, "--points") for name in points or ()]
     position_column = None
-    if labelled:
+    # A tracker's points need no labels: those that are there are taken.
+    if labelled and not (points and position is None and not _has_labels(names)):
         taken = {*angle_columns, *point_columns}
         position_column = _find_position(
             path, header, names, looked_at, dialect, position, taken, notes
@@ -383,6 +387,10 @@ def _find_position(path, header, names, rows, dialect, wanted, taken, notes):
         f"{path}: which column holds the label of the position? Say it with --position NAME; the "
         f"columns are {', '.join(header)}."
     )
+
+
+def _has_labels(names):
+    return any(name in _POSITION_NAMES for name in names)
 
 
 def _is_label(cell, dialect):

@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.arm._arm import Arm
 from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles, one_warning
+from sklearn_raacmm.arm._given import arm_for, arm_or_built_in
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     carried,
@@ -23,6 +24,8 @@ __all__ = [
     "MAX_LENGTH_MM",
     "MIN_LENGTH_MM",
     "Arm",
+    "arm_for",
+    "arm_or_built_in",
     "carried",
     "check_angles",
     "cross",

@@ -169,7 +169,11 @@ class LearnedCorrection:
         return "\n".join(lines)
 
     def _repr_html_(self):
-        return f"<p><b>{escape(self.verdict)}</b></p><pre>{escape(str(self))}</pre>"
+        outliers = [
+            f"<br>outlier: row {row} ({escape(str(label))}), {distance:.3g} mm"
+            for row, label, distance in self.outliers[:10].tolist()
+        ]
+        return f"{self.scores._repr_html_()}{''.join(outliers)}<p>{escape(repr(self.arm))}</p>"
 
 
 def learn_correction(
@@ -193,8 +197,9 @@ def learn_correction(
         The nominal arm, or one calibrated on other data.
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
-    positions : array-like of shape (n_samples,)
-        Label of the position at which the probe was held.
+    positions : array-like of shape (n_samples,) or None
+        Label of the position at which the probe was held. None, with `points`: regions of
+        neighbouring points take their place.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()

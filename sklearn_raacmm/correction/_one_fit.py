@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
+from sklearn.cluster import KMeans
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
@@ -19,6 +20,10 @@ from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import encode_groups, floats, refuse_huge
+
+# Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
+# is left out at a time.
+_FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +43,15 @@ class Data:
         angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
         angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
-        labels, codes = encode_groups(positions, len(angles))
         lengths = list(lengths)
         if points is not None:
             points = floats("points", points)
             if points.shape != (len(angles), 3):
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
             refuse_huge("points", points)
+            if positions is None:
+                positions = _regions(points)
+        labels, codes = encode_groups(positions, len(angles))
         tied = {label for entry in lengths for label in entry[:2]}
         unknown = sorted(map(str, tied - set(labels.tolist())))
         if unknown:
@@ -91,11 +98,9 @@ class Data:
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        measured = calibration.arm.forward(self.angles[rows])
         if self.points is None:
-            return position_residuals(measured, self.positions[rows])
-        shifted = self.points[rows] - calibration.base_translation
-        return measured - shifted @ calibration.base_rotation
+            return calibration.residuals(self.angles[rows], groups=self.positions[rows])
+        return calibration.residuals(self.angles[rows], self.points[rows])
 
     def outliers(self, calibration):
         """Rows far from where the calibrated arm has them, which its error model cannot explain.
@@ -132,6 +137,15 @@ class Data:
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
+
+
+def _regions(points):
+    """Labels of regions of neighbouring points, which take the place of positions."""
+    n_regions = min(_MOST_REGIONS, max(_FEWEST_REGIONS, len(points) // _ROWS_OF_A_REGION))
+    if len(np.unique(points, axis=0)) < n_regions:
+        raise ValueError(f"without positions, at least {n_regions} different points are needed.")
+    codes = KMeans(n_regions, n_init=4, random_state=0).fit_predict(points)
+    return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 
 def model_for(model, arm):

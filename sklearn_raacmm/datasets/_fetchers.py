@@ -7,6 +7,7 @@ from numbers import Integral, Real
 from os import PathLike
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from sklearn.utils import Bunch
 
 from sklearn_raacmm.arm import Arm
@@ -28,6 +29,9 @@ UR10_URL = (
 UR10_FILE = "measurements_grid.csv"
 HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement; the sd is our guess
 _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 17)
+# Three angles in degrees. The file does not say about which axes. Of all orders, senses and
+# inverses only this one fits a target fixed to the flange: to 0.1 degrees, the next one to 8.
+_TURN, _TURN_ORDER = slice(17, 20), "XYZ"
 
 _PANDA_DESCR = """\
 Ball-and-socket test of two Franka Panda arms
@@ -275,6 +279,9 @@ def fetch_ur10_tracker(
             Points that the calibrated arm shows, mm.
         tracker_points : ndarray of shape (11911, 3)
             Measured points in the tracker's frame, mm.
+        tracker_orientations : ndarray of shape (11911, 3, 3)
+            Measured orientations of the tracker's target, as rotation matrices from the target's
+            axes to the tracker's, for ``calibrate(..., orientations=)``.
         temperature : ndarray of shape (11911,)
             In degC.
         arm : Arm
@@ -326,7 +333,7 @@ def fetch_ur10_tracker(
     )
     # Semicolons between fields, decimal commas.
     text = path.read_text(encoding="utf-8-sig").replace(",", ".")
-    table = np.loadtxt(text.splitlines()[1:], delimiter=";", usecols=range(_POINT.stop))
+    table = np.loadtxt(text.splitlines()[1:], delimiter=";", usecols=range(_TURN.stop))
     angles, tracker_points = table[:, _JOINTS], table[:, _POINT]
     goals = np.unique(table[:, _GOAL].round(6), axis=0, return_inverse=True)[1].ravel()
     nominal = Arm.from_name("ur10", probe=(0, 0, 93))
@@ -338,6 +345,9 @@ def fetch_ur10_tracker(
         groups=goals,
         points=points,
         tracker_points=tracker_points,
+        tracker_orientations=Rotation.from_euler(
+            _TURN_ORDER, table[:, _TURN], degrees=True
+        ).as_matrix(),
         temperature=table[:, _TEMPERATURE],
         arm=result.arm.replace(name="ur10, calibrated"),
         nominal_arm=nominal,

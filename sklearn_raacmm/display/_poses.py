@@ -8,7 +8,7 @@ from numbers import Real
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, arm_or_built_in
 from sklearn_raacmm.display._drawing import AFTER, pyplot, subtract
 from sklearn_raacmm.utils import check_option, check_points, check_whole_number, deviations_by_group
 
@@ -155,7 +155,7 @@ class ArmPosesDisplay:
         ValueError
             If shapes differ, values are not finite, or the axes are flat.
         """
-        arm = Arm.from_name("aacmm6") if arm is None else arm
+        arm = arm_or_built_in(arm, cls.__name__)
         if not isinstance(arm, Arm):
             raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
         chains = arm_chains(arm, X, angle_unit)

@@ -2,8 +2,7 @@
 
 A posterior knows only of the causes that are in its model, so that its standard deviations are too
 small wherever the model is not complete. Errors at positions that had no part in a fit show by how
-much. The normal equations are sums over positions: those of a block are subtracted from the whole,
-and the harmonics are chosen again from the rest, with the variances that the whole has found.
+much. Without a block the harmonics are chosen again, with the variances that the whole has found.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -12,7 +11,6 @@ and the harmonics are chosen again from the rest, with the variances that the wh
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 from scipy.stats import norm, t
 from sklearn.cluster import KMeans
@@ -20,8 +18,9 @@ from sklearn.cluster import KMeans
 from sklearn_raacmm.arm import points_of
 from sklearn_raacmm.error_model._columns import FAMILIES, HARMONIC, term_names
 from sklearn_raacmm.error_model._harmonic_selection import select_harmonics
-from sklearn_raacmm.error_model._linear_fit import constrained
-from sklearn_raacmm.error_model._order_scan import candidate_sums, difference
+from sklearn_raacmm.error_model._linear_fit import FitData, model_of
+from sklearn_raacmm.error_model._order_scan import candidate_sums
+from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.utils import centred, group_means, group_weights
 
 # Blocks left out in turn, and the fewest positions that are worth leaving some out: of three the
@@ -31,8 +30,9 @@ N_BLOCKS, LEAST_POSITIONS = 10, 4
 # freedom (M. A. Juarez, M. F. J. Steel, J. Bus. Econ. Stat. 28, 2010); limits of the search.
 _LOG_SPREAD, _PER_FREEDOM = 1.0, 0.1
 _SEARCH = {"xatol": 1e-4, "fatol": 1e-6, "maxiter": 500}
-# Harmonics among which the models without a block choose: more take time, in every block.
-_MOST_PAIRS = 450
+# Orders offered to the models without a block, beside those that the whole has chosen: the choice
+# of low orders is made anew, high ones take most of the time.
+_HIGHEST_ORDER = 72
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0
 
@@ -66,35 +66,25 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     blocks = blocks_of_positions(points_of(model.arm, X), positions, np.ones(len(X)), n_blocks)
     if blocks is None or not model.noise_variance > 0:
         return []
-    terms = model.terms._replace(harmonics=_pairs_offered(model, options))
-
-    def sums_of(rows, own):
-        poses = X[rows], y[rows], weights[rows]
-        return candidate_sums(model.arm, *poses, own, terms.harmonics, terms)
-
-    whole = sums_of(slice(None), codes)
-    parts = [sums_of(rows, own) for rows, own in _by_block(blocks, codes)]
+    offered, expected = offered_harmonics(X, options.max_order, options.orders, options.gear_ratio)
+    chosen = {tuple(pair) for pair in model.terms.harmonics.tolist()}
+    low = offered[:, 1] <= _HIGHEST_ORDER
+    used = [i or tuple(p) in chosen for i, p in zip(low, offered.tolist(), strict=True)]
+    offered, expected = offered[used], expected[used]
+    terms, family = model.terms._replace(harmonics=offered), term_names(model.arm, model.terms)[1]
+    variance = np.array([model.prior_sd.get(name, 1.0) ** 2 for name in FAMILIES])
+    prices, start = order_prices(offered, expected), (variance, model.noise_variance)
     found = []
-    for part, (out, _) in zip(parts, _by_block(blocks, codes), strict=True):
-        rest = _posterior(model, terms, difference(whole, part))
-        if codes is not None:
-            rows = (blocks != blocks[out[0]]) & (weights > 0)
-            own = np.unique(codes[rows], return_inverse=True)[1].ravel()
-            rest = constrained(rest, X[rows], weights[rows], own)
-        found.append((out, rest))
+    for block in np.unique(blocks):
+        rest = (blocks != block) & (weights > 0)
+        own = None if codes is None else np.unique(codes[rest], return_inverse=True)[1].ravel()
+        sums = candidate_sums(model.arm, X[rest], y[rest], weights[rest], own, offered, terms)
+        best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
+        data = FitData(model.arm, X[rest], y[rest], weights[rest], own, [], options)
+        rest_terms = terms._replace(harmonics=offered[best.pairs])
+        every = np.ones(rest.sum())
+        found.append((np.flatnonzero(blocks == block), model_of(data, every, best, rest_terms)))
     return found
-
-
-def _pairs_offered(model, options):
-    """Harmonics among which the models without a block choose.
-
-    All that were offered, where there are few; else the lowest orders and those that were chosen.
-    """
-    n_joints = model.arm.n_joints
-    highest = min(options.max_order, _MOST_PAIRS // n_joints)
-    pairs = {(j, k) for j in range(n_joints) for k in range(1, highest + 1)}
-    pairs |= {(j, k) for j, k in model.terms.harmonics.tolist()}
-    return np.array(sorted(pairs), dtype=int).reshape(-1, 2)
 
 
 def errors_left_out(left_out, X, y, codes):
@@ -120,36 +110,6 @@ def errors_left_out(left_out, X, y, codes):
         errors[rows] = centred(y[rows], own) - columns @ rest.coef
         std[rows] = np.sqrt(np.square(columns @ rest.half).sum(axis=2))
     return errors, std
-
-
-def _by_block(blocks, codes):
-    """Yield the rows of each block, and the positions of these rows from 0."""
-    for block in np.unique(blocks):
-        rows = np.flatnonzero(blocks == block)
-        own = None if codes is None else np.unique(codes[rows], return_inverse=True)[1].ravel()
-        yield rows, own
-
-
-def _posterior(model, terms, sums):
-    """Model of given sums over poses, with the variances of another."""
-    _, family = term_names(model.arm, terms)
-    variance = np.square([model.prior_sd.get(name, 1.0) for name in FAMILIES])
-    price = np.full(len(terms.harmonics), np.log(max(len(terms.harmonics), 1)))
-    start = variance, model.noise_variance
-    found = select_harmonics(
-        sums, family, HARMONIC, variance, lambda chosen: price, start=start, fixed=True
-    )
-    # Columns in the order harmonics, other terms.
-    order = np.roll(np.arange(len(found.coef)), 2 * len(found.pairs))
-    half = solve_triangular(found.root, np.eye(len(order)), check_finite=False)[order]
-    return replace(
-        model,
-        terms=terms._replace(harmonics=terms.harmonics[found.pairs]),
-        coef=found.coef[order],
-        half=half,
-        gauge_free_half=half,
-        log_bayes_factor=found.gains,
-    )
 
 
 def with_honest_intervals(model, left_out, X, y, weights, codes, positions):

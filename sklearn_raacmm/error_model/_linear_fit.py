@@ -22,7 +22,7 @@ from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import candidate_sums
 from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
-from sklearn_raacmm.utils import centred, group_means
+from sklearn_raacmm.utils import centred, group_means, stage
 
 # Columns that move the arm as a whole: the first axis stands still in the base.
 BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
@@ -55,6 +55,7 @@ class LinearOptions(NamedTuple):
         return cls(*(getattr(estimator, name) for name in cls._fields))
 
 
+@stage("linear error model")
 def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     """Fit the model, and fit it again without the poses that are too far off.
 
@@ -83,7 +84,7 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     ValueError
         If the options leave no columns.
     """
-    data = _Data(arm, X, y, weights, codes, lengths, options)
+    data = FitData(arm, X, y, weights, codes, lengths, options)
     offered, expected = offered_harmonics(
         X[weights > 0], options.max_order, options.orders, options.gear_ratio
     )
@@ -98,7 +99,7 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     return model, factor
 
 
-class _Data(NamedTuple):
+class FitData(NamedTuple):
     arm: Arm
     X: np.ndarray
     y: np.ndarray
@@ -154,61 +155,6 @@ def _choose(data, factor, offered, expected, start):
     return found, terms._replace(harmonics=offered[found.pairs])
 
 
-def _settle(data, factor, found, terms):
-    """Weights of the poses, and the model at these weights, harmonics being chosen."""
-    family = term_names(data.arm, terms)[1]
-    pairs = np.arange(len(terms.harmonics))
-    model = _model_of(data, factor, found, terms)
-    if data.options.loss == "squared":
-        return model, factor, found
-    for _ in range(_ROBUST_ROUNDS):
-        new = _pose_weights(data, model, factor)
-        if np.abs(new - factor).max() < _SETTLED_WEIGHT:
-            break
-        factor = new
-        sums, lengths = data.sums(factor, terms)
-        start = found.prior_variance, found.noise_variance
-        found = refit(sums, family, HARMONIC, data.prior_variance(), pairs, lengths, start)
-        model = _model_of(data, factor, found, terms)
-    return model, factor, found
-
-
-def _pose_weights(data, model, factor):
-    """Tukey's weights of the poses; those at hand where none is far off."""
-    left = data.y - model.predict(data.X)[0]
-    distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
-    scale = quantile(distance, 0.5, data.weights) / _MEDIAN_OF_CHI3
-    share = np.square(distance / max(_OUTLIER * scale, 1e-300))
-    far = np.any((share >= 1) & (data.weights > 0))
-    if not scale > 0 or (np.all(factor == 1) and not far):
-        return factor
-    return np.square(np.maximum(1 - share, 0.0))
-
-
-def _model_of(data, factor, found, terms):
-    """Value of a posterior, with columns in the order harmonics by joint, other terms."""
-    n_pairs = len(terms.harmonics)
-    order = np.roll(np.arange(len(found.coef)), 2 * n_pairs)
-    half = solve_triangular(found.root, np.eye(len(order)), check_finite=False)[order]
-    families = set(term_names(data.arm, terms)[1].tolist())
-    if data.options.max_order or n_pairs:
-        families.add(HARMONIC)
-    model = LinearModel(
-        arm=data.arm,
-        terms=terms,
-        coef=found.coef[order],
-        half=half,
-        noise_variance=found.noise_variance,
-        prior_sd={FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(families)},
-        offsets=data.codes is not None,
-        n_determined=found.n_determined,
-        log_bayes_factor=found.gains,
-        gauge_free_half=half,
-    )
-    X, _, weights, codes, lengths = data.weighted(factor)
-    return constrained(model, X, weights, codes, keep_scale=not lengths)
-
-
 def constrained(model, X, weights, codes, keep_scale=True):
     """Model without what positions with offsets cannot show: the scale, and where the base stands.
 
@@ -234,6 +180,61 @@ def constrained(model, X, weights, codes, keep_scale=True):
     if keep_scale:
         model = _keep_scale(model, columns, group_means(points_of(model.arm, X), codes, weights))
     return _without_gauge(model, columns)
+
+
+def _settle(data, factor, found, terms):
+    """Weights of the poses, and the model at these weights, harmonics being chosen."""
+    family = term_names(data.arm, terms)[1]
+    pairs = np.arange(len(terms.harmonics))
+    model = model_of(data, factor, found, terms)
+    if data.options.loss == "squared":
+        return model, factor, found
+    for _ in range(_ROBUST_ROUNDS):
+        new = _pose_weights(data, model, factor)
+        if np.abs(new - factor).max() < _SETTLED_WEIGHT:
+            break
+        factor = new
+        sums, lengths = data.sums(factor, terms)
+        start = found.prior_variance, found.noise_variance
+        found = refit(sums, family, HARMONIC, data.prior_variance(), pairs, lengths, start)
+        model = model_of(data, factor, found, terms)
+    return model, factor, found
+
+
+def _pose_weights(data, model, factor):
+    """Tukey's weights of the poses; those at hand where none is far off."""
+    left = data.y - model.predict(data.X)[0]
+    distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
+    scale = quantile(distance, 0.5, data.weights) / _MEDIAN_OF_CHI3
+    share = np.square(distance / max(_OUTLIER * scale, 1e-300))
+    far = np.any((share >= 1) & (data.weights > 0))
+    if not scale > 0 or (np.all(factor == 1) and not far):
+        return factor
+    return np.square(np.maximum(1 - share, 0.0))
+
+
+def model_of(data, factor, found, terms):
+    """Value of a posterior, with columns in the order harmonics by joint, other terms."""
+    n_pairs = len(terms.harmonics)
+    order = np.roll(np.arange(len(found.coef)), 2 * n_pairs)
+    half = solve_triangular(found.root, np.eye(len(order)), check_finite=False)[order]
+    families = set(term_names(data.arm, terms)[1].tolist())
+    if data.options.max_order or n_pairs:
+        families.add(HARMONIC)
+    model = LinearModel(
+        arm=data.arm,
+        terms=terms,
+        coef=found.coef[order],
+        half=half,
+        noise_variance=found.noise_variance,
+        prior_sd={FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(families)},
+        offsets=data.codes is not None,
+        n_determined=found.n_determined,
+        log_bayes_factor=found.gains,
+        gauge_free_half=half,
+    )
+    X, _, weights, codes, lengths = data.weighted(factor)
+    return constrained(model, X, weights, codes, keep_scale=not lengths)
 
 
 def _keep_scale(model, columns, points):

@@ -8,8 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, points_of
-from sklearn_raacmm.error_model._columns import FAMILIES, Terms, term_columns, term_names
-from sklearn_raacmm.utils import chunks
+from sklearn_raacmm.error_model._columns import (
+    FAMILIES,
+    Terms,
+    other_columns,
+    term_columns,
+    term_names,
+)
+from sklearn_raacmm.utils import check_shapes, chunks
 
 # Poses predicted at a time.
 _CHUNK = 2048
@@ -87,6 +93,20 @@ class LinearModel:
     gauge_free_half: np.ndarray
     std_scale: float = 1.0
     noise_scale: float = 1.0
+
+    def __setstate__(self, state):
+        vars(self).update(state)
+        pairs = np.asarray(self.terms.harmonics)
+        shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
+        shapes["gauge_free_half"] = ("columns", "rank")
+        check_shapes("LinearModel", {"harmonics": pairs}, {"harmonics": ("pairs", 2)}, {})
+        if len(pairs) and not (0 <= pairs[:, 0].min() <= pairs[:, 0].max() < self.arm.n_joints):
+            raise ValueError(
+                f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
+                f"{self.arm.n_joints}."
+            )
+        n = 2 * len(pairs) + len(other_columns(self.arm, self.terms))
+        check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
 
     @property
     def covariance(self):

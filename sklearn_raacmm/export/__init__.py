@@ -8,8 +8,10 @@ from sklearn_raacmm.export._export import (
     describe,
     export_c,
     fingerprint,
+    from_json,
     load_c,
     register_onnx,
+    to_json,
     to_onnx,
 )
 from sklearn_raacmm.export._load_c import CompiledModel
@@ -22,7 +24,9 @@ __all__ = [
     "describe",
     "export_c",
     "fingerprint",
+    "from_json",
     "load_c",
     "register_onnx",
+    "to_json",
     "to_onnx",
 ]

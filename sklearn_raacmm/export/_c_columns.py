@@ -56,15 +56,17 @@ static void error_model(const struct arm_state *arm, {real} y[3]{v})
 _VARIANCE = """\
     if (v)
         for (int k = 0; k < 3; ++k) {{
+            {real} dot[{r}] = {{0}};
+            for (int c = 0; c < {m}; ++c)
+                for (int i = 0; i < {r}; ++i)
+                    dot[i] += column[c][k] * column_half[c][i];
             v[k] = 0;
-            for (int i = 0; i < {r}; ++i) {{
-                {real} dot = 0;
-                for (int c = 0; c < {m}; ++c)
-                    dot += column[c][k] * column_half[i][c];
-                v[k] += dot * dot;
-            }}
+            for (int i = 0; i < {r}; ++i)
+                v[k] += dot[i] * dot[i];
         }}
 """
+# Columns of zeros fill up whole vectors of the processor.
+_VECTOR = 8
 
 
 def error_model(numbers, linear, std):
@@ -89,10 +91,10 @@ def error_model(numbers, linear, std):
     text += numbers.table("column_coef", linear.coef)
     variance = ""
     if std:
-        text += numbers.table(
-            "column_half", linear.gauge_free_half.T, "root of the coefficients' covariance"
-        )
-        variance = _VARIANCE.format(real=real, m=m, r=linear.gauge_free_half.shape[1])
+        half = linear.gauge_free_half
+        half = np.pad(half, ((0, 0), (0, -half.shape[1] % _VECTOR)))
+        text += numbers.table("column_half", half, "root of the coefficients' covariance")
+        variance = _VARIANCE.format(real=real, m=m, r=half.shape[1])
     n = arm.n_joints
     return (
         text

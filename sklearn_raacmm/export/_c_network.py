@@ -6,6 +6,7 @@
 from math import factorial
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from sklearn_raacmm.export._steps import n_outputs
 
@@ -95,72 +96,100 @@ def network(numbers, step, std, with_noise=True):
     return f"{text}\n{head}\n{{\n{body}\n}}\n", q
 
 
+def _posterior_spectrum(step):
+    """The posterior of the weights in coordinates in which its covariance is diagonal.
+
+    With phi the radial functions and t the polynomial's terms at a point, and A the triangle of the
+    columns at the training rows, tail first, the variance of output j is
+
+        signal_j (1 - |g|^2) + noise_j (|u|^2 + sum_i h_i^2 / (spectrum_i + alpha_j)),
+        u = tail (1, x), g = turn phi, h = g - shift u.
+
+    One matrix serves all outputs, whatever their ridges are.
+
+    Returns
+    -------
+    turn : ndarray of shape (k, k)
+    shift : ndarray of shape (k, p)
+    tail : ndarray of shape (p, 1 + n_features)
+    shrunk : ndarray of shape (n_outputs, k)
+        ``1 / (spectrum + alpha)``.
+    """
+    p = len(step._tail_map)
+    whiten = step._posterior((step.centers_ - step.centers_.mean(axis=0)) / step.length_scale_)[0]
+    rows = step._design_triangle()
+    left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
+    _, singular, turn = np.linalg.svd(own @ whiten.T)
+    spectrum = np.zeros(len(whiten))
+    spectrum[: len(singular)] = np.square(singular)
+    turn = turn @ whiten
+    alpha = np.atleast_1d(step.alpha_) / step._weight_unit
+    shrunk = 1 / np.maximum(spectrum + alpha[:, None], np.finfo(float).tiny)
+    tail = solve_triangular(left, step._tail_map, trans="T") if p else step._tail_map
+    return turn, turn @ across.T, tail, shrunk
+
+
 def _network_variance(numbers, step, with_noise):
-    """``network_variance(x, phi, v)``: the arithmetic of ``RBFNetRegressor._variance``."""
+    """``network_variance(x, phi, v)``: what ``RBFNetRegressor._variance`` computes."""
     real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
-    shift = step.centers_.mean(axis=0) if k else 0.0
-    inside, triangles = step._posterior((step.centers_ - shift) / step.length_scale_)
-    tail, p = step._tail_map, len(step._tail_map)
-    m = p + k
-    distinct = list({id(R): R for R in triangles}.values())
-    ids = [id(R) for R in distinct]
-    of = [ids.index(id(R)) for R in triangles]
+    p = len(step._tail_map)
     text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
     text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
-    lines = []
-    if m:
-        lines.append(f"{real} row[{m}];")
-        text += numbers.integers("triangle_of", of, "which triangle each output has")
-        packed = [R.T[np.tril_indices(m)] for R in distinct]
-        text += numbers.table("triangle", np.stack(packed), "rows of the transposed triangles")
-    lines.append(f"{real} outside = 1;")
-    lines.append(f"{real} of_weights[{len(distinct)}];")
+    tail = step._tail_map if not k else None
+    if k:
+        turn, shift, tail, shrunk = _posterior_spectrum(step)
+    elif p:
+        tail = solve_triangular(step._design_triangle()[:p, :p], tail, trans="T")
+    lines = [f"{real} outside = 1, common = {int(with_noise)};"]
     if p:
         text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")
         lines += [
+            f"{real} tail[{p}];",
             f"for (int i = 0; i < {p}; ++i) {{",
-            "    row[i] = tail_map[i][0];",
+            "    tail[i] = tail_map[i][0];",
             f"    for (int j = 0; j < {d}; ++j)",
-            "        row[i] += tail_map[i][1 + j] * x[j];",
+            "        tail[i] += tail_map[i][1 + j] * x[j];",
+            "    common += tail[i] * tail[i];",
             "}",
         ]
     else:
         lines.append("(void)x;")
+    inner = []
     if k:
-        lines += [f"for (int c = 0; c < {k}; ++c)", f"    row[{p} + c] = phi[c];"]
-    else:
-        lines.append("(void)phi;")
-    if k:
-        text += numbers.table("span", inside, "root of the inverse kernel matrix of the centres")
+        n = -(-len(turn) // _VECTOR) * _VECTOR
+        fill = ((0, 0), (0, n - len(turn)))
+        text += numbers.table(
+            "turn", np.pad(turn.T, fill), "one row a centre, one column a direction"
+        )
+        text += numbers.table("shrunk", np.pad(shrunk, fill), "per direction and output")
         lines += [
-            f"for (int i = 0; i < {len(inside)}; ++i) {{",
-            f"    {real} dot = 0;",
-            f"    for (int c = 0; c < {k}; ++c)",
-            "        dot += span[i][c] * phi[c];",
-            "    outside -= dot * dot;",
-            "}",
+            f"{real} g[{n}] = {{0}};",
+            f"for (int c = 0; c < {k}; ++c)",
+            f"    for (int i = 0; i < {n}; ++i)",
+            "        g[i] += turn[c][i] * phi[c];",
+            f"for (int i = 0; i < {n}; ++i)",
+            "    outside -= g[i] * g[i];",
             "if (outside < 0)",
             "    outside = 0;",
         ]
-    lines.append(f"for (int t = 0; t < {len(distinct)}; ++t) {{")
-    lines.append(f"    of_weights[t] = {int(with_noise)};")
-    if m:
-        lines += [
-            f"    {real} solved[{m}];",
-            f"    const {real} *entry = triangle[t];",
-            f"    for (int i = 0; i < {m}; ++i) {{",
-            "        solved[i] = row[i];",
-            "        for (int j = 0; j < i; ++j)",
-            "            solved[i] -= *entry++ * solved[j];",
-            "        solved[i] /= *entry++;",
-            "        of_weights[t] += solved[i] * solved[i];",
-            "    }",
-        ]
-    lines += ["}", f"for (int j = 0; j < {q}; ++j)"]
-    which = "triangle_of[j]" if m else "0"
-    lines.append(
-        f"    v[j] = outside * signal_variance[j] + noise_variance[j] * of_weights[{which}];"
-    )
+        if p:
+            text += numbers.table("tail_shift", np.pad(shift.T, fill))
+            lines += [
+                f"for (int j = 0; j < {p}; ++j)",
+                f"    for (int i = 0; i < {n}; ++i)",
+                "        g[i] -= tail_shift[j][i] * tail[j];",
+            ]
+        inner = [f"    for (int i = 0; i < {n}; ++i)"]
+        inner.append("        sum += shrunk[j][i] * (g[i] * g[i]);")
+    else:
+        lines.append("(void)phi;")
+    lines += [
+        f"for (int j = 0; j < {q}; ++j) {{",
+        f"    {real} sum = common;",
+        *inner,
+        "    v[j] = outside * signal_variance[j] + noise_variance[j] * sum;",
+        "}",
+    ]
     body = "\n".join(f"    {line}" for line in lines)
     return (
         f"{text}\nstatic void network_variance(const {real} *x, const {real} *phi, {real} v[{q}])"

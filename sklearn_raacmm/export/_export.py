@@ -14,6 +14,7 @@ from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import check_rows, project_files
 from sklearn_raacmm.export._c_source import body_of, fingerprint_of
 from sklearn_raacmm.export._c_text import check_name
+from sklearn_raacmm.export._json import model_of, text_of
 from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
@@ -213,6 +214,79 @@ def load_c(model, *, std=False, compiler=None, cache_dir=None):
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")
     return compiled(model, std, compiler, cache_dir)
+
+
+def to_json(model, path=None):
+    """Write a fitted model as JSON: for other languages, and for an archive of twenty years.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted: of this package, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler,
+        RobustScaler, LinearRegression or Ridge, a pipeline of these, or a search that has found
+        one.
+
+    path : str or path-like, default=None
+        File to write, beside its place and renamed when complete. None only returns the text.
+
+    Returns
+    -------
+    str
+        JSON. All numbers are the shortest decimals that read back as the same float64. The page
+        "Deployment" describes the fields.
+
+    Raises
+    ------
+    ValueError
+        If something in the model cannot be written: the sentence says where it is.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm import RBFNetRegressor
+    >>> from sklearn_raacmm.export import from_json, to_json
+    >>> X = np.linspace(0, 6, 50)[:, None]
+    >>> model = RBFNetRegressor(5).fit(X, np.sin(X[:, 0]))
+    >>> again = from_json(to_json(model))
+    >>> bool((again.predict(X) == model.predict(X)).all())
+    True
+    """
+    text = text_of(model)
+    if path is not None:
+        write_whole({path: text})
+    return text
+
+
+def from_json(source):
+    """Read a model that :func:`to_json` wrote. Nothing in it is run.
+
+    Parameters
+    ----------
+    source : str or path-like
+        File, or the text itself.
+
+    Returns
+    -------
+    estimator
+        With the predictions of the model that was written.
+
+    Raises
+    ------
+    ValueError
+        If the text is not such a model, of another version of the format, or damaged: the checksum
+        is wrong, arrays do not fit together, or a number is missing or not finite.
+    OSError
+        If the file cannot be read.
+    """
+    if isinstance(source, str) and source.lstrip().startswith("{"):
+        return model_of(source)
+    content = Path(source).read_bytes()
+    try:
+        return model_of(content.decode("utf-8-sig"), str(source))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{source} is not valid JSON: {error}.") from None
 
 
 def fingerprint(model):

@@ -120,7 +120,8 @@ class SymmetricCandidates:
         return v @ self.K
 
     def products(self, v, indices):
-        return v @ self.K[:, indices]
+        every = np.array_equal(indices, np.arange(self.rank))  # needs no copy
+        return v @ (self.K if every else self.K[:, indices])
 
 
 class Features:
@@ -142,6 +143,10 @@ class Features:
     def __init__(self, Z, shift, length_scale, kernel, root=None, rows=None):
         self.Z, self.shift, self.length_scale, self.kernel = Z, shift, length_scale, kernel
         self.root, self.rows = root, rows
+
+    def raw(self):
+        """The same columns before they are multiplied by the inverse of the root."""
+        return Features(self.Z, self.shift, self.length_scale, self.kernel)
 
     def __call__(self, block):
         if self.rows is not None:
@@ -203,18 +208,16 @@ def whiten(problem, view, factor, features, members, alphas):
         Trace of the smoother that uses all candidates.
     """
     rows, rank = factor.rows, factor.rows.shape[1]
-    root, coarse = features.root, factor.residual > COARSE
+    coarse = factor.residual > COARSE
     # A factor that is complete leaves rounding, in which nothing can be told apart. What one of
     # limited rank leaves says nothing of the candidates as far as they are represented.
     resolution = factor.residual if factor.complete else 0.0
+    # Sums over raw kernel columns halve the work, and lose no digits that matter here.
     raw = coarse and features.rows is None
-    if raw:
-        # Sums over raw kernel columns halve the work, and lose no digits that matter here.
-        features.root = None
-    function = partial(_products, features=features, view=view)
+    summed, root = features.raw() if raw else features, features.root
+    function = partial(_products, features=summed, view=view)
     gram, cross, along = problem.reduce(function, _add, rank)
     if raw:
-        features.root = root
         gram = solve_triangular(root, solve_triangular(root, gram, lower=True).T, lower=True)
         cross = solve_triangular(root, cross, lower=True)
         along = solve_triangular(root, along.T, lower=True).T

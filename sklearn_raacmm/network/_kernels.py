@@ -8,8 +8,10 @@ gradient with respect to any width needs: no square root, hence no division by a
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import blas
+from scipy.linalg import blas, lapack
 
+# Pivot of a kernel matrix, whose diagonal is 1, that is far above the rounding of its eigenvalues.
+_SOUND_PIVOT = 1e-6
 _SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
 
 
@@ -251,8 +253,12 @@ def psd_root(K):
     """A matrix U with ``U.T @ U = K`` for positive semidefinite K, singular or not.
 
     What is below rounding is raised to it: a penalty that is zero in some direction would let
-    coefficients grow without limit there.
+    coefficients grow without limit there. Where all is far above it a Cholesky factor does, at a
+    fortieth of the price.
     """
+    root, failed = lapack.dpotrf(K, lower=0, clean=1)
+    if not failed and np.square(root.diagonal()).min(initial=np.inf) > _SOUND_PIVOT:
+        return root
     values, vectors = np.linalg.eigh(K)
     return np.sqrt(np.maximum(values, _rounding_of(values)))[:, None] * vectors.T
 

@@ -52,8 +52,8 @@ class Likelihood(NamedTuple):
 
     value: float  # negative log marginal likelihood, up to a constant
     gradient: np.ndarray
-    signal: float  # signal variance, summed over outputs
-    signal_gradient: np.ndarray
+    signal: np.ndarray  # (q,) signal variance of every output
+    signal_gradient: np.ndarray  # (q, d + q)
 
 
 def noise_likelihood(data):
@@ -93,16 +93,13 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
     d_alpha = 0.5 * (alphas * trace + n_total - n + n_total * d_quadratic / quadratic)
     inverse *= slope
     d_width = 0.5 * _width_gradient(inverse, Xs, Xs)
-    of_signal = np.zeros(len(log_width))
-    for a, form in zip(solved.T, quadratic, strict=True):
-        part = -_rank_one_gradient(slope, a, Xs)
-        of_signal += part / n_total
-        d_width += 0.5 * n_total * part / form
+    d_form = -np.array([_rank_one_gradient(slope, a, Xs) for a in solved.T])
+    d_width += 0.5 * n_total * (d_form / quadratic[:, None]).sum(axis=0)
     return Likelihood(
         0.5 * value.sum(),
         np.append(d_width, d_alpha),
-        quadratic.sum() / n_total,
-        np.append(of_signal, d_quadratic / n_total),
+        quadratic / n_total,
+        np.hstack([d_form, np.diag(d_quadratic)]) / n_total,
     )
 
 
@@ -244,16 +241,18 @@ def projected_likelihood(data, Z, kernel, log_width, log_alpha):
     H = L_inverse.T @ weighted @ L_inverse
     H += (beta * scale) @ beta.T
     d_width += 0.5 * _width_gradient(H * slope_mm, Zs, Zs)
-    # The quadratic form alone, for the signal variance.
-    across = (beta / alphas) @ residual.T
-    across *= slope_mn
-    of_signal = -2 * _width_gradient(across, Zs, Xs)
-    of_signal += _width_gradient((beta @ beta.T) * slope_mm, Zs, Zs)
+    # The quadratic forms alone, for the signal variances.
+    d_form = np.array(
+        [
+            _rank_one_gradient(slope_mm, b, Zs) - 2 * _across_gradient(slope_mn, b / a, r, Zs, Xs)
+            for a, b, r in zip(alphas, beta.T, residual.T, strict=True)
+        ]
+    )
     return Likelihood(
         value,
         np.append(d_width, d_alpha),
-        quadratic.sum() / n_total,
-        np.append(of_signal, d_quadratic) / n_total,
+        quadratic / n_total,
+        np.hstack([d_form, np.diag(d_quadratic)]) / n_total,
     )
 
 
@@ -324,3 +323,12 @@ def _rank_one_gradient(slope, a, A):
     aA = a[:, None] * A
     along = slope @ np.column_stack([a, aA])
     return -2 * (2 * (a * along[:, 0]) @ (A * A) - 2 * np.einsum("ik,ik->k", aA, along[:, 1:]))
+
+
+def _across_gradient(slope, a, b, A, B):
+    """The same of G = slope * a b' between two sets of rows, without forming it."""
+    bB = b[:, None] * B
+    along = slope @ np.column_stack([b, bB, b[:, None] * B * B])
+    d = A.shape[1]
+    square = (a * along[:, 0]) @ (A * A) + a @ along[:, d + 1 :]
+    return -2 * (square - 2 * np.einsum("ik,ik->k", a[:, None] * A, along[:, 1 : d + 1]))

@@ -30,6 +30,11 @@ def triangular_factor(rows):
     return qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][: rows.shape[1]]
 
 
+def triangle_of_block(columns, block):
+    """Triangular factor of the tail, the centres' columns and the targets on some rows."""
+    return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
+
+
 def stack_triangles(upper, lower):
     """The triangular factor of two blocks of rows from those of each."""
     return triangular_factor(np.vstack([upper, lower]))

@@ -13,6 +13,16 @@ _MAX_RANGE = 1e6
 # Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
 _MAX_WIDTH = 1e7
 
+# Attributes that have one number for each output.
+PER_OUTPUT = (
+    "coef_",
+    "intercept_",
+    "linear_coef_",
+    "alpha_",
+    "noise_variance_",
+    "signal_variance_",
+)
+
 
 def leading_bits(values):
     """Values to the 14 leading bits, four digits.
@@ -75,6 +85,21 @@ def relevance(problem, alpha, length_scale, signal_variance):
     return slope / total if 0 < total < np.inf else np.zeros(len(slope))
 
 
+def check_alpha(alpha, n_outputs):
+    """Ridge of every output as an array; None where it is to be found."""
+    if isinstance(alpha, str):
+        return None
+    ridge = floats("alpha", alpha)
+    if ridge.ndim > 1 or (ridge.ndim == 1 and len(ridge) != n_outputs):
+        raise ValueError(
+            f"alpha has shape {ridge.shape}; it must be a number or have one entry for each of the "
+            f"{n_outputs} outputs."
+        )
+    if not np.all((ridge >= 0) & np.isfinite(ridge)):
+        raise ValueError(f"alpha must not be negative, and finite; got {alpha!r}.")
+    return np.broadcast_to(ridge, n_outputs).copy()
+
+
 def check_resolved(width, X, alpha):
     """Refuse given widths for which rounding of the distances changes the kernel."""
     if width is None or not len(X):
@@ -86,7 +111,7 @@ def check_resolved(width, X, alpha):
             f"length_scale is {width[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
             f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
         )
-    if not isinstance(alpha, str) and alpha == 0 and 0 < ranges[i] * _MAX_WIDTH < width[i]:
+    if not isinstance(alpha, str) and np.min(alpha) == 0 and 0 < ranges[i] * _MAX_WIDTH < width[i]:
         raise ValueError(
             f"length_scale is more than {_MAX_WIDTH:g} times the range of every feature: with "
             "alpha=0 double precision does not tell the radial functions from a constant."

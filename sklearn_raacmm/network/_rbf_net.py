@@ -24,9 +24,11 @@ from sklearn_raacmm.network._nested_fits import (
     nested_least_squares,
     penalise,
     stack_triangles,
-    triangular_factor,
+    triangle_of_block,
 )
 from sklearn_raacmm.network._parameters import (
+    PER_OUTPUT,
+    check_alpha,
     check_length_scale,
     check_resolved,
     leading_bits,
@@ -36,11 +38,7 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
 from sklearn_raacmm.network._training_data import merge, prepare
-from sklearn_raacmm.network._width_search import (
-    AUTO_KERNELS,
-    SAMPLE_ROWS,
-    search,
-)
+from sklearn_raacmm.network._width_search import AUTO_KERNELS, SAMPLE_ROWS, search
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
@@ -48,6 +46,7 @@ from sklearn_raacmm.utils import (
     check_data,
     check_features,
     check_fitted,
+    check_shapes,
     check_weights,
     chunks,
     fit_context,
@@ -60,14 +59,6 @@ IN_MEMORY_ROWS = 100_000
 _CHUNK = 2**18
 # Attributes that not every fit has.
 _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_", "_posterior_")
-_PER_OUTPUT = (
-    "coef_",
-    "intercept_",
-    "linear_coef_",
-    "alpha_",
-    "noise_variance_",
-    "signal_variance_",
-)
 
 
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -107,9 +98,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
         standard deviation.
 
-    alpha : float or "auto", default="auto"
-        Ridge, in units of the sum of sample weights. 0 is plain least squares. In terms of a
-        Gaussian process it is the noise variance over the signal variance.
+    alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
+        Ridge, of all outputs or of each, in units of the sum of sample weights. 0 is plain least
+        squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
     degree : {-1, 0, 1}, default=0
         Degree of the unpenalised polynomial: none, a constant, or linear in the features.
@@ -232,19 +223,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     -----
     The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows are
     merged, and rows are sorted, so that neither row order nor writing a row twice instead of
-    doubling its weight matters. Of weights only the ratios count for what is found by itself: a row
-    that is there twice, target and all, is one observation of twice the weight.
-
-    Several outputs share widths and centres. Where they differ much in how fast they vary, give
-    each a network of its own: :class:`~sklearn.multioutput.MultiOutputRegressor`.
+    doubling its weight matters. Of weights only the ratios count for what is found by itself.
 
     More than 100 000 rows are read in blocks, also from a memory-mapped file, in time linear in
     their number and in memory that does not depend on it: centres and the rows that decide on the
     widths then come from a sample, drawn by a hash of the rows' content, and repeated rows are
     merged in that sample only. `fit` takes dask arrays, too; each chunk is worked on where it is.
-
-    Outputs share widths and centres. Where one waves many times while another waves once, fit one
-    network for each: ``MultiOutputRegressor(RBFNetRegressor())``.
 
     To repeat MATLAB's ``newrb(P, T, goal, spread, MN)`` use ``RBFNetRegressor(MN,
     length_scale=spread / sqrt(2 * log(2)), alpha=0, selection="newrb")``, with
@@ -282,7 +266,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             StrOptions({"auto", "isotropic"}),
             "array-like",
         ],
-        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
         "degree": [Interval(Integral, -1, 1, closed="both")],
         "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
@@ -411,7 +395,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         root = psd_root(kernel_matrix(Z, Z, kernel))
         columns = Features(Z, shift, length_scale, kernel)
         p = problem.n_tail
-        R = problem.reduce(partial(_triangle, columns), stack_triangles, p + len(order))
+        R = problem.reduce(partial(triangle_of_block, columns), stack_triangles, p + len(order))
         path = nested_least_squares(R, p, root, alpha, problem.within)
         k, scores, reached = choose_size(problem, alpha, path, settings)
 
@@ -447,7 +431,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         size = min(len(path.rows), p + k)
         self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
         if self._flat:
-            for name in _PER_OUTPUT:
+            for name in PER_OUTPUT:
                 setattr(self, name, getattr(self, name)[0])
 
     def _problem(self, X, y, sample_weight, rng):
@@ -476,8 +460,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def _tune(self, problem, width, rng):
         """Kernel, widths and every output's ridge in the problem's units, found where not given."""
-        alpha = None if isinstance(self.alpha, str) else float(self.alpha) / problem.unit
-        alphas = np.full(len(problem.spread), 1.0 if alpha is None else alpha)
+        alpha = check_alpha(self.alpha, len(problem.spread))
+        alphas = np.ones(len(problem.spread)) if alpha is None else alpha / problem.unit
         # Given widths are those of one kernel.
         kernels = (self.kernel,) if self.kernel != "auto" else AUTO_KERNELS
         if width is not None:
@@ -493,7 +477,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             kernels,
             length_scale=width,
             isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
-            alpha=None if alpha is None else alpha * problem.unit / sample.unit,
+            alpha=None if alpha is None else alpha[view.outputs] / sample.unit,
             random_state=rng,
         )
         if alpha is None:
@@ -562,24 +546,39 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     def _posterior(self, centers):
         """What variances are made of, kept from one call to the next but not in a file."""
         if "_posterior_" not in self.__dict__:
-            p, k = len(self._tail_map), len(centers)
+            p = len(self._tail_map)
             K = kernel_matrix(centers, centers, self.kernel_)
             root, outside = psd_root(K), psd_inverse_root(K)
-            # The packed triangle is trapezoidal where there were fewer rows than columns.
-            size = next(
-                m for m in range(p + k + 1) if m * (p + k) - m * (m - 1) // 2 == len(self._rows)
-            )
-            rows = np.zeros((size, p + k))
-            rows[np.triu_indices(size, m=p + k)] = self._rows
+            rows = self._design_triangle()
             alphas = np.atleast_1d(self.alpha_) / self._weight_unit
             triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(alphas)}
             self._posterior_ = outside, [triangles[a] for a in alphas]
         return self._posterior_
 
+    def _design_triangle(self):
+        """Triangular factor of the columns at the training rows, polynomial first."""
+        n = len(self._tail_map) + len(self.centers_)
+        # Packed, and trapezoidal where there were fewer rows than columns.
+        size = next(m for m in range(n + 1) if m * n - m * (m - 1) // 2 == len(self._rows))
+        rows = np.zeros((size, n))
+        rows[np.triu_indices(size, m=n)] = self._rows
+        return rows
+
     def __getstate__(self):
         state = super().__getstate__().copy()
         state.pop("_posterior_", None)
         return state
+
+    def __setstate__(self, state):
+        super().__setstate__(state)
+        if "centers_" not in vars(self):
+            return
+        q = () if np.ndim(self.intercept_) == 0 else ("outputs",)
+        shapes = {"centers_": ("k", "d"), "length_scale_": ("d",), "center_indices_": ("k",)}
+        shapes |= {"coef_": (*q, "k"), "intercept_": q, "linear_coef_": (*q, "d")}
+        shapes |= {"noise_variance_": q, "signal_variance_": q, "_tail_map": ("p", "d1")}
+        sizes = {"d": self.n_features_in_, "d1": self.n_features_in_ + 1}
+        check_shapes(type(self).__name__, vars(self), shapes, sizes, ("length_scale_",))
 
     def _variance(self, X, K, posterior, with_noise):
         """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
@@ -596,8 +595,3 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
             variance[:, i] += noise[i] * of_weights[id(R)]
         return variance
-
-
-def _triangle(columns, block):
-    """Triangular factor of the tail, the centres' columns and the targets on some rows."""
-    return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))

@@ -8,7 +8,15 @@ here are reconstructions, checked numerically.
 import numpy as np
 from sklearn.base import TransformerMixin
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, carried, check_angles, dh_theta, probe_points
+from sklearn_raacmm.arm import (
+    MIN_LENGTH_MM,
+    Arm,
+    arm_for,
+    carried,
+    check_angles,
+    dh_theta,
+    probe_points,
+)
 from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
@@ -137,12 +145,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             infinity.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
-        self.arm_ = Arm.from_name("aacmm6") if self.arm is None else self.arm
-        if X.shape[1] != self.arm_.n_joints:
-            raise ValueError(
-                f"X has {X.shape[1]} columns, but the arm {self.arm_!r} has {self.arm_.n_joints} "
-                "joints: one column of joint angles each is needed."
-            )
+        self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1], stacklevel=6)
         return self
 
     def transform(self, X):

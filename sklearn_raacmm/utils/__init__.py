@@ -32,6 +32,7 @@ from sklearn_raacmm.utils._groups import (
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
+from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
     Interval,
@@ -64,6 +65,7 @@ __all__ = [
     "check_n_features",
     "check_option",
     "check_points",
+    "check_shapes",
     "check_weights",
     "check_whole_number",
     "chunk_size",

@@ -169,6 +169,15 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, t
         assert re.search(said, capsys.readouterr().out)
 
 
+def test_checks_raise_a_false_alarm_once_in_a_hundred():
+    rng = np.random.default_rng(0)
+    alarms = 0
+    for _ in range(4000):
+        learnt, today = rng.normal(0.02, 0.004, 10), rng.normal(0.02, 0.004, 5)
+        alarms += today.mean() > _commands.highest_mean(learnt, 5)
+    assert 0.006 < alarms / 4000 < 0.014
+
+
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
 def test_export_compiles_and_says_the_same(learned, tmp_path):
     folder, _, readings, _ = learned
@@ -194,14 +203,39 @@ def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
     readings += machine.rng.normal(scale=5e-5, size=readings.shape)
     other_make.write_log(tmp_path / "log.csv", readings, cones)
     (tmp_path / "arm.urdf").write_text(URDF)
+    length = np.linalg.norm(machine.places[0] - machine.places[1])
+    lengths = f"von;bis;L [mm]\nKegel Süd 1;Kegel Süd 2;{length:.4f}\n".replace(".", ",")
+    (tmp_path / "lengths.csv").write_bytes(lengths.encode("cp1252"))
     arguments = f"learn {tmp_path}/log.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --folds 3"
-    assert main(arguments.split()) == 3
-    assert "Do not use it: at new positions 2S" in capsys.readouterr().out
+    gauges = ["--lengths", f"{tmp_path}/lengths.csv", "--length-sd", "0.01"]
+    assert main([*arguments.split(), *gauges]) == 3
+    said = capsys.readouterr().out
+    assert "Do not use it: at new positions 2S" in said
+    assert "known lengths (1), mean error" in said
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert '<p class="verdict "><strong>Do not use it' in report
     # Whoever uses it all the same is told so.
     assert main(["export", "--model", str(tmp_path), "--c", str(tmp_path / "c")]) == 0
     assert "note: Do not use it" in capsys.readouterr().err
+
+
+def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
+    machine = other_make.OtherMake(3, error=3.0)
+    readings = machine.rng.uniform(-1.2, 1.2, (120, 7))
+    points = machine.points(readings)[:, [1, 2, 0]] + [0, 0, 2000]
+    table = np.c_[np.rad2deg(readings), points / 1000]
+    header = ",".join([*(f"q{i}_deg" for i in range(1, 8)), "X [m]", "Y [m]", "Z [m]"])
+    np.savetxt(tmp_path / "t.csv", table, "%.7f", ",", header=header, comments="")
+    (tmp_path / "arm.urdf").write_text(URDF)
+    arguments = f"learn {tmp_path}/t.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --points x,y,z"
+    assert main([*arguments.split(), "--folds", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "It helps at new positions: mean deviation" in said
+    assert "region 05" in said
+    assert main([*arguments.split(), "--limit-2s", "0.1"]) == 2
+    assert "not for a tracker's points" in capsys.readouterr().err
+    assert main(["check", f"{tmp_path}/t.csv", "--model", str(tmp_path)]) == 2
+    assert "learnt from a single-point test" in capsys.readouterr().err
 
 
 def test_demo(monkeypatch, tmp_path, capsys):
@@ -261,6 +295,16 @@ def test_bad_input_is_one_sentence_and_code_2(learned, tmp_path, capsys, argumen
     assert main(arguments.format(**places).split()) == 2
     said = capsys.readouterr().err.splitlines()[-1]
     assert message in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_extras_are_said_before_the_work(learned, monkeypatch, tmp_path, capsys):
+    folder, *_ = learned
+    for name in ("jinja2", "skops"):
+        monkeypatch.setitem(_commands.sys.modules, name, None)
+    log, arm = folder.parent / "log.csv", folder.parent / "arm.urdf"
+    assert main(["learn", str(log), "--arm", str(arm), "--out", str(tmp_path / "out")]) == 2
+    assert "jinja2 and skops must be installed" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

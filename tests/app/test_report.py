@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from sklearn_raacmm import JointHarmonicRegressor, learn_correction
+from sklearn_raacmm import ArmResidualRegressor, JointHarmonicRegressor, learn_correction
 from sklearn_raacmm.app import judge_limit, write_report
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import articulated_location_error
@@ -89,7 +89,8 @@ def numbers_of(result):
     c, s = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
     sds = np.hypot(c * harmonics["cos_sd_arcsec"], s * harmonics["sin_sd_arcsec"])
     found += (sds / np.hypot(c, s)).tolist()
-    counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 517, 0]
+    counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 0]
+    counts += (result.outliers["row"] + 500).tolist()
     shown = [100 * scores.coverage, *scores.summary["ratio"], 40.0]
     return np.concatenate([um, *table, found, counts, shown])
 
@@ -153,6 +154,15 @@ def test_a_tracker_and_a_model_without_harmonics(tmp_path):
     assert "Scale:" not in text
     with pytest.raises(ValueError, match="needs a single-point test"):
         write_report(result, tmp_path / "report.html", limit_2s=0.1)
+
+
+def test_the_default_kind_of_model_shows_its_harmonics(tmp_path):
+    data = make_single_point(7, 20, machine="eccentricity", random_state=2)
+    model = ArmResidualRegressor(use="harmonics", fade=0, harmonics=JointHarmonicRegressor())
+    result = learn_correction(data.nominal_arm, data.data, data.groups, model=model, cv=3)
+    text = " ".join(read(write_report(result, tmp_path / "report.html")).text)
+    assert "Harmonics of the encoders" in text
+    assert f"{result.model.harmonics_['amplitude_arcsec'][0]:.2f}" in text
 
 
 @pytest.mark.parametrize("shift", [-1e-6, 1e-6])

@@ -91,6 +91,13 @@ def test_points_of_a_tracker_in_metres(write):
     assert table.angle_unit == "rad"
 
 
+def test_points_of_a_tracker_need_no_labels(write):
+    path = write("q1 [rad];q2 [rad];x;y;z;note\n1;2;3;4;5;a\n1;2;3;4;6;b\n")
+    table = read_table(path, 2, points=["x", "y", "z"])
+    assert table.positions is None
+    np.testing.assert_array_equal(table.points[:, 2], [5, 6])
+
+
 def test_spreadsheets(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()

@@ -47,7 +47,7 @@ def test_interrupted_at_every_stage(kind):
     rng = np.random.default_rng(0)
     theta = rng.uniform(-1, 1, (60, 6))
     groups = np.repeat(np.arange(6), 10)
-    first = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
+    first = JointHarmonicRegressor(ARM, n_harmonics=1, gravity=False, wobble=False)
     if kind == "linear":
         model = first
     else:
@@ -57,8 +57,8 @@ def test_interrupted_at_every_stage(kind):
     before, expected = dict(vars(model)), model.predict(theta)
     new = np.cos(theta[:, [1, 2, 3]]) * 0.05 + rng.normal(0, 0.002, (60, 3))
 
-    def refit(estimator=model):
-        estimator.fit(theta + 0.1, new, groups=groups)
+    def refit():
+        model.fit(theta + 0.1, new, groups=groups)
 
     n_calls = 40 if kind == "linear" else 120
     # Twice: what is computed once and then kept makes the second fit shorter.

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     error = np.linalg.norm(ends[0] - ends[1]) - 400
     place = [entry[0] for entry in scores.lengths].index(first)
     assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
-    assert "6 lengths, mean error" in str(scores)
+    assert "known lengths (6), mean error" in str(scores)
     # The two ends of a placement resemble each other: the bootstrap draws placements.
     rng = np.random.default_rng(1)
     draws = rng.integers(6, size=(20_000, 6))
@@ -162,6 +163,23 @@ def test_against_a_tracker(test_data):
     left = np.linalg.norm(learned.scores.left_after, axis=1)
     means = [left[test_data.groups == i].mean() for i in range(7)]
     np.testing.assert_allclose(learned.scores.table["after"], means)
+
+
+def test_tracker_points_without_labels_are_left_out_by_region():
+    rng = np.random.default_rng(2)
+    arm = Arm.from_name("ur10")
+    X = rng.uniform(-2, 2, (200, 6))
+    tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
+    learned = learn_correction(arm, X, None, tracker, model=QUICK)
+    labels = learned.scores.table["position"].tolist()
+    assert labels == [f"region {i:02d}" for i in range(1, 11)]
+    # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
+    spread = [np.ptp(tracker[learned.positions == label], axis=0).max() for label in labels]
+    assert max(spread) < np.ptp(tracker, axis=0).max()
+    with pytest.raises(ValueError, match="at least 5 different points are needed"):
+        learn_correction(arm, X[:4], None, tracker[:4], model=QUICK)
+    with pytest.raises(ValueError, match="got None"):
+        learn_correction(arm, X, None, model=QUICK)
 
 
 @pytest.mark.parametrize(
@@ -234,7 +252,10 @@ def test_shows_itself(learned):
     assert learned.verdict in text
     assert "inside their 95 % intervals" in text
     assert learned.verdict.replace(">", "&gt;") in learned._repr_html_()
-    assert "<pre>" in learned.scores._repr_html_()
+    cells = re.findall(r"<td>([^<]*)</td>", learned.scores._repr_html_())
+    assert len(cells) == 7 * 6
+    assert cells[2::6] == [f"{value:.4f}" for value in learned.scores.table["before"]]
+    assert cells[::6] == list("ABCDEFG")
 
 
 def test_progress_and_processes_change_nothing(test_data, learned):

@@ -280,6 +280,20 @@ def test_ur10(serve, tmp_path, data_folder, ur10):
         atol=1e-8,
     )
     assert np.linalg.norm(test.target, axis=1).mean() < 0.41
+    # The target is fixed to the flange: seen from there it hardly turns.
+    some = slice(None, None, 40)
+    flange = test.arm.frames(test.data[some])[:, -1, :3, :3]
+    result = calibrate(
+        test.nominal_arm,
+        test.data[some],
+        points=test.tracker_points[some],
+        orientations=test.tracker_orientations[some],
+    )
+    seen = np.swapaxes(result.base_rotation @ flange, 1, 2) @ test.tracker_orientations[some]
+    turn = np.swapaxes(seen, 1, 2) @ result.target_rotation
+    angle = np.rad2deg(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    assert np.median(angle) < 0.1
+    assert np.rad2deg(result.sigma_rad) < 0.05
     X, y, goals = fetch_ur10_tracker(
         data_home=tmp_path, download_if_missing=False, return_X_y=True, as_frame=True
     )

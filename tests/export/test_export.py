@@ -33,7 +33,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import export_c, fingerprint
+from sklearn_raacmm.export import describe, export_c, fingerprint, from_json, to_json
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -697,3 +697,18 @@ def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):
     behind = make_pipeline(StandardScaler(), harmonics(data.arm, gravity=False))
     with pytest.raises(ValueError, match=r"jointharmonicregressor comes after another transformer"):
         build(behind.fit(data.data, data.target))
+
+
+def test_a_model_of_zero_terms(build, data):
+    """Nothing is found in noise, and nothing is what is written."""
+    rng = np.random.default_rng(0)
+    y = 1e-3 * rng.normal(size=data.target.shape)
+    none = {"gravity": False, "kinematics": False, "wobble": False, "max_order": 2}
+    model = harmonics(data.arm, **none).fit(data.data, y)
+    assert len(model.coef_) == 0
+    call = build(model, std=True, card=describe(model, data.data, y))
+    assert call.fingerprint == fingerprint(model)
+    np.testing.assert_array_equal(call("correct_std", data.data, 3, n_results=2), 0)
+    np.testing.assert_allclose(call("point", data.data, 3), data.arm.forward(data.data), atol=1e-11)
+    again = from_json(to_json(model))
+    np.testing.assert_array_equal(again.predict(data.data), 0)

@@ -24,6 +24,7 @@ from sklearn_raacmm.network._kernels import (
     KERNELS,
     kernel_matrix,
     pivoted_cholesky,
+    psd_root,
     squared_distances,
 )
 from sklearn_raacmm.network._nested_fits import (
@@ -574,3 +575,13 @@ def test_exchange_stops_after_so_many_sweeps():
     start = rng.choice(60, 5, replace=False)
     swaps = [exchange(groups, start, tol=0, max_sweeps=n)[1] for n in range(5)]
     assert 0 == swaps[0] < swaps[1] < swaps[2] < swaps[3] == swaps[4]
+
+
+@pytest.mark.parametrize("length_scale", [0.1, 0.4, 5.0])  # sound, nearly singular, singular
+def test_root_of_a_kernel_matrix(length_scale):
+    Z = np.random.default_rng(0).uniform(-1, 1, (60, 2)) / length_scale
+    K = kernel_matrix(Z, Z, "gaussian")
+    root = psd_root(K)
+    np.testing.assert_allclose(root.T @ root, K, atol=1e-12)
+    # No direction is without a penalty.
+    assert np.linalg.svd(root, compute_uv=False).min() ** 2 > 1e-16 * len(K)

@@ -39,9 +39,13 @@ def test_gradients_against_finite_differences(name, small):
     theta = THETA - [0, 0, 0, 15, 8] if small else THETA
     for function in forms(some_data(), name):
         found = function(theta)
-        for key in ("value", "signal"):
-            numeric = approx_fprime(theta, lambda t, f=function, k=key: getattr(f(t), k), 1e-7)
-            gradient = found.gradient if key == "value" else found.signal_gradient
+        for i in (None, 0, 1):
+
+            def part(t, f=function, i=i):
+                return f(t).value if i is None else f(t).signal[i]
+
+            numeric = approx_fprime(theta, part, 1e-7)
+            gradient = found.gradient if i is None else found.signal_gradient[i]
             np.testing.assert_allclose(gradient, numeric, atol=2e-5 * np.abs(numeric).max())
 
 
@@ -69,7 +73,8 @@ def test_value_is_that_of_scikit_learns_process(name, reference):
     for alpha in (0.01, 0.1):
         found = exact_likelihood(data, name, np.log([0.7, 1.3]), np.log([alpha]))
         # Its signal variance has to be told: ours is the best one.
-        kernel = ConstantKernel(found.signal) * reference + WhiteKernel(found.signal * alpha)
+        kernel = ConstantKernel(found.signal[0]) * reference
+        kernel += WhiteKernel(found.signal[0] * alpha)
         process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, y)
         differences.append(found.value + process.log_marginal_likelihood_value_)
     # A constant of the number of rows.

@@ -298,6 +298,8 @@ def test_grid_search_and_pickle():
     ("params", "match"),
     [
         ({"n_centers": None}, "'n_centers' parameter"),
+        ({"alpha": [0.1, 0.2]}, r"alpha has shape \(2,\).*1 outputs"),
+        ({"alpha": [-0.1]}, "alpha must not be negative"),
         ({"alpha": 0.0, "length_scale": 1e9}, "more than 1e.07 times the range of every feature"),
         ({"length_scale": [1.0, 2.0, 3.0]}, r"shape \(3,\).*2 features"),
         ({"length_scale": [1.0, -2.0]}, "must be positive"),
@@ -472,3 +474,23 @@ def test_relevance_orders_the_features_by_their_effect():
     assert model.relevance_[3] == 0
     noise = RBFNetRegressor(random_state=0).fit(X, rng.standard_normal(200))
     np.testing.assert_array_equal(noise.relevance_, 0)
+
+
+def test_a_ridge_for_every_output():
+    X, y, _ = smooth(120)
+    rng = np.random.default_rng(0)
+    Y = np.column_stack([y, np.cos(2 * X[:, 1]) + 0.3 * rng.standard_normal(120)])
+    args = {"length_scale": [0.8, 0.9], "degree": 0}
+    both = RBFNetRegressor(120, alpha=[1e-3, 0.1], **args).fit(X, Y)
+    for i, alpha in enumerate([1e-3, 0.1]):
+        one = RBFNetRegressor(120, alpha=alpha, **args).fit(X, Y[:, i])
+        np.testing.assert_allclose(both.predict(X)[:, i], one.predict(X), atol=1e-3)
+    # What was found can be given: a fit of new rows without a search.
+    found = RBFNetRegressor(random_state=0).fit(X, Y)
+    given = {"kernel": found.kernel_, "length_scale": found.length_scale_, "alpha": found.alpha_}
+    again = RBFNetRegressor(**given).fit(X, Y)
+    np.testing.assert_allclose(again.predict(X), found.predict(X), atol=1e-10)
+    # Ridges that are given, and widths that are searched for.
+    searched = RBFNetRegressor(alpha=found.alpha_, random_state=0).fit(X, Y)
+    np.testing.assert_array_equal(searched.alpha_, found.alpha_)
+    assert searched.score(X, Y) > 0.9

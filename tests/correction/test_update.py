@@ -1,0 +1,214 @@
+"""A model brought up to date: the old one, the new one, and what lies between."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    JointHarmonicRegressor,
+    RBFNetRegressor,
+    calibrate,
+    update_correction,
+)
+from sklearn_raacmm.correction._update import place_columns, with_low_orders
+from sklearn_raacmm.datasets import make_single_point
+
+ARM = Arm.from_name("ur10", probe=(0, 0, 93))
+ARCSEC = np.pi / 180 / 3600
+
+
+def errors(angles, knock=0.0):
+    """Encoders that are eccentric and have teeth; a knock shifts the eccentricity of joint 1."""
+    turn = np.zeros_like(angles)
+    turn[:, 0] = (10 + knock) * np.sin(angles[:, 0])
+    turn[:, 1] = 12 * np.cos(angles[:, 1]) + 3 * np.sin(17 * angles[:, 1])
+    turn[:, 3] = 8 * np.cos(2 * angles[:, 3] - 1)
+    return np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
+
+
+def rows(n, seed, knock=0.0, noise_mm=0.01):
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2.5, 2.5, (n, 6))
+    return angles, errors(angles, knock) + rng.normal(0, noise_mm, (n, 3))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return JointHarmonicRegressor(ARM, max_order=20).fit(*rows(500, 0))
+
+
+def left(model, knock, seed=99):
+    angles, _ = rows(400, seed)
+    return np.linalg.norm(errors(angles, knock) - model.predict(angles), axis=1).mean()
+
+
+def test_no_new_pose_is_the_old_model(model):
+    same = update_correction(model, np.empty((0, 6)), np.empty((0, 3)))
+    angles, _ = rows(50, 1)
+    assert_allclose(same.predict(angles), model.predict(angles), rtol=0)
+    assert same is not model
+
+
+def test_new_poses_that_show_nothing_new_change_next_to_nothing(model):
+    angles, y = rows(60, 1)
+    updated = update_correction(model, angles, y, date="2026-01-01")
+    # Base and tool, nine numbers from 180 of 0.01 mm each, are found anew: 0.004 mm.
+    assert left(updated, 0) < 0.006
+    (entry,) = updated.updates_
+    assert entry["date"] == "2026-01-01"
+    assert entry["n_poses"] == 60
+    assert max(entry["tau"].values()) < 0.3
+    assert entry["noise_sd_mm"] == pytest.approx(0.01, rel=0.2)
+
+
+@pytest.mark.parametrize("n", [30, 60])
+def test_a_knock_is_learned_from_few_poses(model, n):
+    angles, y = rows(n, 2, knock=15)
+    updated = update_correction(model, angles, y)
+    assert left(updated, 15) < {30: 0.5, 60: 0.3}[n] * left(model, 15)
+    # The knocked joint is the one that changed, and the old model is as it was.
+    tau = updated.updates_[0]["tau"]
+    assert max(tau, key=tau.get) == "harmonics of joint 1"
+    assert not hasattr(model, "updates_")
+
+
+def test_very_many_poses_are_a_new_fit(model):
+    angles, y = rows(1000, 3, knock=15)
+    updated = update_correction(model, angles, y)
+    fresh = JointHarmonicRegressor(ARM, max_order=20).fit(angles, y)
+    # 0.0019 and 0.0018 mm: to a tenth of the noise.
+    assert left(updated, 15) < left(fresh, 15) + 0.001
+
+
+def test_posterior_against_the_textbook(model):
+    """With tau, noise and place fixed the change is that of one normal regression."""
+    from sklearn_raacmm.correction import _update
+
+    linear = with_low_orders(model.linear_model_)
+    angles, y = rows(40, 4, knock=15)
+    columns, place = linear.columns(angles), place_columns(ARM, angles, with_base=True)
+    residuals = y - columns @ linear.coef
+    change, _ = _update._change(linear, columns, place, residuals, np.ones(40))
+    prior = np.array([linear.prior_sd[f] for f in _update.families_of(linear)])
+    tau = np.array([change.tau[f] for f in _update.parts_of(linear)])
+    P = linear.covariance + np.diag((tau * prior) ** 2)
+    fold = _update._into_kinematics(linear, with_base=True)
+    P = P + 25.0 * fold @ fold.T
+    A = columns.reshape(120, -1)
+    S = A @ P @ A.T + change.noise_sd**2 * np.eye(120)
+    gain = np.linalg.solve(S, A @ P).T
+    # Coefficients that nothing tells apart may be split in another way: compare corrections.
+    new = linear.columns(rows(20, 5)[0]).reshape(60, -1)
+    assert_allclose(new @ change.coef, new @ gain @ residuals.ravel(), atol=2e-5)
+    expected = np.einsum("ij,jk,ik->i", new, P - gain @ A @ P, new)
+    found = np.square(new @ change.half).sum(axis=1)
+    assert_allclose(found, expected, rtol=1e-3, atol=1e-8)
+
+
+def test_moves_of_base_and_tool_are_taken_up(model):
+    """What registration left of base and tool is found with the change, and folded in."""
+    angles, y = rows(60, 6)
+    move = np.random.default_rng(0).normal(0, 0.3, 9)
+    y = y + place_columns(ARM, angles, with_base=True) @ move
+    updated = update_correction(model, angles, y)
+    new, _ = rows(300, 7)
+    expected = errors(new) + place_columns(ARM, new, with_base=True) @ move
+    assert np.linalg.norm(updated.predict(new) - expected, axis=1).mean() < 0.015
+
+
+def test_a_slipped_pose_does_not_count(model):
+    angles, y = rows(60, 8, knock=15)
+    clean = update_correction(model, angles, y)
+    y = y.copy()
+    y[[5, 17]] += [3.0, -2.0, 1.0]
+    assert left(update_correction(model, angles, y), 15) < 1.2 * left(clean, 15)
+
+
+def test_the_type_is_kept_and_so_are_files_and_the_check(model):
+    angles, y = rows(400, 0)
+    first = JointHarmonicRegressor(max_order=20)
+    whole = ArmResidualRegressor(ARM, harmonics=first, use="harmonics").fit(angles, y)
+    new, y_new = rows(60, 9, knock=15)
+    updated = update_correction(whole, new, y_new)
+    assert type(updated) is ArmResidualRegressor
+    assert left(updated, 15) < 0.6 * left(whole, 15)
+    loaded = pickle.loads(pickle.dumps(updated))
+    assert_allclose(loaded.predict(new), updated.predict(new), rtol=0)
+    again = update_correction(updated, new, y_new)
+    assert len(again.updates_) == 2
+    assert updated.harmonics_.shape == updated.linear_model_.harmonic_table().shape
+
+
+def test_single_points_update_too():
+    data = make_single_point(n_positions=12, n_poses=20, random_state=0)
+    old = data.groups < 9
+    model = JointHarmonicRegressor(data.arm, max_order=6)
+    model.fit(data.data[old], data.target[old], groups=data.groups[old])
+    new = ~old
+    updated = update_correction(model, data.data[new], data.target[new], groups=data.groups[new])
+    before = data.target[new] - model.predict(data.data[new])
+    after = data.target[new] - updated.predict(data.data[new])
+    for g in np.unique(data.groups[new]):
+        rows_of = data.groups[new] == g
+        before[rows_of] -= before[rows_of].mean(axis=0)
+        after[rows_of] -= after[rows_of].mean(axis=0)
+    assert np.linalg.norm(after, axis=1).mean() < np.linalg.norm(before, axis=1).mean()
+    with pytest.raises(ValueError, match="give groups, the position of each new pose"):
+        update_correction(model, data.data[new], data.target[new])
+
+
+# -- bad input ---------------------------------------------------------------------------------
+
+
+def test_fewer_poses_than_freedoms_are_told_and_change_nothing(model):
+    angles, y = rows(3, 1)
+    with pytest.warns(UserWarning, match="3 new poses give 9 coordinates, .* the 9 freedoms"):
+        same = update_correction(model, angles, y)
+    assert_allclose(same.predict(angles), model.predict(angles), rtol=0)
+
+
+def test_rows_of_another_arm_are_told(model):
+    angles, _ = rows(60, 1)
+    y = np.random.default_rng(0).normal(0, 5, (60, 3))
+    with pytest.warns(UserWarning, match="are they of this arm"):
+        update_correction(model, angles, y)
+    with pytest.raises(ValueError, match="7 features"):
+        update_correction(model, np.zeros((5, 7)), np.zeros((5, 3)))
+    with pytest.raises(ValueError, match="X has 60 rows, but y has 4"):
+        update_correction(model, angles, y[:4])
+
+
+def test_a_model_without_causes_can_only_be_registered():
+    angles, y = rows(60, 1)
+    net = RBFNetRegressor(max_centers=5).fit(angles, y)
+    with pytest.raises(TypeError, match="It can be registered, by calibrate"):
+        update_correction(net, angles, y)
+
+
+def test_on_the_ur10_another_day(ur10, ur10_b):
+    """Fitted to 2000 poses of one series, brought up to date with 60 of another."""
+    some = np.random.default_rng(0).choice(len(ur10.angles), 2000, replace=False)
+    first = calibrate(ARM, ur10.angles[some], points=ur10.points[some])
+    model = JointHarmonicRegressor(first.arm).fit(ur10.angles[some], first.residuals_mm)
+    new = np.random.default_rng(0).permutation(len(ur10_b.angles))
+    known, rest = new[:60], new[60:]
+    angles, points = ur10_b.angles, ur10_b.points
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = calibrate(
+            first.arm, angles[known], points=points[known], correction=model, free=["probe"]
+        )
+        updated = update_correction(
+            model, angles[known], result.residuals(angles[known], points[known])
+        )
+    true = result.residuals(angles[rest], points[rest])
+    registered, now = (
+        np.linalg.norm(true - m.predict(angles[rest]), axis=1).mean() for m in (model, updated)
+    )
+    assert registered < 0.32
+    assert now < 0.2
