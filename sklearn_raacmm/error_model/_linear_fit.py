@@ -31,8 +31,9 @@ BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_b
 _OUTLIER = 5.5
 _MEDIAN_OF_CHI3 = 1.5382
 _ROBUST_ROUNDS = 4
-# Harmonics are chosen anew, with what the robust weights have become, at most so many times.
-_MAX_CHOICES = 2
+# Harmonics are chosen from scratch, with what the robust weights have become, at most so often:
+# those chosen while outliers counted fully are a worse beginning than none.
+_MAX_CHOICES = 3
 _SETTLED_WEIGHT = 0.05
 
 
@@ -87,13 +88,12 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     offered, expected = offered_harmonics(
         X[weights > 0], options.max_order, options.orders, options.gear_ratio
     )
-    factor, start, pairs = np.ones(len(y)), None, ()
+    factor, start = np.ones(len(y)), None
     for _ in range(_MAX_CHOICES):
-        chosen, terms = _choose(data, factor, offered, expected, start, pairs)
+        chosen, terms = _choose(data, factor, offered, expected, start)
         model, settled, found = _settle(data, factor, chosen, terms)
         moved = np.abs(settled - factor).max()
         factor, start = settled, (found.prior_variance, found.noise_variance)
-        pairs = chosen.pairs
         if moved < _SETTLED_WEIGHT:
             break
     return model, factor
@@ -138,7 +138,7 @@ class FitData(NamedTuple):
         return variance
 
 
-def _choose(data, factor, offered, expected, start, pairs):
+def _choose(data, factor, offered, expected, start):
     """Posterior of the harmonics chosen at given weights, and its terms."""
     options = data.options
     terms = Terms(offered, options.gravity, options.kinematics, options.wobble)
@@ -151,7 +151,7 @@ def _choose(data, factor, offered, expected, start, pairs):
     sums, lengths = data.sums(factor, terms)
     prices = order_prices(offered, expected)
     variance = data.prior_variance()
-    found = select_harmonics(sums, family, HARMONIC, variance, prices, lengths, start, pairs)
+    found = select_harmonics(sums, family, HARMONIC, variance, prices, lengths, start)
     return found, terms._replace(harmonics=offered[found.pairs])
 
 

@@ -22,6 +22,8 @@ from sklearn_raacmm.utils import chunk_size, chunks
 _CHUNK = 1024
 # Gram rows summed up together: those of the next best candidates are likely asked for next.
 _BATCH = 48
+# Divides the sums of positions without weight.
+_TINY = 1e-300
 
 
 class CandidateSums(NamedTuple):
@@ -218,7 +220,7 @@ def _weighted_deviations(columns, weights, starts):
     """Weights times deviations from the position's mean: one side of a product is enough."""
     weighted = weights[:, None, None] * columns
     if starts is not None:
-        total = np.add.reduceat(weights, starts)[:, None, None]
+        total = np.maximum(np.add.reduceat(weights, starts), _TINY)[:, None, None]
         mean = np.add.reduceat(weighted, starts, axis=0) / total
         counts = np.diff(starts, append=len(weights))
         weighted -= weights[:, None, None] * np.repeat(mean, counts, axis=0)
@@ -245,7 +247,7 @@ def _own_blocks(turns, angles, weights, starts, spans):
         cc, ss = 0.5 * (size.sum() + double.real), 0.5 * (size.sum() - double.real)
         cs = 0.5 * double.imag
         if starts is not None:
-            total = np.add.reduceat(weights, starts)
+            total = np.maximum(np.add.reduceat(weights, starts), _TINY)
             for component in range(3):
                 sums = np.add.reduceat((weights * turn[:, component])[:, None] * waves, starts)
                 sums /= np.sqrt(total)[:, None]
