@@ -66,7 +66,7 @@ def models(data):
             ),
         )
 
-    linear = JointHarmonicRegressor(arm, n_harmonics=3)
+    linear = JointHarmonicRegressor(arm, max_order=3)
     network = RBFNetRegressor(60, degree=-1, random_state=0)
     both = ArmResidualRegressor(
         arm, harmonics=linear, network=network, use="harmonics+network", fade=1.0

@@ -4,6 +4,7 @@ Prints the time of `Arm.forward` and the ratio to it of
 
 - the sines and cosines alone, which no way of computing can do without;
 - one (n, 4, 4) matrix product a joint, the usual NumPy way;
+- one call of `Arm.forward` for each pose (timed on fewer rows);
 - a loop over pybotics, if it is installed (timed on fewer rows);
 
 and the memory each takes beyond the angles, the result included. Run it with
@@ -43,6 +44,11 @@ def matrix_products(arm, angles):
     return (frame @ np.append(arm.probe, 1))[:, :3]
 
 
+def one_by_one(arm, angles):
+    """Call `Arm.forward` once a pose."""
+    return np.concatenate([arm.forward(q[None]) for q in angles])
+
+
 def pybotics_loop(arm, angles):
     """Call pybotics once a pose."""
     from pybotics.robot import Robot
@@ -79,6 +85,7 @@ def main(n_rows=1_000_000):
         ("(n, 4, 4) products", matrix_products, angles),
         ("Arm.frames", Arm.frames, angles),
         ("Arm.jacobian", Arm.jacobian, angles),
+        ("Arm.forward, a call a pose", one_by_one, few),
     ]
     try:
         import pybotics  # noqa: F401

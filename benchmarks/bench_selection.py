@@ -1,13 +1,15 @@
 """Forward selection of radial functions: time and memory against peers on one Gaussian dictionary.
 
 Every peer chooses k of n columns exp(-|x_i - x_j|^2 / (2 l^2)), about their mean, for one target;
-data are uniform in a cube with a smooth function and noise. Each run is a process of its own with
+data are uniform in a cube with a smooth function and noise, or with random waves in 6 features
+(--problem waves), which take centres by the hundred. Each run is a process of its own with
 one BLAS and OpenMP thread; printed are medians of the CPU time from data to chosen centres (peers
 are given the ready dictionary for free), of its ratio to ours in the same round, of the peak memory
 above the imports, and how many centres are those of exact orthogonal least squares (fastcan).
 orthogonal_mp is another, cheaper choice: it does not look at what is left of a candidate.
 
     python benchmarks/bench_selection.py --n 3000 --k 200 --repeats 3
+    python benchmarks/bench_selection.py --problem waves --n 1500 --k 800 --length-scale 1
 """
 
 import argparse
@@ -22,20 +24,24 @@ import time
 METHODS = ["RBFNetRegressor", "fastcan", "orthogonal_mp", "orthogonal_mp_gram"]
 
 
-def data(n, d, seed=0):
+def data(n, d, seed=0, problem="smooth"):
     import numpy as np
 
     rng = np.random.default_rng(seed)
     X = rng.uniform(-1, 1, (n, d))
+    if problem == "waves":
+        waves, phases = 2 * rng.normal(size=(60, d)), rng.uniform(0, 2 * np.pi, 60)
+        f = np.sin(X @ waves.T + phases) @ rng.normal(size=60) / 5
+        return X, f + 0.05 * rng.standard_normal(n)
     y = np.sin(4 * X[:, 0]) * np.cos(2 * X[:, 1]) + X[:, 2] ** 2 + 0.05 * rng.standard_normal(n)
     return X, y
 
 
-def run(method, n, k, length_scale):
+def run(method, n, k, length_scale, problem):
     import numpy as np
     from scipy.spatial.distance import cdist
 
-    X, y = data(n, 3)
+    X, y = data(n, 6 if problem == "waves" else 3, problem=problem)
     if method == "RBFNetRegressor":
         from sklearn_raacmm import RBFNetRegressor
 
@@ -77,26 +83,29 @@ def main():
     parser.add_argument("--n", type=int, default=3000)
     parser.add_argument("--k", type=int, default=200)
     parser.add_argument("--length-scale", type=float, default=0.5)
+    parser.add_argument("--problem", default="smooth", choices=["smooth", "waves"])
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--one", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
-        run(args.one, args.n, args.k, args.length_scale)
+        run(args.one, args.n, args.k, args.length_scale, args.problem)
         return
     one_thread = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     results = {method: [] for method in args.methods}
     for _ in range(args.repeats):
         for method in args.methods:  # interleaved, so that a busy moment hits all alike
             command = [sys.executable, __file__, "--one", method]
-            for name in ("n", "k", "length_scale"):
+            for name in ("n", "k", "length_scale", "problem"):
                 command += [f"--{name.replace('_', '-')}", str(getattr(args, name))]
             out = subprocess.run(
                 command, env=os.environ | one_thread, capture_output=True, text=True, check=True
             ).stdout
             results[method].append(json.loads(out))
     ours = results[args.methods[0]]
-    print(f"n = {args.n}, k = {args.k}, length_scale = {args.length_scale}, 3 features, 1 thread")
+    print(
+        f"{args.problem}: n = {args.n}, k = {args.k}, length_scale = {args.length_scale}, 1 thread"
+    )
     print(f"{'method':<20} {'CPU s':>9} {'ratio':>7} {'MiB':>7} {'same centres':>13}")
     reference = results["fastcan"][0]["chosen"] if "fastcan" in results else ours[0]["chosen"]
     for method, runs in results.items():

@@ -39,7 +39,7 @@ def measured(angles, arcsec, probe, shift, rng):
 rng = np.random.default_rng(0)
 angles = rng.uniform(-2.5, 2.5, (500, 6))
 first = calibrate(ARM, angles, points=measured(angles, **LABORATORY, rng=rng))
-model = JointHarmonicRegressor(first.arm, n_harmonics=10).fit(angles, first.residuals_mm)
+model = JointHarmonicRegressor(first.arm, max_order=10).fit(angles, first.residuals_mm)
 
 # %%
 # Later: ever more new poses, and 500 others to judge by.

@@ -8,9 +8,11 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction import (
     ArmResidualRegressor,
+    CorrectionCheck,
     CorrectionScores,
     LearnedCorrection,
     TableChange,
+    check_correction,
     cross_validate_correction,
     learn_correction,
     next_poses,
@@ -31,6 +33,7 @@ __all__ = [
     "Arm",
     "ArmResidualRegressor",
     "CalibrationResult",
+    "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
     "JointHarmonicRegressor",
@@ -41,6 +44,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "cartesian_to_cylindrical",
+    "check_correction",
     "cross_validate_correction",
     "cylindrical_to_cartesian",
     "learn_correction",

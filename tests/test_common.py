@@ -233,9 +233,9 @@ def test_sklearn_checks_of_many_combinations_of_parameters(base, routing):
     "estimator",
     [
         PoseFeatures(),
-        JointHarmonicRegressor(n_harmonics=2, gravity=False),
+        JointHarmonicRegressor(max_order=2, gravity=False),
         ArmResidualRegressor(
-            harmonics=JointHarmonicRegressor(n_harmonics=2, gravity=False), use="harmonics", fade=0
+            harmonics=JointHarmonicRegressor(max_order=2, gravity=False), use="harmonics", fade=0
         ),
         make_pipeline(PoseFeatures(append_azimuth=True), CylindricalResidualTarget()),
     ],

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import importlib.util
 import sys
 import webbrowser
 from pathlib import Path
@@ -35,6 +36,12 @@ _FALSE_ALARM = 0.01
 
 def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
+    missing = [name for name in ("jinja2", "matplotlib", "skops") if not _is_there(name)]
+    if missing:  # said now, not after minutes of learning
+        raise TableError(
+            f"{' and '.join(missing)} must be installed for the report and the model's file: "
+            f"pip install {' '.join(missing)}."
+        )
     arm = load_arm(options.arm)
     table = read_table(options.table, arm.n_joints, **_columns(options, points=options.points))
     _say_notes(table.notes)
@@ -44,6 +51,13 @@ def learn(options):
         if value:
             facts[name] = value
     return _learn(options, arm, table, lengths, facts)
+
+
+def _is_there(name):
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # marked as not to be imported
+        return False
 
 
 def _learn(options, arm, table, lengths, facts):
@@ -72,9 +86,8 @@ def _learn(options, arm, table, lengths, facts):
     print(result.verdict)
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
-    print(
-        f"Written to {out}: report.html, model, arm.json, correction.json, card.md, corrected.csv"
-    )
+    written = "report.html, model.skops, arm.json, correction.json, card.md, corrected.csv"
+    print(f"Written to {out}: {written}")
     if options.open:
         webbrowser.open((out / "report.html").resolve().as_uri())
     return OK if result.helps else NO_HELP

@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
+from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
@@ -13,9 +14,11 @@ from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
     "ArmResidualRegressor",
+    "CorrectionCheck",
     "CorrectionScores",
     "LearnedCorrection",
     "TableChange",
+    "check_correction",
     "cross_validate_correction",
     "learn_correction",
     "next_poses",

@@ -6,7 +6,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sklearn_raacmm.utils import centred, group_means
+from sklearn_raacmm.utils import centred, group_means, stage
 
 CHECK_DTYPE = np.dtype(
     [("model", "U17"), ("mean_mm", "f8"), ("gain_mm", "f8"), ("gain_se_mm", "f8")]
@@ -48,6 +48,7 @@ def shared_by_neighbours(features, left, weights):
     return shared, shared > max(_LEAST_SHARED, _SURELY / np.sqrt(left.size))
 
 
+@stage("check at positions left out")
 def errors_left_out(fit, data, positions, blocks, n_models, guard):
     """Mean deviation of each position when its block is left out, by each model.
 

@@ -169,7 +169,11 @@ class LearnedCorrection:
         return "\n".join(lines)
 
     def _repr_html_(self):
-        return f"<p><b>{escape(self.verdict)}</b></p><pre>{escape(str(self))}</pre>"
+        outliers = [
+            f"<br>outlier: row {row} ({escape(str(label))}), {distance:.3g} mm"
+            for row, label, distance in self.outliers[:10].tolist()
+        ]
+        return f"{self.scores._repr_html_()}{''.join(outliers)}<p>{escape(repr(self.arm))}</p>"
 
 
 def learn_correction(

@@ -100,6 +100,10 @@ class CorrectionScores:
                 f"{row[0]!s:<{width}}{row[1]:8d}{row[2]:24.4f}{row[3]:12.4f}{row[4]:17.4f}"
                 f"{row[5]:12.4f}"
             )
+        return "\n".join(lines + self._summary_lines())
+
+    def _summary_lines(self):
+        lines = []
         for name in ("before", "after"):
             mean, low, high = self.summary[name]
             lines.append(
@@ -108,20 +112,33 @@ class CorrectionScores:
         lines += self._length_lines()
         lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
         if len(self.outliers):
-            lines.append(f"left out of all this as outliers: {len(self.outliers)} rows")
-        return "\n".join(lines)
+            lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
+        return lines
 
     def _length_lines(self):
         if not self.lengths:
             return []
         before, after = np.abs(self.length_errors_before), np.abs(self.length_errors_after)
         return [
-            f"{len(self.lengths)} lengths, mean error: {before.mean():.4f} mm before, "
+            f"known lengths ({len(self.lengths)}), mean error: {before.mean():.4f} mm before, "
             f"{after.mean():.4f} mm after (largest {before.max():.4f}, {after.max():.4f})"
         ]
 
     def _repr_html_(self):
-        return f"<pre>{escape(str(self))}</pre>"
+        names = ("position", "points", f"{self.measure} before, mm", "after, mm")
+        names += ("maximum before, mm", "after, mm")
+        rows = [
+            f"<tr><td>{escape(str(row[0]))}</td><td>{row[1]}</td>"
+            + "".join(f"<td>{value:.4f}</td>" for value in row[2:])
+            + "</tr>"
+            for row in zip(*self.table.values(), strict=True)
+        ]
+        head = "".join(f"<th>{name}</th>" for name in names)
+        rest = "<br>".join(map(escape, self._summary_lines()))
+        return (
+            f"<p><b>{escape(self.verdict)}</b></p><table><thead><tr>{head}</tr></thead>"
+            f"<tbody>{''.join(rows)}</tbody></table><p>{rest}</p>"
+        )
 
 
 def cross_validate_correction(

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 from datetime import date as calendar
 from typing import NamedTuple
@@ -109,6 +109,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     See Also
     --------
     calibrate : Registers: fits base and tool through the correction.
+    check_correction : Says whether an update is needed.
 
     Notes
     -----
@@ -131,7 +132,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     ...     error[:, 2] = np.deg2rad(arcsec / 3600) * np.cos(angles[:, 2])
     ...     return np.einsum("nij,nj->ni", arm.jacobian(angles), error)
     >>> y = residuals(angles, 20) + rng.normal(scale=0.01, size=(400, 3))
-    >>> model = JointHarmonicRegressor(arm, n_harmonics=4).fit(angles, y)
+    >>> model = JointHarmonicRegressor(arm, max_order=4).fit(angles, y)
     >>> new = rng.uniform(-2, 2, (60, 6))  # after a knock it is more so
     >>> y_new = residuals(new, 40) + rng.normal(scale=0.01, size=(60, 3))
     >>> updated = update_correction(model, new, y_new)
@@ -159,7 +160,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     linear = with_low_orders(linear)
     columns = centred(linear.columns(angles), codes, weights)
     place = centred(place, codes, weights)
-    residuals = centred(residuals - model.predict(angles), codes, weights)
+    residuals = centred(residuals - _unfaded(model, angles), codes, weights)
     change = _robust_change(linear, columns, place, residuals, weights)
     if change.noise_sd > _STRANGE * linear.noise_sd:
         warnings.warn(
@@ -177,6 +178,11 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         gauge_free_half=change.half,
         noise_variance=change.noise_sd**2,
     )
+    # The posterior now holds the freedom of base and tool: no fading was tried with that.
+    if hasattr(updated, "fadings_"):
+        updated.fadings_ = [replace(fading, factor=0.0) for fading in updated.fadings_]
+    else:
+        updated.fading_ = replace(updated.fading_, factor=0.0)
     entry = {
         "date": calendar.today().isoformat() if date is None else str(date),
         "n_poses": len(angles),
@@ -185,6 +191,16 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     }
     updated.updates_ = (*getattr(model, "updates_", ()), entry)
     return updated
+
+
+def _unfaded(model, angles):
+    """What a model predicts before it fades."""
+    model = copy(model)
+    if hasattr(model, "fadings_"):
+        model.fadings_ = [replace(fading, factor=0.0) for fading in model.fadings_]
+    else:
+        model.fading_ = replace(model.fading_, factor=0.0)
+    return model.predict(angles)
 
 
 def linear_model_of(model, done):

@@ -29,8 +29,8 @@ UR10_URL = (
 UR10_FILE = "measurements_grid.csv"
 HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement; the sd is our guess
 _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 17)
-# Three angles in degrees. The file does not say about which axes: of all orders, senses and
-# inverses only this one fits a target that is fixed to the flange (to 0.1 degrees; the next one to 8).
+# Three angles in degrees. The file does not say about which axes. Of all orders, senses and
+# inverses only this one fits a target fixed to the flange: to 0.1 degrees, the next one to 8.
 _TURN, _TURN_ORDER = slice(17, 20), "XYZ"
 
 _PANDA_DESCR = """\

@@ -22,7 +22,7 @@ from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import candidate_sums
 from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
-from sklearn_raacmm.utils import centred, group_means
+from sklearn_raacmm.utils import centred, group_means, stage
 
 # Columns that move the arm as a whole: the first axis stands still in the base.
 BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
@@ -54,6 +54,7 @@ class LinearOptions(NamedTuple):
         return cls(*(getattr(estimator, name) for name in cls._fields))
 
 
+@stage("linear error model")
 def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     """Fit the model, and fit it again without the poses that are too far off.
 

@@ -35,6 +35,8 @@ _ESTIMATORS = {
         LinearRegression, Ridge,
     )
 }  # fmt: skip
+# Fitted numbers that are values of their own.
+_VALUES = {kind.__name__: kind for kind in (LinearModel,)}
 # Arrays of scikit-learn's steps: d is the number of features. Those that are None are left out.
 _SHAPES = {
     name: dict.fromkeys(attributes, ("d",))
@@ -101,8 +103,8 @@ def _encoded(value, path):
     if type(value).__name__ in _ESTIMATORS and type(value) is _ESTIMATORS[type(value).__name__]:
         state = {k: v for k, v in vars(value).items() if k != "_posterior_"}
         return {"estimator": type(value).__name__, "state": _encoded_fields(state, path)}
-    if isinstance(value, LinearModel):
-        return {"value": "LinearModel", "state": _encoded_fields(vars(value), path)}
+    if type(value) in _VALUES.values():
+        return {"value": type(value).__name__, "state": _encoded_fields(vars(value), path)}
     unit, method = "rad", value
     if isinstance(value, partial) and set(value.keywords) == {"angle_unit"} and not value.args:
         unit, method = value.keywords["angle_unit"], value.func
@@ -214,13 +216,16 @@ def _decoded_array(value):
 def _decoded_object(value):
     """An estimator or a value, by its name in the lists above."""
     name = value.get("estimator", value.get("value"))
-    kind = {**_ESTIMATORS, "LinearModel": LinearModel}.get(name if isinstance(name, str) else "")
+    kind = {**_ESTIMATORS, **_VALUES}.get(name if isinstance(name, str) else "")
     if kind is None:
         raise ValueError(f"{show(name)} is none of {', '.join(_ESTIMATORS)}")
     state = {key: _decoded(entry) for key, entry in value["state"].items()}
     made = kind.__new__(kind)
-    if kind is LinearModel:
-        made.__setstate__(state)
+    if name in _VALUES:
+        set_state = getattr(made, "__setstate__", None)  # checks what it is given
+        if set_state is None:
+            return kind(**state)
+        set_state(state)
         return made
     missing = set(kind._get_param_names()) - set(state)
     if missing:

@@ -15,6 +15,7 @@ from sklearn_raacmm.network._forward_selection import (
 )
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._nested_fits import size_scores
+from sklearn_raacmm.utils import stage
 
 # Rows drawn as candidate centres where there are more: their factor fits in memory.
 MAX_CANDIDATES = 10_000
@@ -65,6 +66,7 @@ def criterion_in_force(settings, alpha):
     return settings.criterion
 
 
+@stage("centres of the network")
 def choose_centers(problem, alpha, shift, length_scale, settings, rng):
     """Choose centres in order of how much they lower the objective.
 

@@ -226,7 +226,7 @@ def forward_selection(groups, n_select, *, score=total_score, enough=None):
     Selection
     """
     passes = [_ForwardPass(candidates) for candidates in groups]
-    pool = Pool(passes, score)
+    pool = Pool(passes, score, n_select)
     indices, reductions, summed = [], [], 0.0
     stop = None
     while stop is None and len(indices) < n_select:

@@ -21,7 +21,7 @@ _ENTRANTS = 64
 # single steps so far have taken as long as the product that makes its Gram matrix takes.
 _PRODUCTS_PER_READ = 40
 # Below this many steps a guess on the mean of so many guesses, looking ahead does not pay.
-_SHORT_RUN, _TRIALS = 6, 4
+_SHORT_RUN, _TRIALS = 4, 8
 # Candidates in the pool where the kernel matrix itself is worked on: with 256 runs of 25 guesses
 # were right on average (3000 rows, width a tenth), with 64 half as many.
 _FEW_CANDIDATES = 256
@@ -69,6 +69,15 @@ def all_scores(score, states):
     return scores
 
 
+def pays_for_all(n, n_select):
+    """Whether a Gram matrix of all columns of a kernel matrix costs less than single steps.
+
+    It takes 2 n^3 operations, of which 20 are done while one number is read; step k reads half the
+    kernel matrix and four times the k directions so far.
+    """
+    return n_select * (n / 2 + 2 * n_select) > n**2 / 10
+
+
 class Pool:
     """Candidates that score high, with the Gram matrix of what is left of them.
 
@@ -78,14 +87,16 @@ class Pool:
         One for each group of outputs.
     score : callable
         As for `forward_selection`.
+    n_select : int
+        Most steps that will be taken.
     """
 
-    def __init__(self, passes, score):
+    def __init__(self, passes, score, n_select):
         self.passes, self.score = passes, score
         n, rank = len(passes[0].norms), passes[0].candidates.rank
         if not passes[0].whitened:
             # Widths are narrow there: the best candidates are far apart, and few are enough.
-            self.size = min(n, _FEW_CANDIDATES)
+            self.size = n if pays_for_all(n, n_select) else min(n, _FEW_CANDIDATES)
         else:
             # Some of the candidates would not do: the next best is among the others too often.
             self.size = n if n <= _MEMORY * rank else 0

@@ -36,6 +36,7 @@ from sklearn_raacmm.network._likelihood import (
     noise_likelihood,
     projected_likelihood,
 )
+from sklearn_raacmm.utils import stage
 
 # Kernels that `kernel="auto"` chooses from; the first is the one to beat.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
@@ -246,6 +247,7 @@ class Task:
         return End(kernel, found.x, found.fun * unit, values[0])
 
 
+@stage("widths of the network")
 def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, random_state=None):
     """Maximise the penalised likelihood over what is not given.
 

@@ -70,11 +70,12 @@ class OtherMake:
 
     def test(self, n_cones, n_poses):
         """Readings and cone number of a single-point test."""
-        readings, cones = [], []
+        readings, cones, self.places = [], [], []
         for i in range(n_cones):
             azimuth, radius = 2.4 * i, 350 + 350 * (i + 0.5) / n_cones
             place = [radius * np.cos(azimuth), radius * np.sin(azimuth), 100 + 60 * (i % 5)]
-            readings.append(self.cone(np.array(place), n_poses))
+            self.places.append(np.array(place))
+            readings.append(self.cone(self.places[-1], n_poses))
             cones += [i] * n_poses
         return np.concatenate(readings), np.array(cones)
 

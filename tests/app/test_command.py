@@ -203,9 +203,15 @@ def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
     readings += machine.rng.normal(scale=5e-5, size=readings.shape)
     other_make.write_log(tmp_path / "log.csv", readings, cones)
     (tmp_path / "arm.urdf").write_text(URDF)
+    length = np.linalg.norm(machine.places[0] - machine.places[1])
+    lengths = f"von;bis;L [mm]\nKegel Süd 1;Kegel Süd 2;{length:.4f}\n".replace(".", ",")
+    (tmp_path / "lengths.csv").write_bytes(lengths.encode("cp1252"))
     arguments = f"learn {tmp_path}/log.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --folds 3"
-    assert main(arguments.split()) == 3
-    assert "Do not use it: at new positions 2S" in capsys.readouterr().out
+    gauges = ["--lengths", f"{tmp_path}/lengths.csv", "--length-sd", "0.01"]
+    assert main([*arguments.split(), *gauges]) == 3
+    said = capsys.readouterr().out
+    assert "Do not use it: at new positions 2S" in said
+    assert "known lengths (1), mean error" in said
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert '<p class="verdict "><strong>Do not use it' in report
     # Whoever uses it all the same is told so.
@@ -289,6 +295,16 @@ def test_bad_input_is_one_sentence_and_code_2(learned, tmp_path, capsys, argumen
     assert main(arguments.format(**places).split()) == 2
     said = capsys.readouterr().err.splitlines()[-1]
     assert message in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_extras_are_said_before_the_work(learned, monkeypatch, tmp_path, capsys):
+    folder, *_ = learned
+    for name in ("jinja2", "skops"):
+        monkeypatch.setitem(_commands.sys.modules, name, None)
+    log, arm = folder.parent / "log.csv", folder.parent / "arm.urdf"
+    assert main(["learn", str(log), "--arm", str(arm), "--out", str(tmp_path / "out")]) == 2
+    assert "jinja2 and skops must be installed" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -89,7 +89,8 @@ def numbers_of(result):
     c, s = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
     sds = np.hypot(c * harmonics["cos_sd_arcsec"], s * harmonics["sin_sd_arcsec"])
     found += (sds / np.hypot(c, s)).tolist()
-    counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 517, 0]
+    counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 0]
+    counts += (result.outliers["row"] + 500).tolist()
     shown = [100 * scores.coverage, *scores.summary["ratio"], 40.0]
     return np.concatenate([um, *table, found, counts, shown])
 

@@ -47,7 +47,7 @@ def test_interrupted_at_every_stage(kind):
     rng = np.random.default_rng(0)
     theta = rng.uniform(-1, 1, (60, 6))
     groups = np.repeat(np.arange(6), 10)
-    first = JointHarmonicRegressor(ARM, n_harmonics=1, gravity=False, wobble=False)
+    first = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
     if kind == "linear":
         model = first
     else:

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     error = np.linalg.norm(ends[0] - ends[1]) - 400
     place = [entry[0] for entry in scores.lengths].index(first)
     assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
-    assert "6 lengths, mean error" in str(scores)
+    assert "known lengths (6), mean error" in str(scores)
     # The two ends of a placement resemble each other: the bootstrap draws placements.
     rng = np.random.default_rng(1)
     draws = rng.integers(6, size=(20_000, 6))
@@ -251,7 +252,10 @@ def test_shows_itself(learned):
     assert learned.verdict in text
     assert "inside their 95 % intervals" in text
     assert learned.verdict.replace(">", "&gt;") in learned._repr_html_()
-    assert "<pre>" in learned.scores._repr_html_()
+    cells = re.findall(r"<td>([^<]*)</td>", learned.scores._repr_html_())
+    assert len(cells) == 7 * 6
+    assert cells[2::6] == [f"{value:.4f}" for value in learned.scores.table["before"]]
+    assert cells[::6] == list("ABCDEFG")
 
 
 def test_progress_and_processes_change_nothing(test_data, learned):

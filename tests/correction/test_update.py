@@ -39,7 +39,7 @@ def rows(n, seed, knock=0.0, noise_mm=0.01):
 
 @pytest.fixture(scope="module")
 def model():
-    return JointHarmonicRegressor(ARM, n_harmonics=20).fit(*rows(500, 0))
+    return JointHarmonicRegressor(ARM, max_order=20).fit(*rows(500, 0))
 
 
 def left(model, knock, seed=99):
@@ -80,7 +80,7 @@ def test_a_knock_is_learned_from_few_poses(model, n):
 def test_very_many_poses_are_a_new_fit(model):
     angles, y = rows(1000, 3, knock=15)
     updated = update_correction(model, angles, y)
-    fresh = JointHarmonicRegressor(ARM, n_harmonics=20).fit(angles, y)
+    fresh = JointHarmonicRegressor(ARM, max_order=20).fit(angles, y)
     # 0.0019 and 0.0018 mm: to a tenth of the noise.
     assert left(updated, 15) < left(fresh, 15) + 0.001
 
@@ -131,7 +131,7 @@ def test_a_slipped_pose_does_not_count(model):
 
 def test_the_type_is_kept_and_so_are_files_and_the_check(model):
     angles, y = rows(400, 0)
-    first = JointHarmonicRegressor(n_harmonics=20)
+    first = JointHarmonicRegressor(max_order=20)
     whole = ArmResidualRegressor(ARM, harmonics=first, use="harmonics").fit(angles, y)
     new, y_new = rows(60, 9, knock=15)
     updated = update_correction(whole, new, y_new)
@@ -147,7 +147,7 @@ def test_the_type_is_kept_and_so_are_files_and_the_check(model):
 def test_single_points_update_too():
     data = make_single_point(n_positions=12, n_poses=20, random_state=0)
     old = data.groups < 9
-    model = JointHarmonicRegressor(data.arm, n_harmonics=6)
+    model = JointHarmonicRegressor(data.arm, max_order=6)
     model.fit(data.data[old], data.target[old], groups=data.groups[old])
     new = ~old
     updated = update_correction(model, data.data[new], data.target[new], groups=data.groups[new])

@@ -38,7 +38,7 @@ def network(**params):
 @pytest.fixture(scope="module")
 def models(data):
     arm = data.arm
-    linear = JointHarmonicRegressor(arm, n_harmonics=2)
+    linear = JointHarmonicRegressor(arm, max_order=2)
     inner = make_pipeline(PoseFeatures(arm), StandardScaler(), network())
     found = {
         "outermost": CylindricalResidualTarget(inner, azimuth=arm.azimuth),

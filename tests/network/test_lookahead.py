@@ -76,6 +76,7 @@ def test_stops_in_the_midst_of_a_guess(monkeypatch, rounds):
 @pytest.mark.parametrize("few", [1, 8, 30])
 def test_a_pool_of_some_candidates_chooses_alike(monkeypatch, rounds, few):
     monkeypatch.setattr(_lookahead, "_FEW_CANDIDATES", few)
+    monkeypatch.setattr(_lookahead, "pays_for_all", lambda n, n_select: False)
     monkeypatch.setattr(_lookahead, "_ENTRANTS", 5)
     groups = views(symmetric=True)
     expected = one_by_one(monkeypatch, groups, 60)
@@ -114,4 +115,4 @@ def test_gives_up_where_guesses_are_wrong(monkeypatch):
 def test_memory_decides_on_the_pool(rank, expected):
     one = SimpleNamespace(norms=np.ones(120), whitened=True)
     one.candidates = SimpleNamespace(rank=rank)
-    assert _lookahead.Pool([one], None).size == expected
+    assert _lookahead.Pool([one], None, 60).size == expected

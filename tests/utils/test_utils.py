@@ -3,7 +3,8 @@ import logging
 import numpy as np
 import pytest
 
-from sklearn_raacmm.utils import _chunks, check_whole_number, chunks, html_table, stage
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.utils import _chunks, check_whole_number, chunks, html_table
 
 
 @pytest.mark.parametrize("limit", [None, 3])
@@ -39,19 +40,14 @@ def test_html_is_escaped():
     assert html.count("<td>") == 2
 
 
-def test_stages_are_printed_where_nobody_logs_and_logged_where_somebody_does(capsys, caplog):
-    logger = logging.getLogger("sklearn_raacmm")
-    own, logger.propagate = logger.propagate, False  # as without pytest's own handlers
-    try:
-        with stage(1, "widths"):
-            pass
-    finally:
-        logger.propagate = own
-    assert capsys.readouterr().out.startswith("sklearn_raacmm: widths: 0.0 s\n")
-    with caplog.at_level(logging.INFO), stage(True, "centres"):
-        pass
-    assert [record.getMessage() for record in caplog.records] == ["centres: 0.0 s"]
-    with stage(0, "nothing"):
-        pass
+def test_a_fit_says_how_far_it_is_to_those_who_listen(caplog, capsys):
+    X = np.random.default_rng(0).uniform(-1, 1, (60, 2))
+    with caplog.at_level(logging.INFO, logger="sklearn_raacmm"):
+        RBFNetRegressor(max_centers=5, random_state=0).fit(X, X[:, 0])
+    lines = [record.getMessage() for record in caplog.records]
+    assert [line.split(":")[0] for line in lines] == [
+        "widths of the network",
+        "centres of the network",
+    ]
+    assert all(line.endswith(" s") for line in lines)
     assert capsys.readouterr().out == ""
-    assert len(caplog.records) == 1

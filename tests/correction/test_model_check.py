@@ -1,0 +1,135 @@
+"""The check of a correction: false alarms, detection, the right cause, and the record."""
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, JointHarmonicRegressor, RBFNetRegressor, check_correction
+from sklearn_raacmm.datasets import make_single_point
+
+ARM = Arm.from_name("aacmm6")
+ARCSEC = np.pi / 180 / 3600
+NOISE_MM = 0.015
+
+
+def errors(angles):
+    turn = np.zeros_like(angles)
+    turn[:, 0] = 8 * np.sin(angles[:, 0])
+    turn[:, 1] = 12 * np.cos(angles[:, 1])
+    turn[:, 3] = 8 * np.cos(2 * angles[:, 3] - 1)
+    return np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
+
+
+def rows(n, seed, change=None):
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2, 2, (n, 6))
+    y = errors(angles) + rng.normal(0, NOISE_MM, (n, 3))
+    return angles, y if change is None else y + change(angles, rng)
+
+
+def knock(joint, arcsec):
+    return lambda angles, rng: ARM.jacobian(angles)[:, :, joint - 1] * arcsec * ARCSEC
+
+
+@pytest.fixture(scope="module")
+def model():
+    return JointHarmonicRegressor(ARM, max_order=12).fit(*rows(500, 0))
+
+
+@pytest.mark.parametrize("refitted", [(), ("base", "probe")])
+def test_false_alarms_are_as_rare_as_stated(model, refitted):
+    alarms = sum(
+        not check_correction(
+            model, *rows(30, 100 + s), refitted=refitted, false_alarm_rate=0.1
+        ).holds
+        for s in range(60)
+    )
+    # At most 6 on the average; 12 would be seen once in a hundred times.
+    assert alarms <= 12
+
+
+def test_p_values_of_the_size_test_are_uniform(model):
+    """Against the definition of a p-value: the model's covariance is the right one."""
+    p = [check_correction(model, *rows(20, 300 + s)).tests["p_value"][0] for s in range(80)]
+    assert 0.35 < np.mean(p) < 0.65
+    assert np.min(p) < 0.15
+    assert np.max(p) > 0.85
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3, 4])
+def test_a_knocked_joint_is_found_and_named(model, joint):
+    for seed in range(3):
+        check = check_correction(model, *rows(40, seed + 50, knock(joint, 15)))
+        assert not check.holds
+        assert check.suspect == f"offset of joint {joint}"
+        assert "update_correction" in check.advice
+
+
+def test_other_causes_are_told_apart(model):
+    warm = check_correction(model, *rows(40, 1, lambda q, rng: -ARM.forward(q) * 11.7e-6 * 5))
+    assert warm.suspect == "scale"
+    loose = check_correction(model, *rows(40, 2, lambda q, rng: rng.normal(0, 0.02, (40, 3))))
+    assert loose.suspect == "noise"
+    assert "loose probe" in loose.advice
+    longer = ARM.replace(probe=ARM.probe + np.array([0, 0, 0.05]))
+    probe = check_correction(model, *rows(40, 3, lambda q, rng: longer.forward(q) - ARM.forward(q)))
+    assert probe.suspect == "probe"
+    assert "Register" in probe.advice
+
+
+def test_what_was_refitted_shows_no_change(model):
+    move = lambda q, rng: np.array([0.1, -0.05, 0.2])  # noqa: E731
+    angles, y = rows(40, 4, move)
+    assert not check_correction(model, angles, y).holds
+    assert check_correction(model, angles, y, refitted=["base"]).holds
+    names = check_correction(model, angles, y, refitted=["base", "probe"]).tests["cause"]
+    # A turn of the whole base is what an offset of joint 1 is.
+    assert "offset of joint 1" not in names
+    assert "probe" not in names
+
+
+def test_a_slipped_pose_is_named_and_does_not_raise_an_alarm(model):
+    angles, y = rows(40, 5)
+    y[7] += [1.0, 0, 0.5]
+    check = check_correction(model, angles, y)
+    assert check.slipped == (7,)
+    assert check.holds
+
+
+def test_single_points():
+    data = make_single_point(n_positions=14, n_poses=25, random_state=0)
+    old = data.groups < 10
+    model = JointHarmonicRegressor(data.arm, max_order=8)
+    model.fit(data.data[old], data.target[old], groups=data.groups[old])
+    angles, groups = data.data[old], data.groups[old]
+    y = data.target[old] + data.arm.jacobian(angles)[:, :, 2] * 60 * ARCSEC
+    check = check_correction(model, angles, y, groups=groups)
+    assert not check.holds
+    assert check.suspect == "offset of joint 3"
+    with pytest.raises(ValueError, match="give groups"):
+        check_correction(model, angles, y)
+
+
+def test_the_record_is_a_line_of_a_control_chart(model):
+    check = check_correction(model, *rows(40, 6), date="2026-05-01")
+    record = check.record
+    assert record["date"] == "2026-05-01"
+    assert record["n_poses"] == 40
+    low, high = record["mean_limits_mm"]
+    assert low < record["mean_mm"] < high
+    # The mean length of three normal numbers of 0.015 mm.
+    assert (low + high) / 2 == pytest.approx(NOISE_MM * np.sqrt(8 / np.pi), rel=0.15)
+    bad = check_correction(model, *rows(40, 6, knock(2, 20))).record
+    assert bad["mean_mm"] > bad["mean_limits_mm"][1]
+    assert bad["range_mm"] > bad["range_limits_mm"][1]
+
+
+def test_bad_input(model):
+    angles, y = rows(40, 0)
+    with pytest.raises(ValueError, match="refitted must name"):
+        check_correction(model, angles, y, refitted=["table"])
+    with pytest.raises(ValueError, match="'false_alarm_rate' parameter"):
+        check_correction(model, angles, y, false_alarm_rate=0)
+    with pytest.raises(ValueError, match="3 poses have 9 coordinates for 9 freedoms"):
+        check_correction(model, angles[:3], y[:3], refitted=["base", "probe"])
+    with pytest.raises(TypeError, match="cannot be checked"):
+        check_correction(RBFNetRegressor(max_centers=5).fit(angles, y), angles, y)
