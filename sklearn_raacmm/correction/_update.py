@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 from datetime import date as calendar
 from typing import NamedTuple
@@ -163,7 +163,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     linear = with_low_orders(linear)
     columns = centred(linear.columns(angles), codes, weights)
     place = centred(place, codes, weights)
-    residuals = centred(residuals - model.predict(angles), codes, weights)
+    residuals = centred(residuals - _unfaded(model, angles), codes, weights)
     change = _robust_change(linear, columns, place, residuals, weights)
     if change.noise_sd > _STRANGE * linear.noise_sd:
         warnings.warn(
@@ -181,7 +181,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         gauge_free_half=change.half,
         noise_variance=change.noise_sd**2,
     )
-    _keep_faith(updated, angles, weights, codes)
+    _fade_beyond_new_poses(updated, angles, weights, codes)
     entry = {
         "date": calendar.today().isoformat() if date is None else str(date),
         "n_poses": len(angles),
@@ -192,7 +192,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     return updated
 
 
-def _keep_faith(updated, angles, weights, codes):
+def _fade_beyond_new_poses(updated, angles, weights, codes):
     """Let the correction fade from where less is known than at the new poses.
 
     What few poses leave open of base, tool and change adds to every standard deviation. The change
@@ -207,6 +207,16 @@ def _keep_faith(updated, angles, weights, codes):
         updated.fadings_ = [first, *fadings[1:]]
     else:
         updated.fading_ = first
+
+
+def _unfaded(model, angles):
+    """What a model predicts before it fades."""
+    model = copy(model)
+    if hasattr(model, "fadings_"):
+        model.fadings_ = [replace(fading, factor=0.0) for fading in model.fadings_]
+    else:
+        model.fading_ = replace(model.fading_, factor=0.0)
+    return model.predict(angles)
 
 
 def linear_model_of(model, done):
