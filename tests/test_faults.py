@@ -313,8 +313,8 @@ def test_any_file_is_an_arm_within_bounds_or_refused(field, value):
 
 RUNS_DATA = {
     "eval", "exec", "compile", "__import__", "pickle", "cPickle", "dill", "cloudpickle", "marshal",
-    "shelve", "import_module", "exec_module", "module_from_spec", "SourceFileLoader", "subprocess",
-    "system", "popen", "yaml", "allow_pickle", "loads_pickle", "runpy", "ctypes",
+    "shelve", "import_module", "exec_module", "module_from_spec", "SourceFileLoader",
+    "subprocess", "system", "popen", "yaml", "allow_pickle", "loads_pickle", "runpy", "ctypes",
 }  # fmt: skip
 MODULES = sorted(Path(sklearn_raacmm.__file__).parent.glob("**/*.py"))
 

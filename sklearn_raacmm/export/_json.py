@@ -18,7 +18,7 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearModel, Terms
+from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import RBFNetRegressor
@@ -36,7 +36,7 @@ _ESTIMATORS = {
     )
 }  # fmt: skip
 # Fitted numbers that are values of their own.
-_VALUES = {kind.__name__: kind for kind in (LinearModel,)}
+_VALUES = {kind.__name__: kind for kind in (Fading, LinearModel)}
 # Arrays of scikit-learn's steps: d is the number of features. Those that are None are left out.
 _SHAPES = {
     name: dict.fromkeys(attributes, ("d",))
