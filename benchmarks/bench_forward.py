@@ -85,7 +85,7 @@ def main(n_rows=1_000_000):
         ("(n, 4, 4) products", matrix_products, angles),
         ("Arm.frames", Arm.frames, angles),
         ("Arm.jacobian", Arm.jacobian, angles),
-        ("Arm.forward, a call a pose", one_by_one, few),
+        ("Arm.forward, a call each", one_by_one, few),
     ]
     try:
         import pybotics  # noqa: F401

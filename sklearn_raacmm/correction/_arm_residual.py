@@ -4,28 +4,40 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from copy import copy
-from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_angles, points_of
-from sklearn_raacmm.correction._check import (
-    FADES,
-    blocks_of_positions,
-    errors_left_out,
-    verdict,
+from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.correction._check import errors_left_out, shared_by_neighbours, verdict
+from sklearn_raacmm.correction._guards import guarded
+from sklearn_raacmm.correction._stages import (
+    Stages,
+    TrainingData,
+    fit_network,
+    left_by,
+    network_input,
 )
-from sklearn_raacmm.correction._guards import Guard
-from sklearn_raacmm.correction._stages import Stages, TrainingData, fit_stages, network_input
-from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearOptions, check_fit, quantile
+from sklearn_raacmm.error_model import (
+    LEAST_POSITIONS,
+    JointHarmonicRegressor,
+    LinearOptions,
+    check_fit,
+    find_fading,
+    fit_linear_model,
+    leave_out,
+    quantile,
+    warn_where_unknown,
+    with_honest_intervals,
+)
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
+    centred,
     check_features,
     encode_groups,
     fit_context,
@@ -73,18 +85,14 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         one will know.
 
     fade : float or "auto", default="auto"
-        Shrink each stage's correction by ``r^2 / (r^2 + (fade * s)^2)``, with s its posterior
-        standard deviation at this pose and r the root mean square of the training residuals, both
-        as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto" lets the check decide where it is made, for s supposes independent errors and
-        real ones are not: the strongest fading whose mean deviation at the positions left out is at
-        most 5 % (1 % where positions have offsets) above the least; 1 otherwise.
+        How each stage's correction is shrunk where its standard deviation is large, as
+        :class:`JointHarmonicRegressor` explains it. 0: not at all.
 
-    cap : float or None, default=0.99
+    cap : float or None, default=None
         No correction is longer than this quantile of the lengths of the training residuals. Where
         positions have offsets of their own, residuals say nothing of the size of a correction: no
         longer than three times this quantile of the corrections of the training poses. None: no
-        cap.
+        cap; fading does what it was for, at less cost.
 
     Attributes
     ----------
@@ -101,11 +109,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         How much of the model `predict` uses.
 
     check_ : structured ndarray of shape (n_models,) or None
-        For "none", "harmonics" and "harmonics+network" (or "none" and the one that `use` names):
-        `fade`, the factor that suits it; `mean_mm`, the mean over positions of the mean deviation
-        at positions of blocks left out; `gain_mm`, by how much that is less than without
-        correction, and its standard error over positions `gain_se_mm`. None where no check was
-        made.
+        For "none", "harmonics" and, if it was tried, "harmonics+network": `mean_mm`, the mean over
+        positions of the mean deviation at positions of blocks left out; `gain_mm`, by how much that
+        is less than without correction, and its standard error over positions `gain_se_mm`. None
+        where no check was made.
+
+    fadings_ : list of Fading
+        How each stage fades: `factor`, `size_mm` and `known_mm`.
 
     fade_ : float
         The factor of the standard deviation in use.
@@ -114,7 +124,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         Root mean square length of the training residuals.
 
     cap_mm_ : float
-        Longest correction.
+        Longest correction; infinite without a cap.
 
     pose_weight_ : ndarray of shape (n_samples,)
         What the loss of the first stage left of the weight of each training pose: 0 for outliers,
@@ -133,10 +143,17 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     Notes
     -----
-    The check takes the richest model whose gain over each simpler one exceeds the standard error of
-    that gain, and a thousandth. Its networks have the widths of the one of all poses, which take
-    most of the time to find. Blocks are found by k-means among the positions' mean points: a whole
-    region is left out, which asks for more than an unseen position among known ones.
+    The check goes from no correction over the linear model to that with a network, and takes a
+    model if its gain over the last one taken exceeds the standard error of that gain, and a
+    thousandth. Blocks are found by k-means among the positions' mean points: a whole region is left
+    out, which asks for more than an unseen position among known ones. The linear models without a
+    block keep the prior variances and the noise of all poses, and choose their harmonics anew; the
+    networks keep the widths and the ridge, which take most of the time to find. Poses count by
+    `pose_weight_`: one slipped pose says nothing of the others.
+
+    No network is tried where neighbouring poses do not share what the linear model leaves. With
+    fewer than four positions a check says little: no network is used, and the linear model only if
+    it helped at each of them.
 
     Examples
     --------
@@ -171,7 +188,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         use="auto",
         n_folds=10,
         fade="auto",
-        cap=0.99,
+        cap=None,
     ):
         self.arm = arm
         self.harmonics = harmonics
@@ -221,84 +238,88 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         arm, X, y, weights, codes, lengths = check_fit(
             fitted, X, y, sample_weight, groups, lengths, linear=first
         )
+        options = LinearOptions.of(first)
+        linear, pose_weight = fit_linear_model(arm, X, y, weights, codes, lengths, options)
+        robust = weights * pose_weight
+        kept = robust > 0
         inputs = network_input(arm, X, self.features)
-        data = TrainingData(X, y, weights, codes, inputs).rows(weights > 0)
-        n_stages = 2 if self.use == "auto" else MODELS.index(self.use)
-        fit = partial(fit_stages, arm, lengths=lengths, options=LinearOptions.of(first))
-        fit = partial(fit, features=self.features)
-        stages = fit(data, network=self._new_network(n_stages))
-        fade = 1.0 if self.fade == "auto" else float(self.fade)
+        data = TrainingData(X, y, robust, codes, inputs).rows(kept)
+        positions = np.arange(len(X)) if groups is None else encode_groups(groups)[1]
+        left_out = leave_out(linear, options, X, y, robust, codes, positions, self.n_folds)
+        linear = with_honest_intervals(linear, left_out, X, y, weights, codes, positions)
+        place = np.cumsum(kept) - 1  # of each row among those that are kept
+        left_out = [(place[rows[kept[rows]]], rest) for rows, rest in left_out]
+        few = groups is not None and len(np.unique(positions[kept])) < LEAST_POSITIONS
+        n_stages = MODELS.index(self.use) if self.use != "auto" else 1 if few else 2
+        if n_stages == 2 and self.use == "auto":
+            left = centred(left_by(linear, data), data.codes, data.weights)
+            n_stages = 1 + shared_by_neighbours(data.network.features, left, data.weights)[1]
+        stages = Stages(linear, None, self.features)
+        if n_stages == 2:
+            stages = fit_network(self._new_network(), linear, data, self.features)
+        fitted.fadings_ = self._fadings(stages, data)
+        fitted.residual_rms_mm_ = fitted.fadings_[0].size_mm
+        fitted.cap_mm_ = self._longest(stages, data, n_stages)
         fitted.check_ = None
-        if groups is not None and n_stages and "auto" in (self.use, self.fade):
-            positions = encode_groups(groups)[1][weights > 0]
-            positions = np.unique(positions, return_inverse=True)[1].ravel()
-            checked = self._check(fit, data, positions, stages, n_stages)
-            if checked is not None:
-                fitted.check_, n_stages, fade = checked
-        if n_stages < 2:
-            stages = stages.without_network()
+        if groups is not None and self.use == "auto" and left_out:
+            places = np.unique(positions[kept], return_inverse=True)[1].ravel()
+            errors = self._errors(fitted, stages, data, places, left_out, range(n_stages + 1))
+            fitted.check_, n_stages = verdict(errors, MODELS[: n_stages + 1], True, everywhere=few)
         fitted.use_ = MODELS[n_stages]
-        fitted.linear_model_, fitted.network_ = stages.linear, stages.network
-        fitted.pose_weight_ = np.zeros(len(X))
-        fitted.pose_weight_[weights > 0] = stages.pose_weight
-        guard = self._guard(stages, data, n_stages)(fade)
-        fitted.residual_rms_mm_, fitted.fade_, fitted.cap_mm_ = (
-            guard.size_mm,
-            guard.fade,
-            guard.cap_mm,
-        )
+        fitted.linear_model_ = linear
+        fitted.network_ = stages.network if n_stages == 2 else None
+        fitted.pose_weight_ = pose_weight
         self.__dict__ = fitted.__dict__
         return self
 
-    def _new_network(self, n_stages, tuned=None):
-        """Network to be fitted, or None; with the widths of one that is `tuned`."""
-        if n_stages < 2:
-            return None
+    def _new_network(self, tuned=None):
+        """Network to be fitted, with the widths and the ridge of one that is `tuned`."""
         network = self.network
         if network is None:
             network = RBFNetRegressor(degree=-1, random_state=0)
         if tuned is not None:
+            # Most of the time of a network is the search for these: that is done once.
             network = clone(network).set_params(
                 kernel=tuned.kernel_, length_scale=tuned.length_scale_
             )
+            if np.ndim(tuned.alpha_) == 0 or np.ptp(tuned.alpha_) == 0:
+                network.set_params(alpha=float(np.ravel(tuned.alpha_)[0]))
         return network
 
-    def _check(self, fit, data, positions, stages, n_stages):
-        """Table of the check, number of stages to use, and fading; None where none can be made."""
-        if positions.max() < 2:
-            return None
-        points = points_of(stages.linear.arm, data.angles)
-        blocks = blocks_of_positions(points, positions, data.weights, self.n_folds)
-        if blocks is None:
-            return None
-        counts = [0, 1, 2] if self.use == "auto" else [0, n_stages]
-        fades = FADES if self.fade == "auto" else (float(self.fade),)
-        # Most of the time of a network is the search for its widths: that is done once.
-        network = self._new_network(n_stages, stages.network)
+    def _errors(self, fitted, stages, data, positions, left_out, n_models):
+        """Mean deviation of each position, left out, by each number of stages."""
+        blocks = [rows for rows, _ in left_out if len(rows)]
+        models = [model for rows, model in left_out if len(rows)]
+        network = None if stages.network is None else self._new_network(stages.network)
 
-        def fit_rest(rest):
-            part = fit(rest, network=network)
-            return part, self._guard(part, rest, n_stages)
+        def fit(number, rest):
+            if network is None:
+                return Stages(models[number], None, self.features)
+            return fit_network(network, models[number], rest, self.features)
 
-        errors = errors_left_out(fit_rest, data, positions, blocks, counts, fades)
-        models = [MODELS[n] for n in counts]
-        offsets = data.codes is not None
-        table, chosen = verdict(errors, models, fades, offsets, choose=self.use == "auto")
-        return table, counts[chosen], float(table["fade"][chosen])
+        def guard(parts, n_rows):
+            return guarded(parts, fitted.fadings_, fitted.cap_mm_, n_rows)[0]
 
-    def _guard(self, stages, data, n_stages):
-        """Guard by the size of the residuals, as a function of the fading."""
-        weights = data.weights * stages.pose_weight  # outliers do not say how long one may be
-        size = np.linalg.norm(data.y, axis=1)
-        rms = float(np.sqrt(np.average(np.square(size), weights=weights)))
-        cap = np.inf
-        if self.cap is not None:
-            cap = quantile(size, self.cap, weights)
-            if data.codes is not None and n_stages:
-                parts = stages.parts(data.angles, False, data.network)[:n_stages]
-                own = np.linalg.norm(sum(value for value, _ in parts), axis=1)
-                cap = max(cap, _CAP_OF_OFFSETS * quantile(own, self.cap, weights))
-        return partial(Guard, rms, cap_mm=cap)
+        return errors_left_out(fit, data, positions, blocks, list(n_models), guard)
+
+    def _fadings(self, stages, data):
+        """How each stage fades."""
+        stds = [std for _, std in stages.parts(data.angles, True, data.network)]
+        # A network shrinks what it knows little of by itself: it fades beyond its training poses.
+        known = ("auto", 1.0)[: len(stds)]
+        rest = data.weights, data.codes, self.fade
+        return [find_fading(data.y, s, *rest, known=k) for s, k in zip(stds, known, strict=True)]
+
+    def _longest(self, stages, data, n_stages):
+        """Longest correction, mm."""
+        if self.cap is None:
+            return np.inf
+        cap = quantile(np.linalg.norm(data.y, axis=1), self.cap, data.weights)
+        if data.codes is not None and n_stages:
+            parts = stages.parts(data.angles, False, data.network)[:n_stages]
+            own = np.linalg.norm(sum(value for value, _ in parts), axis=1)
+            cap = max(cap, _CAP_OF_OFFSETS * quantile(own, self.cap, data.weights))
+        return cap
 
     @property
     def harmonics_(self):
@@ -309,10 +330,14 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         return self.linear_model_.term_table()
 
     @property
+    def fade_(self):
+        return self.fadings_[0].factor
+
+    @property
     def arm_(self):
         return self.linear_model_.arm
 
-    def predict(self, X, return_std=False):
+    def predict(self, X, return_std=False, with_noise=False):
         """Predict residuals.
 
         Parameters
@@ -321,7 +346,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             Joint angles in rad.
 
         return_std : bool, default=False
-            Also return the standard deviation of the model before the guards, without noise.
+            Also return the standard deviation of the correction before the guards.
+
+        with_noise : bool, default=False
+            Add the noise of a measured coordinate to it.
 
         Returns
         -------
@@ -329,20 +357,54 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             dx, dy and dz in mm: subtract them from the measured points.
 
         std : ndarray of shape (n_samples, 3)
-            Standard deviations in mm, where asked for; the two stages' variances are added, which
-            is too much where one makes up for the other.
+            Standard deviations in mm, where asked for, as :meth:`JointHarmonicRegressor.predict`
+            has them; the two stages' variances are added, which is too much where one makes up for
+            the other.
+
+        Warns
+        -----
+        UserWarning
+            If less than a tenth is left of most of the corrections.
         """
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
         check_angles(X, X.shape[1], "rad")  # warns of degrees
-        stages = Stages(self.linear_model_, None, self.network_, self.features)
-        fades = self.fade_ > 0
-        parts = stages.parts(X, return_std or fades)[: MODELS.index(self.use_)]
-        guard = Guard(self.residual_rms_mm_, self.fade_, self.cap_mm_)
-        mean = guard.apply(parts, len(X))
+        mean, _, parts = self._guarded(X, return_std)
+        if parts and self.fadings_[0].factor > 0:
+            warn_where_unknown(self.fadings_[0].share(parts[0][1]), stacklevel=2)
         if not return_std:
             return mean
-        return mean, np.sqrt(sum((np.square(std) for _, std in parts), np.zeros(mean.shape)))
+        variance = sum((np.square(std) for _, std in parts), np.zeros(mean.shape))
+        return mean, self.linear_model_.widened(np.sqrt(variance), with_noise)
+
+    def fading(self, X):
+        """Share of the correction that the guards leave at each pose.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints)
+            Joint angles in rad.
+
+        Returns
+        -------
+        share : ndarray of shape (n_samples,)
+            The smallest share of a stage that its fading leaves: 1 where nothing is faded, towards
+            0 where nothing is known.
+        """
+        check_is_fitted(self)
+        X = check_features(self, X, dtype=np.float64, reset=False)
+        check_angles(X, X.shape[1], "rad")  # warns of degrees
+        return self._guarded(X, False)[1]
+
+    def _guarded(self, X, return_std):
+        """Guarded correction, the share of it that is left, and the stages' parts."""
+        n_stages = MODELS.index(self.use_)
+        if not n_stages:
+            return np.zeros((len(X), 3)), np.ones(len(X)), []
+        stages = Stages(self.linear_model_, self.network_, self.features)
+        fades = self.fadings_[0].factor > 0
+        parts = stages.parts(X, return_std or fades)
+        return *guarded(parts, self.fadings_, self.cap_mm_, len(X)), parts
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()

@@ -4,122 +4,113 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from sklearn.cluster import KMeans
+from scipy.spatial import cKDTree
 
 from sklearn_raacmm.utils import centred, group_means, stage
 
 CHECK_DTYPE = np.dtype(
-    [
-        ("model", "U17"),
-        ("fade", "f8"),
-        ("mean_mm", "f8"),
-        ("gain_mm", "f8"),
-        ("gain_se_mm", "f8"),
-    ]
+    [("model", "U17"), ("mean_mm", "f8"), ("gain_mm", "f8"), ("gain_se_mm", "f8")]
 )
-# What fade="auto" chooses from.
-FADES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-# How much larger the mean deviation of a stronger fading may be. Where positions have offsets,
-# fading also shrinks their part of the correction, by another factor at every pose: there it has to
-# cost next to nothing.
-_FADE_COST, _FADE_COST_OF_OFFSETS = 1.05, 1.01
+# Share of the variance that neighbours have to have in common for a network to be tried: what it
+# could take off is about half of that, as a share of the deviation.
+_LEAST_SHARED = 0.03
+# Standard deviations above zero that the share has to be at least, of uncorrelated residuals.
+_SURELY = 2.0
 
 
-def blocks_of_positions(points, positions, weights, n_blocks):
-    """Blocks of neighbouring positions, by k-means among their mean points.
+def shared_by_neighbours(features, left, weights):
+    """Correlation of what a model leaves at each pose with what it leaves at the nearest other one.
+
+    A smooth error is nearly the same at neighbours; noise is not.
 
     Parameters
     ----------
-    points : ndarray of shape (n, 3)
-    positions : ndarray of shape (n,)
-        Position of each row, from 0.
+    features : ndarray of shape (n, n_features)
+    left : ndarray of shape (n, 3)
+        In mm.
     weights : ndarray of shape (n,)
-    n_blocks : int
 
     Returns
     -------
-    ndarray of shape (n,) or None
-        Block of each row; None where all positions are at one place.
+    shared : float
+    enough : bool
+        Whether it is more than chance and more than a network needs to be worth its centres.
     """
-    means = group_means(points, positions, weights)
-    n_blocks = min(n_blocks, len(np.unique(means, axis=0)))
-    if n_blocks < 2:
-        return None
-    return KMeans(n_blocks, n_init=4, random_state=0).fit_predict(means)[positions]
+    used = weights > 0
+    F, left = features[used], left[used]
+    F, first = np.unique(F / np.maximum(F.std(axis=0), 1e-12), axis=0, return_index=True)
+    left = left[first]
+    size = np.square(left).sum()
+    if len(F) < 3 or not size > 0:
+        return 0.0, False
+    nearest = cKDTree(F).query(F, k=2)[1][:, 1]
+    shared = float((left * left[nearest]).sum() / size)
+    return shared, shared > max(_LEAST_SHARED, _SURELY / np.sqrt(left.size))
 
 
 @stage("check at positions left out")
-def errors_left_out(fit, data, positions, blocks, n_models, fades):
-    """Mean deviation of each position when its block is left out, by each model and fading.
+def errors_left_out(fit, data, positions, blocks, n_models, guard):
+    """Mean deviation of each position when its block is left out, by each model.
 
     Parameters
     ----------
     fit : callable
-        From training data to stages and their guard.
+        From the number of a block and the training data of the others to their stages.
     data : TrainingData
-    positions, blocks : ndarray of shape (n,)
+        Its weights are those that the fit has left.
+    positions : ndarray of shape (n,)
+        Position of each row, from 0.
+    blocks : list of ndarray
+        Rows of each block.
     n_models : list of int
         How many of the stages each model uses: 0 for no correction.
-    fades : sequence of float
+    guard : callable
+        From the parts of a correction and the number of rows to the correction.
 
     Returns
     -------
-    ndarray of shape (n_models, n_fades, n_positions)
-        In mm.
+    ndarray of shape (n_models, n_positions)
+        In mm; 0 for positions without weight.
     """
-    left = np.tile(data.y, (len(n_models), len(fades), 1, 1))
-    for block in np.unique(blocks):
-        test = blocks == block
-        stages, guard = fit(data.rows(~test))
-        rows = data.rows(test)
+    left = np.tile(data.y, (len(n_models), 1, 1))
+    for number, test in enumerate(blocks):
+        rest = np.ones(len(data.y), dtype=bool)
+        rest[test] = False
+        stages, rows = fit(number, data.rows(rest)), data.rows(test)
         parts = stages.parts(rows.angles, inputs=rows.network)
         for i, n_stages in enumerate(n_models):
-            for j, fade in enumerate(fades):
-                left[i, j, test] -= guard(fade).apply(parts[:n_stages], test.sum())
-    errors = np.empty((*left.shape[:2], positions.max() + 1))
-    for i, j in np.ndindex(errors.shape[:2]):
-        deviation = np.linalg.norm(centred(left[i, j], data.codes, data.weights), axis=1)
-        errors[i, j] = group_means(deviation, positions, data.weights)
-    return errors
+            left[i, test] -= guard(parts[:n_stages], len(test))
+    deviations = [np.linalg.norm(centred(e, data.codes, data.weights), axis=1) for e in left]
+    return np.stack([group_means(d, positions, data.weights) for d in deviations])
 
 
-def verdict(errors, models, fades, offsets, choose):
+def verdict(errors, models, choose, everywhere=False):
     """Table of the check, and which of the models to use.
 
     Parameters
     ----------
-    errors : ndarray of shape (n_models, n_fades, n_positions)
+    errors : ndarray of shape (n_models, n_positions)
     models : sequence of str
         The first is no correction.
-    fades : sequence of float
-    offsets : bool
-        Whether positions have offsets.
     choose : bool
         Whether the check chooses; otherwise the last model is taken.
+    everywhere : bool, default=False
+        Whether a model has to be better at every position rather than in the mean.
 
     Returns
     -------
     table : structured ndarray of shape (n_models,)
     chosen : int
     """
-    # Of fadings nearly as good as the best the strongest: a premium on what the check, inside
-    # the training region, cannot see.
-    means = errors.mean(axis=2)
-    allowed = _FADE_COST_OF_OFFSETS if offsets else _FADE_COST
-    cheap = means <= allowed * means.min(axis=1, keepdims=True)
-    fading = [int(np.flatnonzero(row).max()) for row in cheap]
-    errors = errors[np.arange(len(models)), fading]
     table = np.empty(len(models), dtype=CHECK_DTYPE)
     table["model"], table["mean_mm"] = models, errors.mean(axis=1)
-    table["fade"] = np.take(fades, fading)
     gains = errors[0] - errors
     table["gain_mm"] = gains.mean(axis=1)
     table["gain_se_mm"] = gains.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
-    if not choose:
-        return table, len(models) - 1
-    chosen = 0
-    for i in range(1, len(models)):
-        if _clearly_better(errors[i], errors[chosen]):
+    chosen = 0 if choose else len(models) - 1
+    for i in range(1, len(models) if choose else 0):
+        worst = np.min(errors[chosen] - errors[i]) if everywhere else np.inf
+        if worst > 0 and _clearly_better(errors[i], errors[chosen]):
             chosen = i
     return table, chosen
 

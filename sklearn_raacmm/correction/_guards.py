@@ -1,68 +1,34 @@
-"""Guards of a correction: it fades where little is known, and is never longer than a cap."""
+"""Guards of a correction: each stage fades by its own deviation, and their sum is capped."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass
-
 import numpy as np
 
 
-@dataclass(frozen=True)
-class Guard:
-    """Limits of a correction, whatever model it comes from.
+def guarded(parts, fadings, cap_mm, n_rows):
+    """Sum of the stages of a correction, whatever models they come from.
 
-    Attributes
+    Parameters
     ----------
-    size_mm : float
-        Root mean square length of the training residuals.
-
-    fade : float
-        Factor of the standard deviation in the fading; 0 for none.
-
+    parts : list of (ndarray of shape (n_rows, 3), ndarray of shape (n_rows, 3) or None)
+        Correction and standard deviation of each stage, mm; the deviation may be None where
+        nothing fades.
+    fadings : list of Fading
+        One for each stage, or more.
     cap_mm : float
         Longest correction; infinite for none.
+    n_rows : int
+
+    Returns
+    -------
+    correction : ndarray of shape (n_rows, 3)
+    share : ndarray of shape (n_rows,)
+        Smallest share of a stage that its fading leaves.
     """
-
-    size_mm: float
-    fade: float
-    cap_mm: float
-
-    def factor(self, std):
-        """Share of a correction that is left where its standard deviation is `std`.
-
-        Wiener's factor for errors of the size of the residuals, known to this uncertainty. With the
-        length of the correction for their size it would not vanish far away, where both grow.
-
-        Parameters
-        ----------
-        std : ndarray of shape (n, 3)
-            In mm.
-
-        Returns
-        -------
-        ndarray of shape (n, 1)
-        """
-        doubt = np.square(self.fade * std).sum(axis=1, keepdims=True)
-        size = self.size_mm**2
-        return size / np.maximum(size + doubt, 1e-300)
-
-    def apply(self, parts, n_rows):
-        """Sum of the parts of a correction, each faded by its own deviation, and capped.
-
-        Parameters
-        ----------
-        parts : list of (ndarray of shape (n_rows, 3), ndarray of shape (n_rows, 3) or None)
-            Correction and standard deviation of each stage, mm; the deviation may be None where
-            nothing fades.
-        n_rows : int
-
-        Returns
-        -------
-        ndarray of shape (n_rows, 3)
-        """
-        total = np.zeros((n_rows, 3))
-        for value, std in parts:
-            total = total + (value * self.factor(std) if self.fade > 0 else value)
-        length = np.linalg.norm(total, axis=1, keepdims=True)
-        return total * np.minimum(1.0, self.cap_mm / np.maximum(length, 1e-300))
+    total, least = np.zeros((n_rows, 3)), np.ones(n_rows)
+    for (value, std), fading in zip(parts, fadings, strict=False):
+        share = np.ones(n_rows) if std is None else fading.share(std)
+        total, least = total + value * share[:, None], np.minimum(least, share)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total * np.minimum(1.0, cap_mm / np.maximum(length, 1e-300)), least

@@ -102,7 +102,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
 
     def whitened(angles):
         """What one standard deviation of each of the posterior's axes does, (n, 3, k)."""
-        return linear.columns(angles) @ linear.half
+        return linear.columns(angles) @ linear.gauge_free_half
 
     rows = whitened(X)
     aim = rows if targets is None else whitened(_check_poses(model, targets))

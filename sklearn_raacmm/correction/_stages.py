@@ -3,14 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from sklearn.base import clone
 
 from sklearn_raacmm.arm import Arm, points_of
-from sklearn_raacmm.error_model import LinearModel, LinearOptions, fit_linear_model
+from sklearn_raacmm.error_model import LinearModel
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import (
     direction_of,
@@ -66,15 +66,12 @@ class Stages:
     Attributes
     ----------
     linear : LinearModel
-    pose_weight : ndarray of shape (n_samples,)
-        What the loss of the linear model left of the weight of each training row.
     network : RBFNetRegressor or None
     features : {"pose", "all"}
         What the network sees.
     """
 
     linear: LinearModel
-    pose_weight: np.ndarray
     network: RBFNetRegressor | None
     features: str
 
@@ -95,37 +92,28 @@ class Stages:
                 parts.append((to_cartesian(self.network.predict(F), direction), None))
         return parts
 
-    def without_network(self):
-        return replace(self, network=None)
 
-
-def fit_stages(arm, data, lengths, options, network, features):
-    """Fit the linear model, and the network on what that leaves.
+def fit_network(network, linear, data, features):
+    """Fit the network on what the linear model leaves.
 
     Parameters
     ----------
-    arm : Arm
+    network : RBFNetRegressor
+        Not fitted.
+    linear : LinearModel
     data : TrainingData
-    lengths : list
-        As :func:`fit_linear_model`.
-    options : LinearOptions
-    network : RBFNetRegressor or None
-        Not fitted; None for the linear model alone.
+        Its weights are those that the linear model's loss has left: outliers teach no network.
     features : {"pose", "all"}
 
     Returns
     -------
     Stages
     """
-    linear, pose_weight = fit_linear_model(
-        arm, data.angles, data.y, data.weights, data.codes, lengths, options
-    )
-    if network is not None:
-        weights = data.weights * pose_weight  # outliers do not teach the network
-        left = data.y - centred(linear.predict(data.angles)[0], data.codes, weights)
-        F, direction = data.network
-        network = clone(network).fit(F, to_cylindrical(left, direction), weights)
-    return Stages(linear, pose_weight, network, features)
+    F, direction = data.network
+    left = to_cylindrical(left_by(linear, data), direction)
+    return Stages(linear, clone(network).fit(F, left, data.weights), features)
 
 
-__all__ = ["LinearOptions", "NetworkInput", "Stages", "TrainingData", "fit_stages", "network_input"]
+def left_by(linear, data):
+    """Residuals that the linear model leaves, (n, 3), of which each position's offset is free."""
+    return data.y - centred(linear.predict(data.angles)[0], data.codes, data.weights)

@@ -175,6 +175,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         linear,
         coef=linear.coef + change.coef,
         half=change.half,
+        gauge_free_half=change.half,
         noise_variance=change.noise_sd**2,
     )
     entry = {
@@ -250,6 +251,7 @@ def with_low_orders(linear):
         terms=linear.terms._replace(harmonics=harmonics),
         coef=coef,
         half=half,
+        gauge_free_half=half,
         log_bayes_factor=gains,
     )
 

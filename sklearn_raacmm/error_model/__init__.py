@@ -4,21 +4,33 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.error_model._columns import Terms, column_table, term_columns
+from sklearn_raacmm.error_model._fading import Fading, find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
+from sklearn_raacmm.error_model._left_out import (
+    LEAST_POSITIONS,
+    leave_out,
+    with_honest_intervals,
+)
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._orders import likely_gear_ratios
 
 __all__ = [
+    "LEAST_POSITIONS",
+    "Fading",
     "JointHarmonicRegressor",
     "LinearModel",
     "LinearOptions",
     "Terms",
     "check_fit",
     "column_table",
+    "find_fading",
     "fit_linear_model",
+    "leave_out",
     "likely_gear_ratios",
     "quantile",
     "term_columns",
+    "warn_where_unknown",
+    "with_honest_intervals",
 ]

@@ -10,6 +10,7 @@ import numpy as np
 from sklearn_raacmm.arm import arm_for, check_angles, points_of
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.utils import (
+    centred,
     check_data,
     check_weights,
     encode_groups,
@@ -21,9 +22,10 @@ from sklearn_raacmm.utils import (
 _CALLER = 6
 # Part of its own length by which a point that was measured may be off.
 _SHARE_OF_POINTS = 0.05
-# Share of the residuals' size below which a position's mean residual counts as zero: residuals of a
-# single-point test have such means by construction, to rounding (or to the digits of a file).
-_CENTRED = 1e-3
+# Mean residuals of positions, as a share of what the scatter within positions explains, below which
+# they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
+# 1 for independent residuals against a reference, more where neighbours err alike.
+_CENTRED = 0.5
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
@@ -104,11 +106,9 @@ def _check_offsets(offsets, y, weights, groups):
         return None
     _, codes = encode_groups(groups, len(y))
     if offsets == "auto":
-        total = group_weights(codes, weights)
-        means = group_means(y, codes, weights)[total > 0]
-        size = np.sqrt(weights @ np.square(y).mean(axis=1) / max(total.sum(), 1e-300))
-        offsets = bool(size > 0 and np.abs(means).max() <= _CENTRED * size)
-        if not offsets and size > 0 and np.median(np.abs(means)) <= _CENTRED * size:
+        share, of_most = _share_of_means(y, codes, weights)
+        offsets = share < _CENTRED
+        if not offsets and of_most < 0.1 * _CENTRED:
             warnings.warn(
                 "Most positions' mean residuals are zero, but not all: y looks like deviations "
                 "from means of other rows than these. No offsets are fitted; set offsets to True "
@@ -117,3 +117,21 @@ def _check_offsets(offsets, y, weights, groups):
                 stacklevel=_CALLER,
             )
     return codes if offsets else None
+
+
+def _share_of_means(y, codes, weights):
+    """Mean squares of positions' means over what the scatter within positions explains.
+
+    Returns
+    -------
+    of_all, of_most : float
+        Over all positions, and the median position; infinite where nothing scatters.
+    """
+    total = group_weights(codes, weights)
+    used = total > 0
+    left = centred(y, codes, weights)
+    within = weights @ np.square(left).sum(axis=1) / max(total.sum() - used.sum(), 1e-300)
+    between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
+    if not within > 0:
+        return np.inf, np.inf
+    return between.mean() / within, float(np.median(between)) / within

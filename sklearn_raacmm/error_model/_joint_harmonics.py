@@ -11,13 +11,16 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit
+from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
     check_features,
+    encode_groups,
     fit_context,
     one_blas_thread,
 )
@@ -78,6 +81,13 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Tukey's biweight, which gives those none, and the model is fitted again. "squared": least
         squares, which a slipped probe pulls along.
 
+    fade : float or "auto", default="auto"
+        Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
+        standard deviation at this pose and r the root mean square of the training residuals, both
+        as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
+        all. "auto": 2, or 1 below 150 poses with a reference each. Where positions have offsets, t
+        is three times the deviation that 99 % of the training poses stay below; elsewhere 0.
+
     Attributes
     ----------
     linear_model_ : LinearModel
@@ -113,6 +123,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     column_harmonics_ : ndarray of shape (n_chosen, 2)
         Joint from 1 and order of the harmonics in that order.
+
+    fading_ : Fading
+        How corrections fade: `factor`, `size_mm` (r) and `known_mm` (t).
 
     pose_weight_ : ndarray of shape (n_samples,)
         What the loss left of the weight of each training pose: 0 for outliers.
@@ -152,7 +165,11 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     off [1]_. On simulated arms with 4 % slipped poses it was as good as without them, and never
     worse on clean ones, nor on two Pandas, one of which holds outliers.
 
-    Standard deviations suppose independent noise. Where a smooth error is left they are too small.
+    The posterior's standard deviations suppose that the model is complete. Of ten blocks of
+    neighbouring positions, left out in turn, the errors show how much larger they have to be: they
+    are compared with ``sqrt(a n^2 + b s^2)``, n the noise and s the posterior's deviation, as a
+    Student variable, and a, b and its degrees of freedom have the highest posterior. With fewer
+    than four positions there is nothing to compare with.
 
     The harmonic form is that of encoder eccentricity; the composition of the model is our own.
 
@@ -194,6 +211,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         "prior_sd": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"})],
         "offsets": ["boolean", StrOptions({"auto"})],
         "loss": [StrOptions({"squared", "tukey"})],
+        "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
     }
 
     def __init__(
@@ -209,6 +227,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         prior_sd="auto",
         offsets="auto",
         loss="tukey",
+        fade="auto",
     ):
         self.arm = arm
         self.max_order = max_order
@@ -220,6 +239,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         self.prior_sd = prior_sd
         self.offsets = offsets
         self.loss = loss
+        self.fade = fade
 
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
@@ -265,8 +285,16 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         """
         fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
         arm, *data = check_fit(fitted, X, y, sample_weight, groups, lengths, linear=self)
+        X, y, weights, codes, _ = data
         options = LinearOptions.of(self)
-        fitted.linear_model_, fitted.pose_weight_ = fit_linear_model(arm, *data, options)
+        model, pose_weight = fit_linear_model(arm, *data, options)
+        robust = weights * pose_weight
+        positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
+        left_out = leave_out(model, options, X, y, robust, codes, positions)
+        model = with_honest_intervals(model, left_out, X, y, weights, codes, positions)
+        std = model.predict(X, return_std=True)[1]
+        fitted.linear_model_, fitted.pose_weight_ = model, pose_weight
+        fitted.fading_ = find_fading(y, std, robust, codes, self.fade)
         self.__dict__ = fitted.__dict__
         return self
 
@@ -312,7 +340,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     def arm_(self):
         return self.linear_model_.arm
 
-    def predict(self, X, return_std=False):
+    def predict(self, X, return_std=False, with_noise=False):
         """Predict residuals.
 
         Parameters
@@ -321,7 +349,11 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             Joint angles in rad.
 
         return_std : bool, default=False
-            Also return the standard deviation of the prediction, without noise.
+            Also return the standard deviation of the correction before it fades.
+
+        with_noise : bool, default=False
+            Add the noise of a measured coordinate to the standard deviation: of the residual that
+            a new measurement shows, rather than of the correction.
 
         Returns
         -------
@@ -329,8 +361,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             dx, dy and dz in mm: subtract them from the measured points.
 
         std : ndarray of shape (n_samples, 3)
-            Their posterior standard deviations in mm, where asked for. Far from the training poses
-            they grow, to at most those of the priors.
+            Standard deviations in mm, where asked for: 1.96 of them make an interval of 95 % at
+            positions that were left out of the fit, as far as these could be tried. Far from the
+            training poses they grow. Where positions have offsets they are those of what such a
+            test can show: a motion of the base is left out.
 
         Raises
         ------
@@ -342,13 +376,61 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Warns
         -----
         UserWarning
-            If angles are larger than two turns: most likely degrees.
+            If angles are larger than two turns: most likely degrees; if most of the corrections
+            are reduced to less than a tenth.
         """
+        X = self._check_poses(X)
+        fades = self.fading_.factor > 0
+        mean, std = self.linear_model_.predict(X, return_std or fades)
+        if fades:
+            share = self.fading_.share(std)
+            warn_where_unknown(share, stacklevel=2)
+            mean = share[:, None] * mean
+        return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+
+    def fading(self, X):
+        """Share of the correction that `predict` returns at each pose.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints)
+            Joint angles in rad.
+
+        Returns
+        -------
+        share : ndarray of shape (n_samples,)
+            1 where nothing is faded, towards 0 where nothing is known.
+        """
+        X = self._check_poses(X)
+        return self.fading_.share(self.linear_model_.predict(X, return_std=True)[1])
+
+    def distance_std(self, X1, X2):
+        """Standard deviation of corrected lengths between two poses each, without noise.
+
+        Parameters
+        ----------
+        X1, X2 : array-like of shape (n_samples, n_joints)
+            Joint angles in rad at the two ends.
+
+        Returns
+        -------
+        std : ndarray of shape (n_samples,)
+            In mm, before the correction fades.
+
+        Raises
+        ------
+        ValueError
+            If X1 and X2 have different numbers of rows, or as in `predict`.
+        """
+        X1, X2 = self._check_poses(X1), self._check_poses(X2)
+        if len(X1) != len(X2):
+            raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
+        return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)
+
+    def _check_poses(self, X):
         check_is_fitted(self)
         X = check_features(self, X, dtype=np.float64, reset=False)
-        check_angles(X, X.shape[1], "rad")  # warns of degrees
-        mean, std = self.linear_model_.predict(X, return_std)
-        return (mean, std) if return_std else mean
+        return check_angles(X, X.shape[1], "rad", stacklevel=4)  # warns of degrees
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()

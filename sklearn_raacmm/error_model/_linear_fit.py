@@ -24,6 +24,8 @@ from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
 from sklearn_raacmm.utils import centred, group_means, stage
 
+# Columns that move the arm as a whole: the first axis stands still in the base.
+BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
 # Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
 # errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
 _OUTLIER = 5.5
@@ -81,7 +83,7 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     ValueError
         If the options leave no columns.
     """
-    data = _Data(arm, X, y, weights, codes, lengths, options)
+    data = FitData(arm, X, y, weights, codes, lengths, options)
     offered, expected = offered_harmonics(
         X[weights > 0], options.max_order, options.orders, options.gear_ratio
     )
@@ -97,7 +99,7 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     return model, factor
 
 
-class _Data(NamedTuple):
+class FitData(NamedTuple):
     arm: Arm
     X: np.ndarray
     y: np.ndarray
@@ -153,11 +155,38 @@ def _choose(data, factor, offered, expected, start, pairs):
     return found, terms._replace(harmonics=offered[found.pairs])
 
 
+def constrained(model, X, weights, codes, keep_scale=True):
+    """Model without what positions with offsets cannot show: the scale, and where the base stands.
+
+    Parameters
+    ----------
+    model : LinearModel
+    X : ndarray of shape (n, n_joints)
+        Training poses.
+    weights : ndarray of shape (n,)
+    codes : ndarray of shape (n,) or None
+        Position of each row, from 0; None where positions have no offsets.
+    keep_scale : bool, default=True
+        Whether no known lengths show the scale.
+
+    Returns
+    -------
+    LinearModel
+        The same one where positions have no offsets or it has no columns of the kinematics.
+    """
+    if codes is None or not model.terms.kinematics:
+        return model
+    columns = mean_columns(model.arm, X, weights, codes, model.terms)
+    if keep_scale:
+        model = _keep_scale(model, columns, group_means(points_of(model.arm, X), codes, weights))
+    return _without_gauge(model, columns)
+
+
 def _settle(data, factor, found, terms):
     """Weights of the poses, and the model at these weights, harmonics being chosen."""
     family = term_names(data.arm, terms)[1]
     pairs = np.arange(len(terms.harmonics))
-    model = _model_of(data, factor, found, terms)
+    model = model_of(data, factor, found, terms)
     if data.options.loss == "squared":
         return model, factor, found
     for _ in range(_ROBUST_ROUNDS):
@@ -168,7 +197,7 @@ def _settle(data, factor, found, terms):
         sums, lengths = data.sums(factor, terms)
         start = found.prior_variance, found.noise_variance
         found = refit(sums, family, HARMONIC, data.prior_variance(), pairs, lengths, start)
-        model = _model_of(data, factor, found, terms)
+        model = model_of(data, factor, found, terms)
     return model, factor, found
 
 
@@ -184,7 +213,7 @@ def _pose_weights(data, model, factor):
     return np.square(np.maximum(1 - share, 0.0))
 
 
-def _model_of(data, factor, found, terms):
+def model_of(data, factor, found, terms):
     """Value of a posterior, with columns in the order harmonics by joint, other terms."""
     n_pairs = len(terms.harmonics)
     order = np.roll(np.arange(len(found.coef)), 2 * n_pairs)
@@ -202,25 +231,23 @@ def _model_of(data, factor, found, terms):
         offsets=data.codes is not None,
         n_determined=found.n_determined,
         log_bayes_factor=found.gains,
+        gauge_free_half=half,
     )
     X, _, weights, codes, lengths = data.weighted(factor)
-    if codes is not None and data.options.kinematics and not lengths:
-        model = _keep_scale(model, X, weights, codes)
-    return model
+    return constrained(model, X, weights, codes, keep_scale=not lengths)
 
 
-def _keep_scale(model, X, weights, codes):
+def _keep_scale(model, columns, points):
     """Leave the distances between positions as the calibration has them, on the average.
 
     Positions with offsets do not show a common scale of all lengths, and whatever the prior
-    makes of it would be an error in proportion to every length.
+    makes of it would be an error in proportion to every length. `columns` and `points` are means
+    over the positions.
     """
-    points = group_means(points_of(model.arm, X), codes, weights)
     spread = points - points.mean(axis=0)
     size = np.square(spread).sum()
     if not size > 0:
         return model
-    columns = mean_columns(model.arm, X, weights, codes, model.terms)
     scale_of = np.einsum("gc,gcp->p", spread, columns) / size
     unit = scale_direction(model.arm, model.terms)
     return replace(
@@ -228,6 +255,24 @@ def _keep_scale(model, X, weights, codes):
         coef=model.coef - unit * (scale_of @ model.coef),
         half=model.half - np.outer(unit, scale_of @ model.half),
     )
+
+
+def _without_gauge(model, columns):
+    """Take motions of the base out of the covariance that predictions are judged by.
+
+    A single-point test does not show where the base stands: along the six columns that move it the
+    posterior is the prior, and other columns imitate a motion at the positions of the test. With M
+    the mean columns over the positions and B the six of them, ``G = lstsq(B, M)`` is the motion in
+    every column, and ``A - A[:, base] @ G`` are the columns without it (inner constraints).
+    """
+    names, _ = term_names(model.arm, model.terms)
+    n_waves = 2 * len(model.terms.harmonics)
+    base = [n_waves + names.index(name) for name in BASE_MOTIONS]
+    flat = columns.reshape(-1, columns.shape[2])
+    motion = np.linalg.lstsq(flat[:, base], flat, rcond=1e-9)[0]
+    half = model.half.copy()
+    half[base] -= motion @ model.half
+    return replace(model, gauge_free_half=half)
 
 
 def quantile(values, share, weights):

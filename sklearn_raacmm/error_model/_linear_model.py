@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     Terms,
@@ -70,6 +70,15 @@ class LinearModel:
 
     log_bayes_factor : ndarray of shape (n_harmonics,)
         By how much each harmonic of `terms` raises the log evidence, beside all others.
+
+    gauge_free_half : ndarray of shape (n_columns, r)
+        As `half`, for the part of the correction that a single-point test can show: a motion of the
+        base, and what imitates one at the positions of the test, is projected out. Equal to `half`
+        where positions have no offsets. Standard deviations of predictions are made of it.
+
+    std_scale, noise_scale : float
+        Factors of the standard deviation of the model and of the noise at which intervals hold at
+        positions that were left out (see :func:`with_honest_intervals`); 1 where that is not known.
     """
 
     arm: Arm
@@ -81,11 +90,15 @@ class LinearModel:
     offsets: bool
     n_determined: float
     log_bayes_factor: np.ndarray
+    gauge_free_half: np.ndarray
+    std_scale: float = 1.0
+    noise_scale: float = 1.0
 
     def __setstate__(self, state):
         vars(self).update(state)
         pairs = np.asarray(self.terms.harmonics)
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
+        shapes["gauge_free_half"] = ("columns", "rank")
         check_shapes("LinearModel", {"harmonics": pairs}, {"harmonics": ("pairs", 2)}, {})
         if len(pairs) and not (0 <= pairs[:, 0].min() <= pairs[:, 0].max() < self.arm.n_joints):
             raise ValueError(
@@ -142,7 +155,8 @@ class LinearModel:
             In mm.
 
         std : ndarray of shape (n, 3) or None
-            In mm, without noise; None where it is not asked for.
+            That of the posterior, mm, without noise, of what the test can show; None where it is
+            not asked for. :meth:`widened` makes intervals of it that hold.
         """
         mean = np.empty((len(angles), 3))
         std = np.empty((len(angles), 3)) if return_std else None
@@ -150,8 +164,49 @@ class LinearModel:
             columns = self.columns(angles[rows])
             mean[rows] = columns @ self.coef
             if return_std:
-                std[rows] = np.sqrt(np.square(columns @ self.half).sum(axis=2))
+                std[rows] = np.sqrt(np.square(columns @ self.gauge_free_half).sum(axis=2))
         return mean, std
+
+    def widened(self, std, with_noise=False):
+        """Standard deviations whose intervals hold at positions that were left out of the fit.
+
+        Parameters
+        ----------
+        std : ndarray
+            Of the posterior, mm.
+
+        with_noise : bool, default=False
+            Whether to add the noise of one measured coordinate.
+
+        Returns
+        -------
+        ndarray of the shape of `std`
+        """
+        noise = self.noise_scale * self.noise_sd if with_noise else 0.0
+        return np.hypot(self.std_scale * std, noise)
+
+    def distance_std(self, first, second):
+        """Posterior standard deviation of a corrected length between two poses each.
+
+        Parameters
+        ----------
+        first, second : ndarray of shape (n, n_joints)
+            Angles in rad at the two ends.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            In mm; 0 for lengths of zero.
+        """
+        line = points_of(self.arm, second) - points_of(self.arm, first)
+        length = np.linalg.norm(line, axis=1, keepdims=True)
+        line = line / np.maximum(length, 1e-300)
+        out = np.empty(len(first))
+        for rows in chunks(len(first), _CHUNK):
+            difference = self.columns(second[rows]) - self.columns(first[rows])
+            along = np.einsum("nc,ncp->np", line[rows], difference)
+            out[rows] = np.linalg.norm(along @ self.gauge_free_half, axis=1)
+        return out
 
     def harmonic_table(self):
         """Harmonics as a structured array, the largest first: see `JointHarmonicRegressor`."""

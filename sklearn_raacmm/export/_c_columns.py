@@ -91,7 +91,8 @@ def error_model(numbers, linear, std):
     text += numbers.table("column_coef", linear.coef)
     variance = ""
     if std:
-        half = np.pad(linear.half, ((0, 0), (0, -linear.half.shape[1] % _VECTOR)))
+        half = linear.gauge_free_half
+        half = np.pad(half, ((0, 0), (0, -half.shape[1] % _VECTOR)))
         text += numbers.table("column_half", half, "root of the coefficients' covariance")
         variance = _VARIANCE.format(real=real, m=m, r=half.shape[1])
     n = arm.n_joints
@@ -113,11 +114,11 @@ def error_model(numbers, linear, std):
 _FADED = """\
 /* Add a stage, shrunk by its variance against the size of the residuals, mm^2; returns the share of
    it that is left. */
-static {real} add_faded(const {real} y1[3], const {real} v1[3], {real} y[3])
+static {real} add_faded(const {real} y1[3], const {real} v1[3], {real} known, {real} y[3])
 {{
-    const {real} size = {square};
-    const {real} sum = size + {fade} * (v1[0] + v1[1] + v1[2]);
-    const {real} factor = size / (sum < {tiny} ? {tiny} : sum);
+    const {real} size = {square}, doubt = v1[0] + v1[1] + v1[2] - known;
+    const {real} sum = size + (doubt > 0 ? {fade} * doubt : 0);
+    const {real} factor = {faded} ? size / (sum < {tiny} ? {tiny} : sum) : 1;
     for (int k = 0; k < 3; ++k)
         y[k] += y1[k] * factor;
     return factor;
@@ -136,7 +137,7 @@ _CAPPED = """\
 
 
 def guarded_sum(numbers, step, std):
-    """``guarded_sum(arm, y, v)`` of an `ArmResidualRegressor`: its stages, faded and capped.
+    """``guarded_sum(arm, y, v)`` of one of the arm's estimators: its stages, faded and capped.
 
     It returns the smallest share of a stage that the fading leaves.
     """
@@ -144,34 +145,44 @@ def guarded_sum(numbers, step, std):
     head = f"static {real} guarded_sum(const struct arm_state *arm, {real} y[3]"
     head += f", {real} *v)" if std else ")"
     start = ["y[0] = y[1] = y[2] = 0;", *(["if (v)", "    v[0] = v[1] = v[2] = 0;"] * std)]
-    if step.use_ == "none":
+    use, fadings = getattr(step, "use_", "harmonics"), _fadings(step)
+    cap = getattr(step, "cap_mm_", np.inf)
+    if use == "none":
         lines = ["(void)arm;", *start, "return 1;"]
         return "\n".join([head, "{", *(f"    {line}" for line in lines), "}\n"])
-    doubted = std or step.fade_ > 0
+    doubted = std or fadings[0].factor > 0
     declared = [f"{real} y1[3] = {{0, 0, 0}};"]
     declared += [f"{real} v1[3] = {{0, 0, 0}};", f"{real} trust = 1, factor;"] * doubted
     v = ", v1" if doubted else ""
     stages = [[f"error_model(arm, y1{v});"]]
-    if step.use_ == "harmonics+network":
+    if use == "harmonics+network":
         declared += [f"{real} cs[2];", *([f"{real} x[3];"] if step.features != "all" else [])]
         pose = ["pose_features(arm, x);"] if step.features != "all" else []
         inputs = "x" if pose else "arm->angle"
         network = [f"network({inputs}, y1{v});", f"to_cartesian(cs, y1{v});"]
         stages.append(["azimuth_direction(arm, cs);", *pose, *network])
-    add = ["factor = add_faded(y1, v1, y);", "trust = factor < trust ? factor : trust;"]
-    if not doubted:
-        add = ["for (int k = 0; k < 3; ++k)", "    y[k] += y1[k];"]
-    if std:
-        add += ["if (v)", "    for (int k = 0; k < 3; ++k)", "        v[k] += v1[k];"]
-    lines = [*declared, *start, *(line for stage in stages for line in [*stage, *add])]
+    trust = "trust = factor < trust ? factor : trust;"
+    variance = f"        v[k] += {literal(step.linear_model_.std_scale**2)} * v1[k];"
+    lines = [*declared, *start]
+    for stage, fading in zip(stages, fadings, strict=False):
+        add = [f"factor = add_faded(y1, v1, {literal(fading.known_mm**2)}, y);", trust]
+        if not doubted:
+            add = ["for (int k = 0; k < 3; ++k)", "    y[k] += y1[k];"]
+        lines += [*stage, *add, *(["if (v)", "    for (int k = 0; k < 3; ++k)", variance] * std)]
     body = "".join(f"    {line}\n" for line in lines)
-    if np.isfinite(step.cap_mm_):
-        body += _CAPPED.format(real=real, f=numbers.suffix, cap=literal(step.cap_mm_))
+    if np.isfinite(cap):
+        body += _CAPPED.format(real=real, f=numbers.suffix, cap=literal(cap))
     body += f"    return {'trust' if doubted else '1'};\n"
     faded = _FADED.format(
         real=real,
-        square=literal(step.residual_rms_mm_**2),
-        fade=literal(step.fade_**2),
+        square=literal(fadings[0].size_mm ** 2),
+        fade=literal(fadings[0].factor ** 2),
+        faded=int(fadings[0].factor > 0 and fadings[0].size_mm > 0),
         tiny=literal(max(1e-300, np.finfo(numbers.literal_type).tiny)),
     )
     return f"{faded * doubted}{head}\n{{\n{body}}}\n"
+
+
+def _fadings(step):
+    """How each stage of one of the arm's estimators fades; all have one size and one factor."""
+    return step.fadings_ if hasattr(step, "fadings_") else [step.fading_]

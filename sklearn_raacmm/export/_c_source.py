@@ -111,9 +111,13 @@ class _Writer:
             )
         self.n_outputs = 3
         if isinstance(step, JointHarmonicRegressor):
-            text = _c_columns.error_model(self.numbers, step.linear_model_, self.std)
+            self.fades = step.fading_.factor > 0
+            doubted = self.std or self.fades
+            self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
+            text = _c_columns.guarded_sum(self.numbers, step, self.std)
+            result = "*trust =" if self.fades else "(void)"
             about = f"JointHarmonicRegressor: {len(step.coef_)} terms"
-            self._put(text, f"error_model(arm, y{self._v});", about)
+            self._put(text, f"{result} guarded_sum(arm, y{self._v});", about)
             return
         # How much a stage is trusted depends on its standard deviation.
         doubted = self.std or step.fade_ > 0

@@ -9,7 +9,7 @@ from pathlib import Path
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import JointHarmonicRegressor, LinearModel, Terms
+from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import check_rows, project_files
 from sklearn_raacmm.export._c_source import body_of, fingerprint_of
@@ -30,6 +30,7 @@ TRUSTED_TYPES = [
         Arm,
         Arm.azimuth,
         ArmResidualRegressor,
+        Fading,
         JointHarmonicRegressor,
         LinearModel,
         PoseFeatures,

@@ -145,10 +145,7 @@ class Pool:
         """Take in the candidates that score highest now; those of low score make room."""
         if not self.grams:
             self.members = np.sort(largest(scores, self.size))
-            for one in self.passes:
-                u, v = one.candidates.columns(self.members)
-                one.project(u, v)
-                self.grams.append(u @ v.T)
+            self.grams = [self._gram(one) for one in self.passes]
             return
         self._settle()
         outside = scores.copy()
@@ -161,6 +158,21 @@ class Pool:
             one.project(u, v)
             for place, row in zip(places, one.candidates.products(v, self.members), strict=True):
                 gram[place, :place], gram[place:, place] = row[:place], row[place:]
+
+    def _gram(self, one):
+        """Gram matrix of what is left of the members."""
+        m = self.members
+        if one.whitened:
+            u, v = one.candidates.columns(m)
+            one.project(u, v)
+            return u @ v.T
+        # Some rows at a time, for their columns are as large as the kernel matrix.
+        gram = np.empty((len(m), len(m)))
+        for start in range(0, len(m), _ROWS):
+            u, v = one.candidates.columns(m[start : start + _ROWS])
+            one.project(u, v)
+            gram[start : start + _ROWS] = one.candidates.products(v, m)
+        return gram
 
     def _walk(self, j, length):
         """Forward selection in the pool alone, from candidate j on."""

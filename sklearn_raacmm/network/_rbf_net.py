@@ -223,11 +223,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     -----
     The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows are
     merged, and rows are sorted, so that neither row order nor writing a row twice instead of
-    doubling its weight matters. Of weights only the ratios count for what is found by itself: a row
-    that is there twice, target and all, is one observation of twice the weight.
-
-    Several outputs share widths and centres. Where they differ much in how fast they vary, give
-    each a network of its own: :class:`~sklearn.multioutput.MultiOutputRegressor`.
+    doubling its weight matters. Of weights only the ratios count for what is found by itself.
 
     More than 100 000 rows are read in blocks, also from a memory-mapped file, in time linear in
     their number and in memory that does not depend on it: centres and the rows that decide on the

@@ -109,8 +109,9 @@ def test_weights_are_repeats(cones):
     y = position_residuals(y, groups)
     weights = np.random.default_rng(0).integers(0, 3, len(y))
     repeat = np.repeat(np.arange(len(y)), weights)
-    model = ArmResidualRegressor(ARM, harmonics=JointHarmonicRegressor(max_order=2), n_folds=2)
-    model.set_params(use="harmonics", harmonics__offsets=True)
+    network = RBFNetRegressor(5, length_scale=1.0, alpha=0.1, degree=-1)
+    first = JointHarmonicRegressor(max_order=2, offsets=True)
+    model = ArmResidualRegressor(ARM, harmonics=first, network=network, n_folds=2, cap=0.9)
     weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
     repeated = clone(model).fit(theta[repeat], y[repeat], groups=groups[repeat])
     assert weighted.cap_mm_ == pytest.approx(repeated.cap_mm_, rel=1e-6)
@@ -121,15 +122,29 @@ def test_weights_are_repeats(cones):
 
 def test_corrections_fade_away_from_the_data(cones):
     theta, y, _, _ = cones
-    model = small(use="harmonics+network", cap=None).fit(theta, y)
+    model = small(use="harmonics+network").fit(theta, y)
     free = clone(model).set_params(fade=0).fit(theta, y)
-    share = [
-        np.linalg.norm(model.predict(X), axis=1).sum()
-        / np.linalg.norm(free.predict(X), axis=1).sum()
-        for X in (theta, theta + 1.5)
+    shares = [
+        fading.share(std)
+        for fading, (_, std) in zip(
+            model.fadings_,
+            [
+                model.linear_model_.predict(theta, return_std=True),
+                model.network_.predict(theta, return_std=True, with_noise=False),
+            ],
+            strict=True,
+        )
     ]
-    assert share[0] > 0.8
-    assert share[1] < share[0]
+    assert_allclose(model.fading(theta), np.min(shares, axis=0), rtol=1e-6)
+    assert model.fading(theta).mean() > 0.8
+    assert model.fading(theta + 1.5).mean() < model.fading(theta).mean()
+    assert_array_equal(free.fading(theta), 1)
+    first = JointHarmonicRegressor(max_order=1)
+    model = ArmResidualRegressor(ARM, harmonics=first, use="harmonics", fade=50.0)
+    model.fit(theta[:40], y[:40])
+    with pytest.warns(UserWarning, match="60 of 60 poses lie where the model knows little") as seen:
+        model.predict(theta[-60:] + 3)
+    assert seen[0].filename == __file__
 
 
 CORNERS = {
@@ -141,6 +156,7 @@ CORNERS = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
 @pytest.mark.parametrize("corner", CORNERS)
 def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
     """Simulated: a third of the positions teaches; the others are measured 4 K warmer."""
@@ -168,20 +184,17 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
             before = np.linalg.norm(other_day.target[elsewhere], axis=1).mean()
             gains.append(1 - np.linalg.norm(left, axis=1).mean() / before)
     assert min(gains) > 0
-    assert np.mean(gains) > 0.3
+    assert np.mean(gains) > 0.25
 
 
 def test_known_lengths_reach_the_first_stage():
     gauge = make_gauge(300, 8, 8, random_state=2)
     known = [(a, b, 300.0, 0.003) for a, b in gauge.pairs]
     first = JointHarmonicRegressor(gauge.arm, max_order=2)
-    model = ArmResidualRegressor(gauge.arm, harmonics=first, use="harmonics", fade=0)
+    model = ArmResidualRegressor(gauge.arm, harmonics=first, use="harmonics")
     model.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
     first.fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
     assert_array_equal(model.linear_model_.coef, first.coef_)
-    # In the check, lengths of left-out positions are left out with them.
-    model.set_params(fade="auto").fit(gauge.data, gauge.target, groups=gauge.groups, lengths=known)
-    assert model.check_["gain_mm"][1] > 0
 
 
 def test_fading_is_that_of_the_formula(cones):
@@ -191,24 +204,6 @@ def test_fading_is_that_of_the_formula(cones):
     size, doubt = np.square(y).sum(axis=1).mean(), np.square(std).sum(axis=1)
     assert model.fade_ == 3.0
     assert_allclose(model.predict(theta), value * (size / (size + 9 * doubt))[:, None], atol=1e-12)
-
-
-def test_the_check_decides_how_much_to_fade(cones):
-    """Where the linear model is right nothing fades; where errors are shared by neighbours it does.
-
-    Neighbours with the same error make the standard deviation far too small.
-    """
-    theta, y, groups, truth = cones
-    rng = np.random.default_rng(5)
-    deceptive = y - truth + rng.normal(0, 0.1, (24, 3))[groups]
-    chosen = []
-    for target in (y, deceptive):
-        model = small(use="harmonics").fit(theta, target, groups=groups)
-        assert model.check_["model"].tolist() == ["none", "harmonics"]
-        assert model.fade_ == model.check_["fade"][1]
-        chosen.append(model.fade_)
-    assert chosen[1] > max(chosen[0], 2.0)
-    assert small(use="harmonics", fade=0.0).fit(theta, y, groups=groups).check_ is None
 
 
 def test_is_a_scikit_learn_estimator(cones):
@@ -284,22 +279,3 @@ def test_positions_at_one_place_cannot_be_left_out():
     residuals = 0.05 * np.random.default_rng(0).standard_normal((30, 3))
     model = ArmResidualRegressor(ARM).fit(angles, residuals, groups=np.repeat(np.arange(6), 5))
     assert model.check_ is None
-
-
-@pytest.mark.parametrize("offsets", [False, True])
-def test_the_strongest_fading_that_costs_little(cones, offsets):
-    """One fading at a time, by the same check, and the choice made by hand."""
-    theta, y, groups, truth = cones
-    rng = np.random.default_rng(7)
-    y = truth + rng.normal(0, 0.03, y.shape) + rng.normal(0, 0.03, (24, 3))[groups]
-    y = position_residuals(y, groups) if offsets else y
-    auto = small(n_folds=3).fit(theta, y, groups=groups).check_
-    assert auto["model"].tolist() == ["none", "harmonics", "harmonics+network"]
-    fades = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-    tables = [small(n_folds=3, fade=f).fit(theta, y, groups=groups).check_ for f in fades]
-    for i in (1, 2):
-        means = np.array([table["mean_mm"][i] for table in tables])
-        cheap = means <= (1.01 if offsets else 1.05) * means.min()
-        assert auto["fade"][i] == np.array(fades)[cheap].max()
-        assert auto["mean_mm"][i] == pytest.approx(means[cheap][-1])
-        assert 0 < cheap.sum() < len(fades)

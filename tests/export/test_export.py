@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import warnings
 from functools import partial
 
 import numpy as np
@@ -32,7 +33,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import export_c, fingerprint
+from sklearn_raacmm.export import describe, export_c, fingerprint, from_json, to_json
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -597,6 +598,14 @@ def harmonics(arm, **params):
     return JointHarmonicRegressor(arm, **{"max_order": 5, **params})
 
 
+@pytest.fixture(autouse=True)
+def _far_away():
+    """Poses everywhere, which the models warn of."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*poses lie where the model knows little")
+        yield
+
+
 def agree(call, model, X, with_std=True):
     """Compare with predict to a share of the terms' size: coefficients may nearly cancel."""
     mean, std = model.predict(X, return_std=True)
@@ -668,7 +677,10 @@ def test_c_says_which_poses_the_model_does_not_know(build, data, use, std):
         c, s = np.cos(azimuth) ** 2, np.sin(azimuth) ** 2
         stages.append(np.sqrt(np.stack([u * c + v * s, u * s + v * c, w], axis=1)))
     size = model.residual_rms_mm_**2
-    left = [size / (size + np.sum((2.0 * deviation) ** 2, axis=1)) for deviation in stages]
+    left = [
+        size / (size + 4.0 * np.maximum(np.sum(deviation**2, axis=1) - fading.known_mm**2, 0))
+        for deviation, fading in zip(stages, model.fadings_, strict=True)
+    ]
     expected = np.min(left, axis=0)
     np.testing.assert_allclose(trust[:-1], expected, rtol=1e-6)
     assert np.isnan(trust[-1])
@@ -685,3 +697,18 @@ def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):
     behind = make_pipeline(StandardScaler(), harmonics(data.arm, gravity=False))
     with pytest.raises(ValueError, match=r"jointharmonicregressor comes after another transformer"):
         build(behind.fit(data.data, data.target))
+
+
+def test_a_model_of_zero_terms(build, data):
+    """Nothing is found in noise, and nothing is what is written."""
+    rng = np.random.default_rng(0)
+    y = 1e-3 * rng.normal(size=data.target.shape)
+    none = {"gravity": False, "kinematics": False, "wobble": False, "max_order": 2}
+    model = harmonics(data.arm, **none).fit(data.data, y)
+    assert len(model.coef_) == 0
+    call = build(model, std=True, card=describe(model, data.data, y))
+    assert call.fingerprint == fingerprint(model)
+    np.testing.assert_array_equal(call("correct_std", data.data, 3, n_results=2), 0)
+    np.testing.assert_allclose(call("point", data.data, 3), data.arm.forward(data.data), atol=1e-11)
+    again = from_json(to_json(model))
+    np.testing.assert_array_equal(again.predict(data.data), 0)

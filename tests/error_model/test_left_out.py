@@ -1,0 +1,196 @@
+"""How sure the linear model is: what a single-point test can show, and intervals that hold."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_raacmm import JointHarmonicRegressor
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.error_model import LinearOptions, Terms, fit_linear_model, term_columns
+from sklearn_raacmm.error_model._fading import Fading, find_fading
+from sklearn_raacmm.error_model._left_out import (
+    errors_left_out,
+    interval_scales,
+    leave_out,
+)
+from sklearn_raacmm.utils import centred
+
+LOUD = Terms(np.array([(1, 1), (2, 1), (3, 2)]), False, True, False)
+
+
+def draw(seed, n_positions=16, n_poses=15):
+    """An arm, its poses, and errors of which the model holds all causes; two thirds to train."""
+    test = make_single_point(n_positions, n_poses, machine="none", random_state=seed)
+    rng = np.random.default_rng(seed)
+    columns = term_columns(test.arm, test.data, LOUD)
+    w = rng.normal(0, 4, columns.shape[2])
+    w[:6] = rng.choice([-1, 1], 6) * rng.uniform(8, 16, 6)
+    truth = columns @ w
+    train = np.isin(test.groups, rng.permutation(n_positions)[: n_positions * 2 // 3])
+    return test, truth, truth + rng.normal(0, 0.01, truth.shape), train
+
+
+def without_motion(field, points, groups, train):
+    """A field less the similarity that fits it best at the positions' means of the training rows.
+
+    Independent of the model: translation, turn and scale of the mean points, by least squares.
+    """
+
+    def motions(p):
+        q = p - centre
+        turns = np.stack([np.cross(axis, q) for axis in np.eye(3)], axis=2)
+        shifts = np.broadcast_to(np.eye(3), (len(p), 3, 3))
+        return np.concatenate([shifts, turns, q[:, :, None]], axis=2)
+
+    labels = np.unique(groups[train])
+    mean_points = np.stack([points[groups == i].mean(axis=0) for i in labels])
+    mean_field = np.stack([field[groups == i].mean(axis=0) for i in labels])
+    centre = mean_points.mean(axis=0)
+    found = np.linalg.lstsq(motions(mean_points).reshape(-1, 7), mean_field.ravel(), rcond=None)[0]
+    return field - motions(points) @ found
+
+
+@pytest.mark.parametrize("single_point", [False, True])
+def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_point):
+    """Monte Carlo over arms and errors: root mean square of error over deviation is 1."""
+    squares, of_lengths, kept = [], [], []
+    for seed in range(6):
+        test, truth, y, train = draw(seed)
+        y = centred(y, test.groups) if single_point else y
+        model = JointHarmonicRegressor(
+            test.arm, max_order=2, gravity=False, wobble=False, prior_sd=12.0
+        )
+        model.set_params(offsets=single_point, loss="squared")
+        model.fit(test.data[train], y[train], groups=test.groups[train])
+        linear = model.linear_model_
+        mean, std = linear.predict(test.data, return_std=True)
+        error = mean - truth
+        points = test.arm.forward(test.data)
+        if single_point:
+            error = without_motion(error, points, test.groups, train)
+        squares.append(np.mean((error / std)[~train] ** 2))
+        first, second = (
+            np.random.default_rng(seed).permutation(np.flatnonzero(~train))[:60].reshape(2, -1)
+        )
+        line = points[second] - points[first]
+        length = np.linalg.norm(line, axis=1)
+        far = length > 100
+        change = np.einsum("nc,nc->n", line, error[second] - error[first]) / length
+        said = linear.distance_std(test.data[first], test.data[second])
+        of_lengths.append(np.mean((change / said)[far] ** 2))
+        kept.append(linear.std_scale)
+    assert np.sqrt(np.median(squares)) == pytest.approx(1, abs=0.25)
+    assert np.sqrt(np.median(of_lengths)) == pytest.approx(1, abs=0.3)
+    # Nothing is widened without evidence.
+    assert 0.7 < np.median(kept) < 1.4
+
+
+def test_a_motion_of_the_base_is_no_uncertainty():
+    """It is most of the posterior of a single-point test, and none of what the test can show."""
+    test, _, y, _ = draw(3)
+    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False, wobble=False)
+    linear = model.fit(test.data, centred(y, test.groups), groups=test.groups).linear_model_
+    columns = linear.columns(test.data)
+    whole = np.sqrt(np.square(columns @ linear.half).sum(axis=2))
+    assert linear.predict(test.data, return_std=True)[1].mean() < 0.5 * whole.mean()
+    # One draw of the posterior at a time, its motion fitted and taken out by hand.
+    points = test.arm.forward(test.data)
+    rng = np.random.default_rng(0)
+    everywhere = np.ones(len(points), dtype=bool)
+    draws = [
+        without_motion(columns @ linear.half @ rng.normal(size=linear.half.shape[1]), points,
+                       test.groups, everywhere)
+        for _ in range(200)
+    ]  # fmt: skip
+    std = linear.predict(test.data, return_std=True)[1]
+    assert_allclose(np.std(draws, axis=0).mean(), std.mean(), rtol=0.05)
+
+
+def test_models_without_a_block_are_those_of_a_fit_without_it():
+    """Against fits of the other rows, with the variances and harmonics held."""
+    test, _, y, _ = draw(1)
+    options = LinearOptions(2, None, None, False, True, False, 12.0, "squared")
+    y = centred(y, test.groups)
+    weights = np.ones(len(y))
+    model, _ = fit_linear_model(test.arm, test.data, y, weights, test.groups, [], options)
+    left_out = leave_out(model, options, test.data, y, weights, test.groups, test.groups, 4)
+    assert sorted(np.concatenate([rows for rows, _ in left_out]).tolist()) == list(range(len(y)))
+    for rows, rest in left_out:
+        other = np.setdiff1d(np.arange(len(y)), rows)
+        assert not set(test.groups[rows]) & set(test.groups[other])
+        A = centred(rest.columns(test.data[other]), test.groups[other])
+        A = A.reshape(-1, len(rest.coef)) / model.noise_sd
+        n = 2 * len(rest.terms.harmonics)
+        prior = np.r_[np.full(n, 12.0), np.full(len(rest.coef) - n, model.prior_sd["kinematics"])]
+        covariance = np.linalg.inv(A.T @ A + np.diag(prior**-2.0))
+        coef = covariance @ A.T @ (y[other].ravel() / model.noise_sd)
+        columns = centred(rest.columns(test.data[rows]), test.groups[rows])
+        # The scale is held in the model and at its prior here: a position does not show it.
+        assert_allclose(columns @ rest.coef, columns @ coef, atol=2e-5)
+    errors, std = errors_left_out(left_out, test.data, y, test.groups)
+    assert 0.7 < np.sqrt(np.mean(errors**2 / (std**2 + model.noise_variance))) < 1.3
+
+
+@pytest.mark.parametrize("freedom", [3, 100])
+def test_scales_are_found(freedom):
+    """Errors of known scales, drawn: intervals of 95 % hold 95 % of them."""
+    rng = np.random.default_rng(0)
+    noise, std = np.full((3000, 3), 0.01), rng.uniform(0.001, 0.03, (3000, 3))
+    scale = np.sqrt(0.5 * noise**2 + 6.0 * std**2)
+    errors = scale * rng.standard_t(freedom, (3000, 3))
+    of_noise, of_std = interval_scales(errors, noise, std, np.ones(3000))
+    width = np.sqrt((of_noise * noise) ** 2 + (of_std * std) ** 2)
+    assert np.mean(np.abs(errors) < 1.96 * width) == pytest.approx(0.95, abs=0.01)
+    assert of_std / of_noise == pytest.approx(np.sqrt(12), rel=0.3)
+    once = interval_scales(errors[:500], noise[:500], std[:500], np.full(500, 2.0))
+    twice = np.r_[0:500, 0:500]
+    again = interval_scales(errors[twice], noise[twice], std[twice], np.ones(1000))
+    assert_allclose(once, again, rtol=1e-2)
+
+
+def test_intervals_hold_where_a_cause_is_missing():
+    """Simulated arms with errors that no column has: posterior too sure, intervals right."""
+    raw, honest = [], []
+    for seed in range(6):
+        test = make_single_point(24, 12, machine="gravity", random_state=seed)
+        y = test.points - test.simulation.true_points
+        train = np.isin(test.groups, np.random.default_rng(seed).permutation(24)[:16])
+        model = JointHarmonicRegressor(test.arm, max_order=3, gravity=False, wobble=False)
+        model.fit(test.data[train], y[train], groups=test.groups[train])
+        error = np.abs(y[~train] - model.linear_model_.predict(test.data[~train])[0])
+        _, std = model.predict(test.data[~train], return_std=True, with_noise=True)
+        linear = model.linear_model_
+        plain = np.hypot(linear.predict(test.data[~train], return_std=True)[1], linear.noise_sd)
+        raw.append(np.mean(error < 1.96 * plain))
+        honest.append(np.mean(error < 1.96 * std))
+        quiet = model.predict(test.data[~train], return_std=True)[1]
+        assert_allclose(std, np.hypot(quiet, linear.noise_scale * linear.noise_sd))
+    assert 0.89 < np.mean(honest) < 0.98
+    assert np.mean(honest) > np.mean(raw)
+
+
+def test_fading_is_wieners_factor_beyond_what_is_known():
+    std = np.array([[0.0, 0, 0], [0.03, 0, 0.04], [0.3, 0, 0.4]])
+    assert_allclose(Fading(0.1, 2.0).share(std), [1, 0.5, 1 / 101])
+    known = Fading(0.1, 2.0, 0.05).share(std)
+    assert_allclose(known, [1, 1, 0.01 / (0.01 + 4 * (0.25 - 0.0025))])
+    assert_array_equal(Fading(0.1, 0.0).share(std), 1)
+    y, weights = np.full((3, 3), 0.1), np.ones(3)
+    assert find_fading(y, std, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0, 0.0)
+    assert find_fading(np.ones((200, 3)), np.ones((200, 3)), np.ones(200), None).factor == 2.0
+
+
+def test_distance_std_is_that_of_the_difference():
+    test, _, y, _ = draw(2)
+    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False, wobble=False)
+    model.fit(test.data, y, groups=test.groups)
+    linear, X1, X2 = model.linear_model_, test.data[:20], test.data[-20:]
+    line = test.arm.forward(X2) - test.arm.forward(X1)
+    line /= np.linalg.norm(line, axis=1, keepdims=True)
+    along = np.einsum("nc,ncp->np", line, linear.columns(X2) - linear.columns(X1))
+    expected = np.sqrt(np.einsum("np,pq,nq->n", along, linear.covariance, along))
+    assert_allclose(model.distance_std(X1, X2), linear.std_scale * expected)
+    assert_allclose(model.distance_std(X2, X1), model.distance_std(X1, X2))
+    assert_array_equal(model.distance_std(X1, X1), 0)
+    with pytest.raises(ValueError, match="X1 has 20 poses and X2 has 19"):
+        model.distance_std(X1, X2[1:])
