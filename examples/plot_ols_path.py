@@ -58,7 +58,7 @@ for criterion in ("posterior", "gcv"):
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
 explained = np.cumsum(longest.error_reduction_)
-left.plot(np.arange(1, n_most + 1), 1 - explained, ".-", ms=4)
+left.plot(np.arange(1, len(explained) + 1), 1 - explained, ".-", ms=4)
 left.set(
     xlabel="centres", ylabel="unexplained share of the variance", xscale="log", yscale="log",
     title="Training rows: one centre after the other",

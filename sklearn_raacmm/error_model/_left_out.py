@@ -59,7 +59,7 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     -------
     list of (ndarray, LinearModel)
         Indices of the rows of each block, and the model of the others; empty where all positions
-        are at one place.
+        are at one place, or all weight is in one block.
     """
     positions = np.unique(positions, return_inverse=True)[1].ravel()
     # Weights of equal size: a position without weight is still at its place.
@@ -77,6 +77,8 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     found = []
     for block in np.unique(blocks):
         rest = (blocks != block) & (weights > 0)
+        if not rest.any():
+            return []  # all that has weight is in this block
         own = None if codes is None else np.unique(codes[rest], return_inverse=True)[1].ravel()
         sums = candidate_sums(model.arm, X[rest], y[rest], weights[rest], own, offered, terms)
         best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
