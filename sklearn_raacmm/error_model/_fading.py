@@ -17,11 +17,11 @@ _OF_TRACKER, _OF_FEW, _FEW = 2.0, 1.0, 150
 _OF_SINGLE_POINT = 2.0
 # In a single-point test this factor times the standard deviation that this share of the training
 # poses stay below counts as known: fading by less would also shrink what positions have in common.
-# Chosen on simulated arms, as 2S elsewhere over that without correction. Twelve arms trained at 4
-# and 6 positions at random: 0.53 and 0.44 without fading; 0.69 and 0.50 with a factor of 3; 0.55
-# and 0.44 with 10. Trained at 4 and 6 neighbouring positions: 0.62 and 0.50; 0.91 and 0.79; 0.78 and
-# 0.53. The worst of 60 trainings in a part of the volume is 1.36 with any factor: the deviation
-# does not show that harm.
+# Chosen on simulated arms, as 2S elsewhere over that without correction. Twelve arms trained at
+# 4 and 6 positions at random: 0.53 and 0.44 without fading; 0.69 and 0.50 with a factor of 3; 0.55
+# and 0.44 with 10. Trained at 4 and 6 neighbouring positions: 0.62 and 0.50; 0.91 and 0.79; 0.78
+# and 0.53. The worst of 60 trainings in a part of the volume is 1.36 with any factor: the
+# deviation does not show that harm.
 _KNOWN_SHARE, _KNOWN_FACTOR = 0.99, 10.0
 # predict warns where less than this share is left of more than half of the corrections.
 _WARN_SHARE = 0.1
