@@ -26,7 +26,7 @@ WINGS = (
 )
 MODULES = sorted(PACKAGE.rglob("*.py"))
 # The longest file that is still one thing.
-MAX_LINES = 700
+MAX_LINES = 600
 
 
 def wing_of(path):
