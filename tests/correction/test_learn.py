@@ -74,7 +74,7 @@ def test_intervals_are_those_of_a_bootstrap_over_positions(learned):
         paired=True,
         method="percentile",
         n_resamples=9999,
-        rng=3,
+        random_state=np.random.default_rng(3),
     ).confidence_interval
     value, low, high = learned.scores.summary["ratio"]
     width = expected.high - expected.low

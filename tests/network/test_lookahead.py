@@ -69,7 +69,8 @@ def test_stops_in_the_midst_of_a_guess(monkeypatch, rounds):
     groups = views()
     reached = np.cumsum(one_by_one(monkeypatch, groups, 40).reduction, axis=0)
     for k in (1, 13, 29):
-        found = forward_selection(groups, 60, enough=reached[k - 1])
+        # A hair less: sums of the same numbers may round differently.
+        found = forward_selection(groups, 60, enough=(1 - 1e-9) * reached[k - 1])
         assert (len(found.indices), found.stop) == (k, "enough")
 
 
