@@ -32,7 +32,9 @@ NAMES = {
             "sklearn.model_selection.cross_val_score",
         ],
     },
-    SCIPY: {"py:class": ["scipy.interpolate.RBFInterpolator"]},
+    SCIPY: {
+        "py:class": ["scipy.interpolate.RBFInterpolator", "scipy.spatial.transform.Rotation"],
+    },
 }
 
 

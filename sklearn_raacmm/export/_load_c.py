@@ -77,12 +77,12 @@ class CompiledModel:
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_features_in_) or (n_features_in_,)
+        X : array-like of shape (n_samples, n_features) or (n_features,)
             Rows, or one row.
 
         Returns
         -------
-        ndarray of shape (n_samples, n_outputs_) or (n_outputs_,)
+        ndarray of shape (n_samples, n_outputs) or (n_outputs,)
             NaN in rows where ``predict`` raises. Where y was 1-D: (n_samples,), or a scalar.
 
         Raises
@@ -131,7 +131,7 @@ class CompiledModel:
 
         Parameters
         ----------
-        angles : array-like of shape (n_features_in_,)
+        angles : array-like of shape (n_features,)
 
         Returns
         -------
@@ -144,11 +144,11 @@ class CompiledModel:
 
         Parameters
         ----------
-        X : array-like of shape (n_features_in_,)
+        X : array-like of shape (n_features,)
 
         Returns
         -------
-        mean, std : ndarray of shape (n_outputs_,)
+        mean, std : ndarray of shape (n_outputs,)
         """
         if not self._has_std:
             raise ValueError("The model was compiled without standard deviation: std=True.")
