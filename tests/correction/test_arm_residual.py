@@ -184,7 +184,7 @@ def test_trained_in_one_corner_used_elsewhere_on_another_day(corner):
             before = np.linalg.norm(other_day.target[elsewhere], axis=1).mean()
             gains.append(1 - np.linalg.norm(left, axis=1).mean() / before)
     assert min(gains) > 0
-    assert np.mean(gains) > 0.25
+    assert np.mean(gains) > 0.3
 
 
 def test_known_lengths_reach_the_first_stage():
