@@ -280,6 +280,10 @@ SENTENCES = {
         "at least 1e-50",
     ),
     "network: widths of others": (lambda: far(length_scale=[1.0]).fit(X, Y), "the 2 features"),
+    "harmonics: large residuals": (
+        lambda: jhr(ANGLES, RESIDUALS * 2.0**150),
+        "y holds a residual of .* but the arm reaches",
+    ),
     "network: denormal rows": (lambda: rbf(X * TINY, Y), "numbers below 1e-100 are refused"),
     "network: denormal target": (lambda: rbf(X, Y * TINY), "numbers below 1e-100 are refused"),
     "network: kernel": (lambda: far(kernel="gauss").fit(X, Y), "'kernel' parameter"),

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of
+from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.utils import (
     centred,
@@ -22,6 +22,8 @@ from sklearn_raacmm.utils import (
 _CALLER = 6
 # Part of its own length by which a point that was measured may be off.
 _SHARE_OF_POINTS = 0.05
+# Reaches of the arm beyond which a residual is in another unit, or no residual at all.
+_LARGEST_REACHES = 10.0
 # Mean residuals of positions, as a share of what the scatter within positions explains, below which
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
@@ -65,6 +67,12 @@ def _check_residuals(y, arm, angles):
             f"y has shape {y.shape}; Cartesian residuals (n_samples, 3) in mm are needed."
         )
     y = y.astype(np.float64, copy=False)
+    largest, limit = np.linalg.norm(y, axis=1).max(initial=0.0), _LARGEST_REACHES * reach_mm(arm)
+    if largest > limit:
+        raise ValueError(
+            f"y holds a residual of {largest:.4g} mm, but the arm reaches {reach_mm(arm):.4g} mm: "
+            "residuals in mm are needed."
+        )
     points = points_of(arm, angles)
     size = np.linalg.norm(points)
     if size > 0 and np.linalg.norm(y - points) < _SHARE_OF_POINTS * size:

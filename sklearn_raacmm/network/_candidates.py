@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 from sklearn.utils import gen_batches
 
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky
+from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
 from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
@@ -306,13 +306,6 @@ def candidate_groups(
     """
     n = problem.n_rows
     Z = (problem.X[rows] - shift) / length_scale
-    if not KERNELS[kernel].positive_definite:
-        # The ridge on the weights of such kernels is left to the last fit.
-        features = Features(Z, shift, length_scale, kernel)
-        triangle, rotated = _projected_triangle(problem, features, view, len(rows))
-        groups = [WhitenedCandidates(triangle.T, rotated[:, of]) for of in members]
-        return CandidateSet(groups, None, 0.0)
-
     least = min(alphas)
     tol = 1e-6 if least == 0 else min(1e-3 * least, 1e-6)
     every = len(rows) == n

@@ -13,7 +13,6 @@ from sklearn_raacmm.network._forward_selection import (
     squared_ratio_score,
     total_score,
 )
-from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._nested_fits import size_scores
 from sklearn_raacmm.utils import stage
 
@@ -53,13 +52,11 @@ def criterion_in_force(settings, alpha):
     """
     if settings.n_centers is not None:
         return None
-    applies = np.all(alpha > 0) and KERNELS[settings.kernel].positive_definite
-    applies = applies and settings.selection == "ols"
+    applies = np.all(alpha > 0) and settings.selection == "ols"
     if settings.criterion == "posterior" and not applies:
         raise ValueError(
-            'criterion="posterior" needs a positive definite kernel, alpha > 0 and '
-            f'selection="ols"; got kernel={settings.kernel!r}, a least alpha of {alpha.min():g}, '
-            f"selection={settings.selection!r}."
+            'criterion="posterior" needs alpha > 0 and selection="ols"; got a least alpha of '
+            f"{alpha.min():g}, selection={settings.selection!r}."
         )
     if settings.criterion == "auto":
         return "posterior" if applies else "gcv"

@@ -76,7 +76,6 @@ class Kernel(NamedTuple):
 
     function: callable  # may overwrite its argument
     with_slope: callable  # the same, and its derivative with respect to the squared distance
-    positive_definite: bool = True
 
 
 KERNELS = {

@@ -304,7 +304,7 @@ def test_grid_search_and_pickle():
         ({"length_scale": [1.0, 2.0, 3.0]}, r"shape \(3,\).*2 features"),
         ({"length_scale": [1.0, -2.0]}, "must be positive"),
         ({"length_scale": [1.0, np.nan]}, "must be positive"),
-        ({"criterion": "posterior", "alpha": 0.0}, "needs a positive definite kernel"),
+        ({"criterion": "posterior", "alpha": 0.0}, "needs alpha > 0"),
         ({"kernel": "gausian"}, "'kernel' parameter"),
         ({"degree": 2}, "'degree' parameter"),
         ({"alpha": -1.0}, "'alpha' parameter"),
