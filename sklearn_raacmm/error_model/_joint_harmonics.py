@@ -287,8 +287,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         UserWarning
             If angles are larger than two turns: most likely degrees; if ``kinematics=False`` and
             positions have offsets, but no `lengths` are given; if ``offsets="auto"`` finds none
-            although the positions' means are smaller than chance makes them; if nearly all of `y`
-            is one motion of the base: the reference is then most likely in another frame.
+            although the positions' means are smaller than chance makes them; if the weights add up
+            to less than a tenth or more than a hundred times the number of rows; if nearly all of
+            `y` is one motion of the base: the reference is then most likely in another frame.
         """
         fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
         arm, *data = check_fit(fitted, X, y, sample_weight, groups, lengths, linear=self)
