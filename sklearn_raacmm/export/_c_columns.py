@@ -6,6 +6,7 @@
 import numpy as np
 
 from sklearn_raacmm.error_model import LOAD, SHIFT, column_table
+from sklearn_raacmm.export._steps import fadings_of
 
 _COLUMNS = """\
 /* Each column of the model is a vector, mm, that several share, times a size: what one unit of its
@@ -183,7 +184,7 @@ def guarded_sum(numbers, step, std):
     head = f"static {real} guarded_sum(const struct arm_state *arm, {real} y[3]"
     head += f", {real} *v)" if std else ")"
     start = ["y[0] = y[1] = y[2] = 0;", *(["if (v)", "    v[0] = v[1] = v[2] = 0;"] * std)]
-    use, fadings = getattr(step, "use_", "harmonics"), _fadings(step)
+    use, fadings = getattr(step, "use_", "harmonics"), fadings_of(step)
     cap = getattr(step, "cap_mm_", np.inf)
     if use == "none":
         lines = ["(void)arm;", *start, "return 1;"]
@@ -219,8 +220,3 @@ def guarded_sum(numbers, step, std):
         tiny=literal(max(1e-300, np.finfo(numbers.literal_type).tiny)),
     )
     return f"{faded * doubted}{head}\n{{\n{body}}}\n"
-
-
-def _fadings(step):
-    """How each stage of one of the arm's estimators fades; all have one size and one factor."""
-    return step.fadings_ if hasattr(step, "fadings_") else [step.fading_]

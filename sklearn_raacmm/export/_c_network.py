@@ -6,9 +6,8 @@
 from math import factorial
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
-from sklearn_raacmm.export._steps import n_outputs
+from sklearn_raacmm.export._steps import n_outputs, posterior_spectrum
 from sklearn_raacmm.network import kernel_matrix
 
 # Centres that are computed together: a multiple of the numbers in a processor's vector.
@@ -112,39 +111,6 @@ def _radial_functions(numbers, step, full):
     return text + exp, lines
 
 
-def _posterior_spectrum(step):
-    """The posterior of the weights in coordinates in which its covariance is diagonal.
-
-    With phi the radial functions and t the polynomial's terms at a point, and A the triangle of the
-    columns at the training rows, tail first, the variance of output j is
-
-        signal_j (1 - |g|^2) + noise_j (|u|^2 + sum_i h_i^2 / (spectrum_i + alpha_j)),
-        u = tail (1, x), g = turn phi, h = g - shift u.
-
-    One matrix serves all outputs, whatever their ridges are.
-
-    Returns
-    -------
-    turn : ndarray of shape (k, k)
-    shift : ndarray of shape (k, p)
-    tail : ndarray of shape (p, 1 + n_features)
-    shrunk : ndarray of shape (n_outputs, k)
-        ``1 / (spectrum + alpha)``.
-    """
-    p = len(step._tail_map)
-    whiten = step._posterior((step.centers_ - step.centers_.mean(axis=0)) / step.length_scale_)[0]
-    rows = step._design_triangle()
-    left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
-    _, singular, turn = np.linalg.svd(own @ whiten.T)
-    spectrum = np.zeros(len(whiten))
-    spectrum[: len(singular)] = np.square(singular)
-    turn = turn @ whiten
-    alpha = np.atleast_1d(step.alpha_) / step._weight_unit
-    shrunk = 1 / np.maximum(spectrum + alpha[:, None], np.finfo(float).tiny)
-    tail = solve_triangular(left, step._tail_map, trans="T") if p else step._tail_map
-    return turn, turn @ across.T, tail, shrunk
-
-
 def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
     """`turn` as whole numbers times one factor a row, which cost the variances next to nothing.
 
@@ -190,11 +156,7 @@ def _network_variance(numbers, step, with_noise, exact):
     text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
     text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
     p = len(step._tail_map)
-    turn = shift = shrunk = None
-    if k:
-        turn, shift, tail, shrunk = _posterior_spectrum(step)
-    elif p:
-        tail = solve_triangular(step._design_triangle()[:p, :p], step._tail_map, trans="T")
+    turn, shift, tail, shrunk = posterior_spectrum(step)
     lines = [f"{real} outside = 1, common = {int(with_noise)};"]
     if p:
         text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")

@@ -317,9 +317,10 @@ def fingerprint(model):
 def register_onnx():
     """Register the package's converters with skl2onnx.
 
-    After that ``skl2onnx.to_onnx`` converts :class:`PoseFeatures`, :class:`RBFNetRegressor` and
-    :class:`CylindricalResidualTarget` wherever they stand: in pipelines, searches, column
-    transformers. To call it again does no harm.
+    After that ``skl2onnx.to_onnx`` converts :class:`PoseFeatures`, :class:`RBFNetRegressor`,
+    :class:`CylindricalResidualTarget`, :class:`JointHarmonicRegressor` and
+    :class:`ArmResidualRegressor` wherever they stand: in pipelines, searches, column transformers.
+    To call it again does no harm.
 
     Raises
     ------
