@@ -110,8 +110,8 @@ def calibrate(
         of what the correction subtracts.
     free : iterable of str, default=("a", "alpha", "d", "theta_offset", "probe")
         Fields of `arm` that may change.
-    loss : {"soft_l1", "huber", "cauchy", "linear"}, default="soft_l1"
-        How the distance of a point counts; "linear" is plain least squares.
+    loss : {"soft_l1", "huber", "cauchy", "squared"}, default="soft_l1"
+        How the distance of a point counts; "squared" is plain least squares.
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
         `arm`. They decide only what the data leave open. "auto" finds them by the evidence.

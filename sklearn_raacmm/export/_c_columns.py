@@ -195,8 +195,8 @@ def guarded_sum(numbers, step, std):
     v = ", v1" if doubted else ""
     stages = [[f"error_model(arm, y1{v});"]]
     if use == "harmonics+network":
-        declared += [f"{real} cs[2];", *([f"{real} x[3];"] if step.features != "all" else [])]
-        pose = ["pose_features(arm, x);"] if step.features != "all" else []
+        declared += [f"{real} cs[2];", *([f"{real} x[3];"] if step.joints != "all" else [])]
+        pose = ["pose_features(arm, x);"] if step.joints != "all" else []
         inputs = "x" if pose else "arm->angle"
         network = [f"network({inputs}, y1{v});", f"to_cartesian(cs, y1{v});"]
         stages.append(["azimuth_direction(arm, cs);", *pose, *network])

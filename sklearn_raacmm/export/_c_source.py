@@ -125,7 +125,7 @@ class _Writer:
         if stages > 0:
             self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
         if stages > 1:
-            if step.features == "pose":
+            if step.joints == "pose":
                 pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
                 self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
             self.parts.append(_c_steps.azimuth_direction(self.numbers))

@@ -640,9 +640,9 @@ def test_joint_harmonics(build, name, families):
 @pytest.mark.parametrize(
     "params",
     [
-        {"features": "pose", "use": "harmonics+network", "fade": 1.0},
-        {"features": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
-        {"features": "all", "use": "harmonics+network", "fade": 0.0, "cap": None},
+        {"joints": "pose", "use": "harmonics+network", "fade": 1.0},
+        {"joints": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
+        {"joints": "all", "use": "harmonics+network", "fade": 0.0, "cap": None},
         {"use": "harmonics", "fade": 2.0},
         {"use": "none"},
     ],
@@ -666,7 +666,7 @@ def test_arm_residuals(build, data, params):
 def test_c_says_which_poses_the_model_does_not_know(build, data, use, std):
     first = harmonics(data.arm, gravity=False, max_order=2)
     model = ArmResidualRegressor(
-        data.arm, harmonics=first, network=network(degree=-1), features="pose", use=use, fade=2.0
+        data.arm, harmonics=first, network=network(degree=-1), joints="pose", use=use, fade=2.0
     ).fit(data.data, data.target)
     X = np.concatenate([data.data, angles_everywhere(6, 50), np.full((1, 6), np.nan)])
     trust, status = build(model, std=std).trust(X)

@@ -76,7 +76,7 @@ def random_model(rng):
             arm,
             harmonics=linear,
             network=network.set_params(degree=-1),
-            features=str(rng.choice(["pose", "all"])),
+            joints=str(rng.choice(["pose", "all"])),
             use=str(rng.choice(["none", "harmonics", "harmonics+network"])),
             fade=float(rng.choice([0.0, 1.0])),
         )
