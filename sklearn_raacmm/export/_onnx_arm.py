@@ -162,7 +162,7 @@ def convert_arm_model(scope, operator, container):
         total = graph("Add", total, _faded(graph, y, variance, fadings[0]))
     if use == "harmonics+network":
         x = angles
-        if step.features == "pose":
+        if step.joints == "pose":
             used, elevation = pose_angles(graph, arm, angles, poses)
             x = graph("Concat", used, angle(graph, *elevation), axis=1)
         y, phi = network(graph, step.network_, x)

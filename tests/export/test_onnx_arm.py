@@ -76,9 +76,9 @@ def test_joint_harmonics(name, families, fade):
 @pytest.mark.parametrize(
     "params",
     [
-        {"features": "pose", "use": "harmonics+network", "fade": 1.0},
-        {"features": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
-        {"features": "all", "use": "harmonics+network", "fade": 0.0},
+        {"joints": "pose", "use": "harmonics+network", "fade": 1.0},
+        {"joints": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
+        {"joints": "all", "use": "harmonics+network", "fade": 0.0},
         {"use": "harmonics", "fade": 2.0},
         {"use": "none"},
     ],
