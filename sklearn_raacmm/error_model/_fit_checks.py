@@ -18,8 +18,8 @@ from sklearn_raacmm.utils import (
     group_weights,
 )
 
-# For warnings: each check is called by `check_fit`, that by fit, which two decorators wrap.
-_CALLER = 6
+# For warnings: each check is called by `check_fit`, that by fit, which three decorators wrap.
+_CALLER = 7
 # Part of its own length by which a point that was measured may be off.
 _SHARE_OF_POINTS = 0.05
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
@@ -45,6 +45,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     -------
     arm : Arm
     X : ndarray of shape (n, n_joints)
+        In rad.
     y : ndarray of shape (n, 3)
     weights : ndarray of shape (n,)
     codes : ndarray of shape (n,) or None
@@ -53,7 +54,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     """
     X, y = check_data(estimator, X, y)
     arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1)
-    check_angles(X, X.shape[1], "rad", _CALLER)  # warns of degrees
+    X = check_angles(X, X.shape[1], estimator.angle_unit, _CALLER)
     y = _check_residuals(y, arm, X)
     weights = check_weights(sample_weight, X)
     codes = _check_offsets(linear.offsets, y, weights, groups)

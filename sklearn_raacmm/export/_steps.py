@@ -100,7 +100,7 @@ def arm_of(model):
         elif isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             found.append((path, *azimuth_arm(path, step.azimuth)))
         elif isinstance(getattr(step, "arm_", None), Arm):
-            found.append((path, step.arm_, "rad"))
+            found.append((path, step.arm_, step.angle_unit))
     for path, arm, unit in found[1:]:
         if (arm, unit) != found[0][1:]:
             what = "arms" if arm != found[0][1] else "angle units"
