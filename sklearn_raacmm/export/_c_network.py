@@ -115,31 +115,31 @@ def _posterior_spectrum(step):
     shrunk : ndarray of shape (n_outputs, k)
         ``1 / (spectrum + alpha)``.
     """
-    p = len(step._tail_map)
-    whiten = step._posterior((step.centers_ - step.centers_.mean(axis=0)) / step.length_scale_)[0]
-    rows = step._design_triangle()
+    posterior = step.posterior_
+    p, whiten, rows = len(posterior.tail_map), posterior.prior_root, posterior.design_triangle()
     left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
     _, singular, turn = np.linalg.svd(own @ whiten.T)
     spectrum = np.zeros(len(whiten))
     spectrum[: len(singular)] = np.square(singular)
     turn = turn @ whiten
-    alpha = np.atleast_1d(step.alpha_) / step._weight_unit
-    shrunk = 1 / np.maximum(spectrum + alpha[:, None], np.finfo(float).tiny)
-    tail = solve_triangular(left, step._tail_map, trans="T") if p else step._tail_map
+    shrunk = 1 / np.maximum(spectrum + posterior.alpha[:, None], np.finfo(float).tiny)
+    tail = posterior.tail_map
+    if p:
+        tail = solve_triangular(left, tail, trans="T")
     return turn, turn @ across.T, tail, shrunk
 
 
 def _network_variance(numbers, step, with_noise):
-    """``network_variance(x, phi, v)``: what ``RBFNetRegressor._variance`` computes."""
+    """``network_variance(x, phi, v)``: the variance as `NetworkPosterior` computes it."""
     real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
-    p = len(step._tail_map)
+    tail = step.posterior_.tail_map
+    p = len(tail)
     text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
     text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
-    tail = step._tail_map if not k else None
     if k:
         turn, shift, tail, shrunk = _posterior_spectrum(step)
     elif p:
-        tail = solve_triangular(step._design_triangle()[:p, :p], tail, trans="T")
+        tail = solve_triangular(step.posterior_.design_triangle()[:p, :p], tail, trans="T")
     lines = [f"{real} outside = 1, common = {int(with_noise)};"]
     if p:
         text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")
