@@ -129,7 +129,9 @@ class _Writer:
                 pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
                 self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
             self.parts.append(_c_steps.azimuth_direction(self.numbers))
-            self.parts.append(_c_network.network(self.numbers, step.network_, doubted, False)[0])
+            exact = step.fade_ > 0  # the correction itself depends on the standard deviation
+            text, _ = _c_network.network(self.numbers, step.network_, doubted, False, exact)
+            self.parts.append(text)
             self.parts.append(_c_steps.rotation(self.numbers, doubted))
         text = _c_columns.guarded_sum(self.numbers, step, self.std)
         self.fades = stages > 0 and step.fade_ > 0
