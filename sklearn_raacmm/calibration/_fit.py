@@ -10,12 +10,12 @@ from scipy.stats import chi
 
 from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
 from sklearn_raacmm.calibration._problem import (
-    align,
     jacobian_of_all,
     left_jacobian,
     points_of_all,
     unpack,
 )
+from sklearn_raacmm.utils import align
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {

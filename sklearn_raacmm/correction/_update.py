@@ -14,11 +14,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import check_angles, reach_mm
-from sklearn_raacmm.error_model import LinearModel, find_fading
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.error_model import LinearModel, check_poses, find_fading
 from sklearn_raacmm.utils import (
     centred,
-    check_features,
     check_points,
     check_weights,
     encode_groups,
@@ -70,7 +69,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         Fitted model; it is left as it is.
 
     X : array-like of shape (n_samples, n_joints)
-        Joint angles of the new poses in rad.
+        Joint angles of the new poses, in the unit that the model takes.
 
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
@@ -210,8 +209,8 @@ def _fade_beyond_new_poses(updated, angles, weights, codes):
 
 
 def _unfaded(model, angles):
-    """What a model predicts before it fades."""
-    model = copy(model)
+    """What a model predicts at angles in rad before it fades."""
+    model = copy(model).set_params(angle_unit="rad")
     if hasattr(model, "fadings_"):
         model.fadings_ = [replace(fading, factor=0.0) for fading in model.fadings_]
     else:
@@ -234,8 +233,7 @@ def linear_model_of(model, done):
 
 def check_new_poses(model, X, y, groups, sample_weight):
     """Angles, residuals, weights and codes of new poses; each fault gets one clear sentence."""
-    angles = check_features(model, X, dtype=np.float64, reset=False)
-    check_angles(angles, angles.shape[1], "rad", stacklevel=6)
+    angles = check_poses(model, X, stacklevel=6)
     y = check_points(y, 3)
     if len(y) != len(angles):
         raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")

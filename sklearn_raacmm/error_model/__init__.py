@@ -15,6 +15,7 @@ from sklearn_raacmm.error_model._left_out import (
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._orders import likely_gear_ratios
+from sklearn_raacmm.error_model._poses import check_poses
 
 __all__ = [
     "LEAST_POSITIONS",
@@ -26,6 +27,7 @@ __all__ = [
     "LinearOptions",
     "Terms",
     "check_fit",
+    "check_poses",
     "column_table",
     "find_fading",
     "fit_linear_model",

@@ -151,11 +151,11 @@ def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
 
 
 def _network_variance(numbers, step, with_noise, exact):
-    """``network_variance(x, phi, v)``: what ``RBFNetRegressor._variance`` computes."""
+    """``network_variance(x, phi, v)``: the variance as `NetworkPosterior` computes it."""
     real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
     text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
     text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
-    p = len(step._tail_map)
+    p = len(step.posterior_.tail_map)
     turn, shift, tail, shrunk = posterior_spectrum(step)
     lines = [f"{real} outside = 1, common = {int(with_noise)};"]
     if p:

@@ -18,7 +18,7 @@ from sklearn_raacmm.export._json import model_of, text_of
 from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
-from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.network import NetworkPosterior, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show, write_whole
 
@@ -34,6 +34,7 @@ TRUSTED_TYPES = [
         JointHarmonicRegressor,
         LinearModel,
         PoseFeatures,
+        NetworkPosterior,
         RBFNetRegressor,
         Terms,
         CylindricalResidualTarget,

@@ -102,7 +102,7 @@ def arm_of(model):
         elif isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             found.append((path, *azimuth_arm(path, step.azimuth)))
         elif isinstance(getattr(step, "arm_", None), Arm):
-            found.append((path, step.arm_, "rad"))
+            found.append((path, step.arm_, step.angle_unit))
     for path, arm, unit in found[1:]:
         if (arm, unit) != found[0][1:]:
             what = "arms" if arm != found[0][1] else "angle units"
@@ -142,19 +142,18 @@ def posterior_spectrum(step):
     shrunk : ndarray of shape (n_outputs, k)
         ``1 / (spectrum + alpha)``.
     """
-    p, k = len(step._tail_map), len(step.centers_)
-    rows = step._design_triangle()
+    posterior, k = step.posterior_, len(step.centers_)
+    p, rows = len(posterior.tail_map), posterior.design_triangle()
     left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
-    tail = solve_triangular(left, step._tail_map, trans="T") if p else step._tail_map
+    tail = solve_triangular(left, posterior.tail_map, trans="T") if p else posterior.tail_map
     if not k:
         return np.empty((0, 0)), np.empty((0, p)), tail, np.empty((n_outputs(step), 0))
-    whiten = step._posterior((step.centers_ - step.centers_.mean(axis=0)) / step.length_scale_)[0]
+    whiten = posterior.prior_root
     _, singular, turn = np.linalg.svd(own @ whiten.T)
     spectrum = np.zeros(len(whiten))
     spectrum[: len(singular)] = np.square(singular)
     turn = turn @ whiten
-    alpha = np.atleast_1d(step.alpha_) / step._weight_unit
-    shrunk = 1 / np.maximum(spectrum + alpha[:, None], np.finfo(float).tiny)
+    shrunk = 1 / np.maximum(spectrum + posterior.alpha[:, None], np.finfo(float).tiny)
     return turn, turn @ across.T, tail, shrunk
 
 

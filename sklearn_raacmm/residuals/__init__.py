@@ -12,6 +12,11 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
+from sklearn_raacmm.residuals._plausible import (
+    refuse_large,
+    refuse_points,
+    warn_of_another_frame,
+)
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
 
@@ -24,7 +29,10 @@ __all__ = [
     "direction_of",
     "pose_columns",
     "position_residuals",
+    "refuse_large",
+    "refuse_points",
     "std_to_cartesian",
     "to_cartesian",
     "to_cylindrical",
+    "warn_of_another_frame",
 ]

@@ -225,6 +225,9 @@ def test_degrees(build, data):
         np.testing.assert_allclose(got, model.predict(np.rad2deg(X)), rtol=0, atol=1e-12)
         # Rounding of the features on the way to degrees and back reaches the fit.
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
+    linear = harmonics(data.arm, angle_unit="deg").fit(in_degrees, data.target)
+    got = build(linear)("correct", np.rad2deg(X), 3)
+    np.testing.assert_allclose(got, linear.predict(np.rad2deg(X)), rtol=0, atol=1e-12)
 
 
 def test_network_and_linear_models_by_themselves(build):
