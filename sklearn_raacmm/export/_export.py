@@ -422,7 +422,8 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=Non
     n_folds : int, default=5
         Where `groups` are given, the error after the correction is that at positions left out, a
         copy of the model having been fitted on the others, in so many folds. 0, or without
-        `groups`: that at the rows given, and the card says so.
+        `groups`, or of a model that :func:`update_correction` has changed: that at the rows given,
+        and the card says so.
 
     serial_number : str, default=None
         Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
@@ -437,6 +438,7 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=Non
         the single-point repeatability, the mean over positions. Where `y` are deviations from the
         means of their positions, the means are taken off what is left, too: neither data nor
         model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
+        ``updates`` lists what :func:`update_correction` has recorded.
 
     Raises
     ------
