@@ -33,6 +33,8 @@ _TAU, _TAU_LOG_SD = 0.1, 1.5
 _LOG_TAU, _LOG_NOISE, _NOISE_LOG_SD = (-7.0, 0.0), (0.0, 4.0), 1.0
 # How far base and tool may be from where they were registered, mm at the probe.
 _PLACE_MM = 5.0
+# Noise that every measurement has, mm: without any, rounding would decide beside those millimetres.
+_LEAST_NOISE_MM = 1e-4
 # What changes need not be an order that the old data needed: these low ones are offered, too.
 _LOW_ORDERS = 8
 # Tukey's biweight, as in the first fit: standard deviations without weight, median distance of
@@ -160,6 +162,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         )
         return deepcopy(model)
     linear = with_low_orders(linear)
+    linear = replace(linear, noise_variance=max(linear.noise_variance, _LEAST_NOISE_MM**2))
     columns = centred(linear.columns(angles), codes, weights)
     place = centred(place, codes, weights)
     residuals = centred(residuals - _unfaded(model, angles), codes, weights)
