@@ -61,10 +61,10 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     The linear model keeps its columns. Its coefficients may change by a part tau of what they were
-    expected to be before any data (a harmonic above order 8 by a part of what it was), base and tool
-    by some millimetres. How much has changed is found
-    by the evidence, for the harmonics of each joint and for each other family of columns. With no
-    new pose the result is the old model, with very many it is what these poses say.
+    expected to be before any data (a harmonic above order 8 by a part of what it was), base and
+    tool by some millimetres. How much has changed is found by the evidence, for the harmonics of
+    each joint and for each other family of columns. With no new pose the result is the old model,
+    with very many it is what these poses say.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def _keep_fading(updated, model, angles):
     )
     added = max(np.max(new - old), 0.0)
     fadings = list(getattr(updated, "fadings_", None) or [updated.fading_])
-    fadings[0] = replace(fadings[0], known_mm=float(np.sqrt(fadings[0].known_mm**2 + added)))
+    fadings[0] = replace(fadings[0], known_mm=float(np.sqrt(fadings[0].known_mm ** 2 + added)))
     if hasattr(updated, "fadings_"):
         updated.fadings_ = fadings
     else:
