@@ -25,10 +25,12 @@ from sklearn_raacmm import (
     cylindrical_to_cartesian,
     datasets,
     display,
+    elbow_angle,
     export,
     metrics,
     next_poses,
     position_residuals,
+    shoulder_wrist_distance,
 )
 
 
@@ -118,6 +120,10 @@ def doors():
     yield "next_poses", ANGLES, lambda v: next_poses(linear, v, 3)[1]
     yield "next_poses, targets", ANGLES, lambda v: next_poses(linear, ANGLES, 3, targets=v)[1]
     yield "2S", POINTS, lambda v: measures.single_point_repeatability(v, GROUPS)
+    interval = measures.repeatability_interval
+    yield "interval", POINTS, lambda v: interval(v, GROUPS, n_resamples=9)
+    yield "Dis", ANGLES, lambda v: shoulder_wrist_distance(ARM, v)
+    yield "gamma", ANGLES, lambda v: elbow_angle(ARM, v)
     yield "axes", POINTS, lambda v: measures.axis_repeatability(v, GROUPS)
     yield "report", POINTS, lambda v: measures.repeatability_report(v, GROUPS).axis_2s_x
     kept = {"groups": GROUPS}
@@ -162,6 +168,7 @@ def label_doors():
     linear = harmonics().fit(ANGLES, RESIDUALS)
     yield "next_poses", lambda v: next_poses(linear, ANGLES, 3, groups=v)[1]
     yield "2S", lambda v: metrics.single_point_repeatability(POINTS, v)
+    yield "interval", lambda v: metrics.repeatability_interval(POINTS, v, n_resamples=9)
     yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
     yield "gauge", lambda v: metrics.gauge_lengths(POINTS, v, [np.array(v, dtype=object)[[0, 5]]])
     yield "location", lambda v: metrics.articulated_location_error(POINTS, v)
@@ -238,6 +245,8 @@ FINE = {
     ("Arm.frames", "no rows"),
     ("Arm.jacobian", "no rows"),
     ("Arm.azimuth", "no rows"),
+    ("Dis", "no rows"),
+    ("gamma", "no rows"),
     ("SimulatedArm.forward", "no rows"),
     ("SimulatedArm.read", "no rows"),
     # Infinitely wide is a feature that does not count; wider than can be told apart, too.

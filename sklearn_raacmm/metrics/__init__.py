@@ -15,6 +15,7 @@ from sklearn_raacmm.metrics._acceptance import (
     probing_form_error,
     probing_size_error,
 )
+from sklearn_raacmm.metrics._bootstrap import repeatability_interval
 from sklearn_raacmm.metrics._repeatability import (
     axis_repeatability,
     repeatability_report,
@@ -31,6 +32,7 @@ __all__ = [
     "length_error",
     "probing_form_error",
     "probing_size_error",
+    "repeatability_interval",
     "repeatability_report",
     "repeatability_scorer",
     "single_point_repeatability",

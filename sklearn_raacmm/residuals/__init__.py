@@ -13,6 +13,7 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cylindrical,
 )
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
+from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
 
 __all__ = [
@@ -22,8 +23,10 @@ __all__ = [
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
     "direction_of",
+    "elbow_angle",
     "pose_columns",
     "position_residuals",
+    "shoulder_wrist_distance",
     "std_to_cartesian",
     "to_cartesian",
     "to_cylindrical",
