@@ -98,6 +98,7 @@ for ax, title, correction in zip(axes[1:], titles, corrections.values(), strict=
         data.points, correction, groups=data.groups + 1, perfect=perfect, ax=ax
     )
     ax.set_title(title)
-axes[1].sharey(axes[2])
+axes[2].set_ylim(axes[1].get_ylim())
+axes[2].set_ylabel("")
 figure.suptitle("Simulated arm: each position corrected by models of the others")
 plt.show()

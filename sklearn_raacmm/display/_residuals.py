@@ -215,7 +215,7 @@ class ResidualDisplay:
             axes[0, 2].legend(fontsize="small", markerscale=3)
         elif self.after is not None:
             handles = axes[0, 0].get_legend_handles_labels()
-            axes[0, 0].figure.legend(*handles, loc="outside upper center", ncols=4, markerscale=3)
+            axes[0, 0].figure.legend(*handles, loc="outside lower center", ncols=4, markerscale=3)
         self.axes_, self.figure_, self.unit_ = axes, axes[0, 0].figure, unit
         return self
 

@@ -61,7 +61,8 @@ def repeatability_interval(
     Notes
     -----
     These are percentile intervals (B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap",
-    1993, section 13.3). With few poses they are a little short.
+    1993, section 13.3). A draw of n points repeats some of them, so that its mean square about its
+    mean is smaller by (n - 1) / n on average; "2s" and "mean" are corrected for that.
 
     Examples
     --------
@@ -88,6 +89,9 @@ def repeatability_interval(
         labels = n_positions * np.arange(len(some))[:, None] + codes
         found.append(single_point_repeatability(points[some.ravel()], labels.ravel(), **options))
     found = np.concatenate(found).reshape(n_resamples, n_positions)
+    if statistic != "max":
+        counts = np.bincount(codes)
+        found *= np.sqrt(counts / (counts - 1))
     if aggregate is not None:
         found = getattr(np, aggregate)(found, axis=1)
     return np.quantile(found, [(1 - probability) / 2, (1 + probability) / 2], axis=0).T
