@@ -130,6 +130,7 @@ def doors():
     yield "scatter", RESIDUALS, lambda v: measures.within_position_scatter(POINTS, v, **kept)
     yield "R2", POINTS, lambda v: measures.within_position_r2_score(v, RESIDUALS, **kept)
     yield "gauge", POINTS, lambda v: measures.gauge_lengths(v, GROUPS, [[0, 1]])
+    yield "block", POINTS, lambda v: measures.block_lengths(v, GROUPS, [[0, 1]])
     lengths = np.array([300.0, 500.0])
     yield "measured", lengths, lambda v: measures.length_error(v, [300, 500])
     yield "calibrated", lengths, lambda v: measures.length_error([300, 500], v)
@@ -171,6 +172,7 @@ def label_doors():
     yield "interval", lambda v: metrics.repeatability_interval(POINTS, v, n_resamples=9)
     yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
     yield "gauge", lambda v: metrics.gauge_lengths(POINTS, v, [np.array(v, dtype=object)[[0, 5]]])
+    yield "block", lambda v: metrics.block_lengths(POINTS, v, [np.array(v, dtype=object)[[0, 5]]])
     yield "location", lambda v: metrics.articulated_location_error(POINTS, v)
     fit = network().fit(ANGLES, RESIDUALS)
     yield "scorer", lambda v: metrics.repeatability_scorer(ANGLES, v)(fit, ANGLES, RESIDUALS)

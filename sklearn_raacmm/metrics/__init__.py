@@ -10,6 +10,7 @@ this module is no statement of conformance to any of them.
 
 from sklearn_raacmm.metrics._acceptance import (
     articulated_location_error,
+    block_lengths,
     gauge_lengths,
     length_error,
     probing_form_error,
@@ -28,6 +29,7 @@ from sklearn_raacmm.metrics._repeatability import (
 __all__ = [
     "articulated_location_error",
     "axis_repeatability",
+    "block_lengths",
     "gauge_lengths",
     "length_error",
     "probing_form_error",
