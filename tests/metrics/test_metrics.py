@@ -424,7 +424,7 @@ def test_blocks_of_any_direction_by_construction():
     # Errors across the normal do not count: from mean to mean they would.
     moved = points.copy()
     moved[np.array(groups) == "1, 1"] += 40.0 * rotation[:, 0]
-    np.testing.assert_allclose(metrics.block_lengths(moved, groups, pairs), found, atol=1e-9)
+    np.testing.assert_allclose(metrics.block_lengths(moved, groups, pairs), found, atol=noise)
     assert metrics.gauge_lengths(moved, groups, pairs)[1] > found[1] + 1
 
 
