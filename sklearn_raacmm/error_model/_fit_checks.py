@@ -7,8 +7,10 @@ import warnings
 
 import numpy as np
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
+from sklearn_raacmm.arm import arm_for, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
+from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
+from sklearn_raacmm.error_model._poses import in_rad
 from sklearn_raacmm.utils import (
     centred,
     check_data,
@@ -44,8 +46,8 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     Returns
     -------
     arm : Arm
-    X : ndarray of shape (n, n_joints)
-        In rad.
+    X : ndarray of shape (n, n_joints + n_extra)
+        In rad, then the extra columns.
     y : ndarray of shape (n, 3)
     weights : ndarray of shape (n,)
     codes : ndarray of shape (n,) or None
@@ -53,10 +55,13 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     lengths : list of (int, int, float, float)
     """
     X, y = check_data(estimator, X, y)
-    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1)
-    X = check_angles(X, X.shape[1], estimator.angle_unit, _CALLER)
-    y = _check_residuals(y, arm, X)
+    extra = tuple(linear.extra)
+    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1, extra)
+    check_extra(linear.extra, arm.n_joints)
+    X = in_rad(X, arm.n_joints, estimator.angle_unit, _CALLER)
+    y = _check_residuals(y, arm, X[:, : arm.n_joints])
     weights = check_weights(sample_weight, X)
+    warn_of_constants(extra, X[:, arm.n_joints :], weights, _CALLER)
     codes = _check_offsets(linear.offsets, y, weights, groups)
     return arm, X, y, weights, codes, _check_lengths(lengths, codes, groups, linear.kinematics)
 
