@@ -41,7 +41,7 @@ def check_poses(model, X, stacklevel=4):
     linear = model.linear_model_
     n_joints = linear.arm.n_joints
     check_tools(linear.terms.extra, X[:, n_joints:])
-    return in_rad(X, n_joints, model.angle_unit, stacklevel + 1)
+    return in_rad(X, n_joints, model.angle_unit, stacklevel)
 
 
 def in_rad(X, n_joints, angle_unit, stacklevel):
