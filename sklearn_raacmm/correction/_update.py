@@ -244,6 +244,11 @@ def linear_model_of(model, done):
             f"A {type(model).__name__} that holds no linear model in use cannot be {done}: it has "
             "no posterior of causes. It can be registered, by calibrate(..., correction=model)."
         )
+    if linear.terms.extra:
+        raise ValueError(
+            f"A model with extra columns ({', '.join(name for name, _ in linear.terms.extra)}) "
+            f"cannot be {done} yet: fit it again."
+        )
     return linear
 
 
