@@ -12,7 +12,15 @@ from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.export import _c_columns, _c_network, _c_steps
 from sklearn_raacmm.export._c_text import Numbers
-from sklearn_raacmm.export._steps import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
+from sklearn_raacmm.export._steps import (
+    KNOWN,
+    LINEAR,
+    SCALERS,
+    STAGES,
+    arm_of,
+    check_fitted,
+    leaves,
+)
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 
@@ -121,7 +129,7 @@ class _Writer:
             return
         # How much a stage is trusted depends on its standard deviation.
         doubted = self.std or step.fade_ > 0
-        stages = ["none", "harmonics", "harmonics+network"].index(step.use_)
+        stages = STAGES.index(step.use_)
         if stages > 0:
             self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
         if stages > 1:

@@ -137,29 +137,33 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
     if updates:
         card["updates"] = [dict(entry) for entry in updates]
     if X is not None:
-        given = X  # a table keeps the names that the model was fitted with
-        refuse_disguised("X", X)
-        X = check_array(X, dtype=np.float64, input_name="X")
-        if X.shape[1] != first.n_features_in_:
-            raise ValueError(
-                f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
-            )
-        codes = None
-        if groups is not None:
-            codes = encode_groups(groups, len(X))[1]
-        if y is not None:
-            refuse_disguised("y", y)
-            y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
-            check_consistent_length(X, y)
-        card["training"] = _training(X, codes, arm, unit)
-        card["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
-        if y is not None:
-            named = given if hasattr(first, "feature_names_in_") else X
-            # A copy that is fitted anew is not the updated model.
-            card["error"] = _error(model, named, y, codes, groups, 0 if updates else n_folds)
-            if updates:
-                card["error"]["after_is_measured_at"] += "; the model was updated after its fit"
+        card.update(_of_rows(model, X, y, groups, 0 if updates else n_folds))
+        if updates and "error" in card:  # a copy that is fitted anew is not the updated model
+            card["error"]["after_is_measured_at"] += "; the model was updated after its fit"
     return card
+
+
+def _of_rows(model, X, y, groups, n_folds):
+    """The card's sections on the rows given: `training`, and with y `error`."""
+    first, (arm, unit) = next(leaves(model)).estimator, _arm(model)
+    given = X  # a table keeps the names that the model was fitted with
+    refuse_disguised("X", X)
+    X = check_array(X, dtype=np.float64, input_name="X")
+    if X.shape[1] != first.n_features_in_:
+        raise ValueError(
+            f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
+        )
+    codes = None if groups is None else encode_groups(groups, len(X))[1]
+    if y is not None:
+        refuse_disguised("y", y)
+        y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
+        check_consistent_length(X, y)
+    sections = {"training": _training(X, codes, arm, unit)}
+    sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
+    if y is not None:
+        named = given if hasattr(first, "feature_names_in_") else X
+        sections["error"] = _error(model, named, y, codes, groups, n_folds)
+    return sections
 
 
 def _text(name, value):

@@ -21,6 +21,8 @@ from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
+# What an ArmResidualRegressor uses, by the number of its stages.
+STAGES = ("none", "harmonics", "harmonics+network")
 
 
 class Step(NamedTuple):

@@ -122,3 +122,21 @@ def test_the_card_of_an_updated_model(data, new):
     fresh = describe(harmonics().fit(X, y), X, y, groups, n_folds=2)
     assert "updates" not in fresh
     assert fresh["error"]["after_is_measured_at"].startswith("positions not seen")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
+    for make, damage in (
+        (harmonics, lambda model: model.linear_model_.coef),
+        (both, lambda model: model.network_.posterior_.coef),
+    ):
+        model = make().fit(*data)
+        damage(model).flat[3] = bad
+        with pytest.raises(ValueError, match=r"not a finite double|holds NaN or infinity"):
+            export_c(model, tmp_path / "arm.c")
+        with pytest.raises(ValueError, match=r"holds NaN or infinity"):
+            to_json(model, tmp_path / "arm.json")
+        pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+        with pytest.raises(ValueError, match="holds a number that is not finite"):
+            to_onnx(model, tmp_path / "arm.onnx")
+    assert not list(tmp_path.iterdir())
