@@ -117,9 +117,12 @@ def points_of_all(arm, angles, x, problem):
     return points if problem.correction is None else points - problem.correction
 
 
-def jacobian_of_all(arm, angles, x, problem, n_parameters):
-    """Corrected points (n, 3) and their derivatives (n, 3, n_parameters) by table and probes."""
-    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, n_parameters))
+def jacobian_of_all(arm, angles, x, problem):
+    """Corrected points (n, 3) and their derivatives (n, 3, len(x)) by table and probes."""
+    if problem.n_tools == 1:
+        points, jac = parameter_jacobian(unpack(arm, x), angles)
+        return (points if problem.correction is None else points - problem.correction), jac
+    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     n_table = 4 * arm.n_joints
     for tool in range(problem.n_tools):
         rows = problem.rows_of_tool(tool)

@@ -68,7 +68,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         Unit of the joint angles in `X`. Everything else is in mm and rad in either case.
 
     harmonics : JointHarmonicRegressor, default=None
-        The options of the first stage; its `arm` and `angle_unit` are not used. None: its defaults.
+        The options of the first stage; its `arm` and `angle_unit` are not used. Its `extra` says
+        what the columns of `X` after the angles are: the network does not see these. None: its
+        defaults.
 
     network : RBFNetRegressor, default=None
         The second stage, cloned. None: one without a constant, so that it vanishes away from its
@@ -136,7 +138,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         The arm in use.
 
     n_features_in_ : int
-        Number of joints.
+        Number of joints, and of extra columns.
 
     See Also
     --------
@@ -212,8 +214,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles, in the unit of `angle_unit`.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that the first stage's
+            `extra` names.
 
         y : array-like of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
@@ -345,8 +348,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles, in the unit of `angle_unit`.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that the first stage's
+            `extra` names.
 
         return_std : bool, default=False
             Also return the standard deviation of the correction before the guards.
@@ -383,8 +387,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles, in the unit of `angle_unit`.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that the first stage's
+            `extra` names.
 
         Returns
         -------

@@ -51,6 +51,7 @@ class TrainingData(NamedTuple):
 
 def network_input(arm, angles, joints):
     """Features of the poses, "all" joints or "pose", and the direction of the probe's azimuth."""
+    angles = angles[:, : arm.n_joints]  # without extra columns
     if joints == "all":
         F, (x, y, _) = angles, points_of(arm, angles).T
     else:

@@ -9,6 +9,7 @@ from sklearn_raacmm.error_model._fit_checks import check_fit
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
 from sklearn_raacmm.error_model._left_out import (
     LEAST_POSITIONS,
+    interval_scales,
     leave_out,
     with_honest_intervals,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "column_table",
     "find_fading",
     "fit_linear_model",
+    "interval_scales",
     "leave_out",
     "likely_gear_ratios",
     "quantile",

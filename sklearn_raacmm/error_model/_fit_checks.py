@@ -8,8 +8,10 @@ import warnings
 import numpy as np
 from scipy.special import fdtr
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
+from sklearn_raacmm.arm import arm_for, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
+from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
+from sklearn_raacmm.error_model._poses import in_rad
 from sklearn_raacmm.residuals import refuse_large, refuse_points, warn_of_another_frame
 from sklearn_raacmm.utils import (
     centred,
@@ -47,8 +49,8 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     Returns
     -------
     arm : Arm
-    X : ndarray of shape (n, n_joints)
-        In rad.
+    X : ndarray of shape (n, n_joints + n_extra)
+        In rad, then the extra columns.
     y : ndarray of shape (n, 3)
     weights : ndarray of shape (n,)
     codes : ndarray of shape (n,) or None
@@ -57,12 +59,16 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     """
     linear._validate_params()  # of a first stage, scikit-learn checks only the type
     X, y = check_data(estimator, X, y)
-    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1)
-    X = check_angles(X, X.shape[1], estimator.angle_unit, _CALLER)
+    extra = tuple(linear.extra)
+    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1, extra)
+    check_extra(linear.extra, arm.n_joints)
+    X = in_rad(X, arm.n_joints, estimator.angle_unit, _CALLER)
     y = _check_vectors(y, arm)
     weights = check_weights(sample_weight, X)
+    warn_of_constants(extra, X[:, arm.n_joints :], weights, _CALLER)
     codes = _check_offsets(linear.offsets, y, weights, groups)
-    _check_residuals(y, points_of(arm, X), weights, codes, reach_mm(arm))
+    points = points_of(arm, X[:, : arm.n_joints])
+    _check_residuals(y, points, weights, codes, reach_mm(arm))
     return arm, X, y, weights, codes, _check_lengths(lengths, codes, groups, linear.kinematics)
 
 

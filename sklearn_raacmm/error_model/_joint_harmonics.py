@@ -55,6 +55,21 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of the joint angles in `X`. Everything else is in mm and rad in either case.
 
+    extra : list of str, default=()
+        What the columns of `X` after the angles are, one name for each: other causes of errors that
+        were written down with the angles. Each goes through the arm's geometry and is judged by the
+        evidence, as the other causes are.
+
+        - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
+          and zero offsets drift in proportion to it.
+        - "direction J": the direction from which joint J came, 1 from smaller angles and -1 from
+          larger ones: its backlash.
+        - "payload": a weight at the probe. "force x", "force y", "force z": a force on the probe in
+          the base frame, such as the probing force. All frames yield in proportion to the torque.
+        - "tool": the number of the probe, where several are in use: each has offsets of its own.
+
+        Numbers count from their mean over the training data, in whatever unit they are in.
+
     max_order : int, default=400
         Highest order of the harmonics offered, for every joint: strain-wave gears show at multiples
         of their ratio. Orders above 72 are taken only where they explain much, or where they are
@@ -140,7 +155,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The arm in use.
 
     n_features_in_ : int
-        Number of joints.
+        Number of joints, and of extra columns.
 
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
@@ -209,6 +224,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     _parameter_constraints: dict = {
         "arm": [Arm, None],
         "angle_unit": [StrOptions({"rad", "deg"})],
+        "extra": ["array-like"],
         "max_order": [Interval(Integral, 0, 1000, closed="both")],
         "orders": ["array-like", None],
         "gear_ratio": [Interval(Real, 0, None, closed="left"), "array-like", None],
@@ -226,6 +242,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         arm=None,
         *,
         angle_unit="rad",
+        extra=(),
         max_order=400,
         orders=None,
         gear_ratio=None,
@@ -239,6 +256,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     ):
         self.arm = arm
         self.angle_unit = angle_unit
+        self.extra = extra
         self.max_order = max_order
         self.orders = orders
         self.gear_ratio = gear_ratio
@@ -258,8 +276,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles, in the unit of `angle_unit`.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
 
         y : array-like of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
@@ -282,11 +300,11 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Raises
         ------
         ValueError
-            If X has not one column per joint or y not three, something is NaN or infinite, a weight
-            is negative or all are 0, the model has no columns at all, or ``offsets=True`` comes
-            without `groups`; if y are the probe's points, or half of them longer than a twentieth
-            of the arm's reach; if lengths name unknown positions, are
-            not positive, or come without offsets.
+            If X has not one column per joint and extra name, or y not three, something is NaN or
+            infinite, a weight is negative or all are 0, the model has no columns at all, or
+            ``offsets=True`` comes without `groups`; if y are the probe's points, or half of them
+            longer than a twentieth of the arm's reach; if lengths name unknown positions, are not
+            positive, or come without offsets.
 
         Warns
         -----
@@ -356,8 +374,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles, in the unit of `angle_unit`.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
 
         return_std : bool, default=False
             Also return the standard deviation of the correction before it fades.
@@ -382,7 +400,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If X has another number of columns than the arm has joints, or holds NaN or infinity.
+            If X has another number of columns than in `fit`, holds NaN or infinity, or has a tool
+            that the training data did not have.
 
         Warns
         -----
@@ -405,8 +424,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles, in the unit of `angle_unit`.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
 
         Returns
         -------
@@ -421,8 +440,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
         Parameters
         ----------
-        X1, X2 : array-like of shape (n_samples, n_joints)
-            Joint angles at the two ends, in the unit of `angle_unit`.
+        X1, X2 : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`, at the two ends.
 
         Returns
         -------

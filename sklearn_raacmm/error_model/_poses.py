@@ -7,6 +7,7 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.error_model._extra import check_tools
 from sklearn_raacmm.utils import check_features
 
 
@@ -25,15 +26,25 @@ def check_poses(model, X, stacklevel=4):
     Returns
     -------
     ndarray of shape (n, n_features_in_)
-        Angles in rad.
+        Angles in rad, then the extra columns.
 
     Raises
     ------
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
     ValueError
-        If X has another number of columns than the model was fitted on, or holds NaN or infinity.
+        If X has another number of columns than in the fit, holds NaN or infinity, or has a tool
+        that the training data did not have.
     """
     check_is_fitted(model)
     X = check_features(model, X, dtype=np.float64, reset=False)
-    return check_angles(X, X.shape[1], model.angle_unit, stacklevel)
+    linear = model.linear_model_
+    n_joints = linear.arm.n_joints
+    check_tools(linear.terms.extra, X[:, n_joints:])
+    return in_rad(X, n_joints, model.angle_unit, stacklevel)
+
+
+def in_rad(X, n_joints, angle_unit, stacklevel):
+    """The same rows with their first columns, the angles, in rad."""
+    angles = check_angles(X[:, :n_joints], n_joints, angle_unit, stacklevel + 1)
+    return angles if n_joints == X.shape[1] else np.hstack([angles, X[:, n_joints:]])

@@ -117,6 +117,11 @@ class _Writer:
                 f"{path} comes after another transformer, which cannot be exported: it has to see "
                 "the joint angles."
             )
+        extra = [name for name, _ in step.linear_model_.terms.extra]
+        if extra:
+            raise ValueError(
+                f"{path} has extra columns ({', '.join(extra)}), which cannot be exported yet."
+            )
         self.n_outputs = 3
         if isinstance(step, JointHarmonicRegressor):
             self.fades = step.fading_.factor > 0
