@@ -49,7 +49,9 @@ def sources(model, name, stem, dtype, std, card=None, notes=()):
     facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
     if body.arm is not None:
         label = f" {body.arm.name}" if body.arm.name else ""
-        facts.append(f"arm{label}: {body.n_inputs} joints, {body.arm.convention} DH, mm and rad")
+        facts.append(
+            f"arm{label}: {body.arm.n_joints} joints, {body.arm.convention} DH, mm and rad"
+        )
     facts += [*body.steps, *notes, f"functions of math.h: {', '.join(_math_functions(body, std))}"]
     banner = comment(facts + ([] if card is None else ["", *str(card).splitlines()]))
     functions = _functions(body, name, dtype, std)
@@ -176,9 +178,10 @@ def _one_row(names, body):
     about = f"What the model predicts from {names.argument.replace('_', ' ')}.\n   {status}"
     if body.corrects:
         unit = "degrees" if body.angle_unit == "deg" else "rad"
+        then = f";\n   then {', '.join(map(plain, body.extra))}" if body.extra else ""
         about = (
             "How far off the probe is, in the base frame, mm: subtract it from the measured\n"
-            f"   point. Joint angles in {unit}, as the encoders give them.\n   {status}"
+            f"   point. Joint angles in {unit}, as the encoders give them{then}.\n   {status}"
         )
     return Function(
         f"int {names.prefix}_{names.verb}({names.given}, {names.real} {names.out}[{names.q}])",
