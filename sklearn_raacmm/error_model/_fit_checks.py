@@ -16,8 +16,10 @@ from sklearn_raacmm.utils import (
     check_data,
     check_weights,
     encode_groups,
+    floats,
     group_means,
     group_weights,
+    refuse_huge,
 )
 
 # For warnings: each check is called by `check_fit`, that by fit, which three decorators wrap.
@@ -30,6 +32,8 @@ _LARGEST_REACHES = 10.0
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
 _CENTRED = 0.5
+# A residual of the orientation that is larger, in rad, is no small error of an arm.
+_LARGEST_TURN = 0.5
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
@@ -149,3 +153,28 @@ def _share_of_means(y, codes, weights):
     if not within > 0:
         return np.inf, np.inf
     return between.mean() / within, float(np.median(between)) / within
+
+
+def check_turns(turns, n_rows, codes):
+    """Residuals of the orientation (n, 3) in rad, or None where there are none."""
+    if turns is None:
+        return None
+    turns = floats("orientation_residuals", turns)
+    if turns.shape != (n_rows, 3):
+        raise ValueError(
+            f"orientation_residuals must be {n_rows} rotation vectors in rad, shape ({n_rows}, 3), "
+            f"got {turns.shape}."
+        )
+    refuse_huge("orientation_residuals", turns)
+    largest = np.linalg.norm(turns, axis=1).max()
+    if largest > _LARGEST_TURN:
+        raise ValueError(
+            f"orientation_residuals reach {largest:.3g} rad: they must be small errors, what the "
+            "calibrated arm shows against what was measured."
+        )
+    if codes is not None:
+        raise ValueError(
+            "orientation_residuals are for residuals against a reference: here positions have "
+            "unknown offsets."
+        )
+    return turns
