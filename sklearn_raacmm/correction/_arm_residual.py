@@ -76,7 +76,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         The second stage, cloned. None: one without a constant, so that it vanishes away from its
         centres, ``RBFNetRegressor(degree=-1, random_state=0)``.
 
-    features : {"pose", "all"}, default="all"
+    joints : {"pose", "all"}, default="all"
         What the network sees: the pose of :class:`PoseFeatures`, or the angles of all joints.
 
     use : {"auto", "none", "harmonics", "harmonics+network"}, default="auto"
@@ -164,7 +164,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     >>> from sklearn_raacmm import ArmResidualRegressor
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=8, n_poses=30, random_state=1)
-    >>> model = ArmResidualRegressor(test.arm, features="pose")
+    >>> model = ArmResidualRegressor(test.arm, joints="pose")
     >>> _ = model.fit(test.data, test.target, groups=test.groups)
     >>> bool(model.check_["mean_mm"][0] < 0.1)  # simulated, uncorrected
     True
@@ -176,7 +176,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         "angle_unit": [StrOptions({"rad", "deg"})],
         "harmonics": [JointHarmonicRegressor, None],
         "network": [RBFNetRegressor, None],
-        "features": [StrOptions({"pose", "all"})],
+        "joints": [StrOptions({"pose", "all"})],
         "use": [StrOptions({"auto", *MODELS})],
         "n_folds": [Interval(Integral, 2, None, closed="left")],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
@@ -190,7 +190,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         angle_unit="rad",
         harmonics=None,
         network=None,
-        features="all",
+        joints="all",
         use="auto",
         n_folds=10,
         fade="auto",
@@ -200,7 +200,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         self.angle_unit = angle_unit
         self.harmonics = harmonics
         self.network = network
-        self.features = features
+        self.joints = joints
         self.use = use
         self.n_folds = n_folds
         self.fade = fade
@@ -250,7 +250,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         linear, pose_weight = fit_linear_model(arm, X, y, weights, codes, lengths, options)
         robust = weights * pose_weight
         kept = robust > 0
-        inputs = network_input(arm, X, self.features)
+        inputs = network_input(arm, X, self.joints)
         data = TrainingData(X, y, robust, codes, inputs).rows(kept)
         positions = np.arange(len(X)) if groups is None else encode_groups(groups)[1]
         left_out = leave_out(linear, options, X, y, robust, codes, positions, self.n_folds)
@@ -262,9 +262,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if n_stages == 2 and self.use == "auto":
             left = centred(left_by(linear, data), data.codes, data.weights)
             n_stages = 1 + shared_by_neighbours(data.network.features, left, data.weights)[1]
-        stages = Stages(linear, None, self.features)
+        stages = Stages(linear, None, self.joints)
         if n_stages == 2:
-            stages = fit_network(self._new_network(), linear, data, self.features)
+            stages = fit_network(self._new_network(), linear, data, self.joints)
         self.fadings_ = self._fadings(stages, data)
         self.residual_rms_mm_ = self.fadings_[0].size_mm
         self.cap_mm_ = self._longest(stages, data, n_stages)
@@ -300,8 +300,8 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
         def fit(number, rest):
             if network is None:
-                return Stages(models[number], None, self.features)
-            return fit_network(network, models[number], rest, self.features)
+                return Stages(models[number], None, self.joints)
+            return fit_network(network, models[number], rest, self.joints)
 
         def guard(parts, n_rows):
             return guarded(parts, self.fadings_, self.cap_mm_, n_rows)[0]
@@ -405,7 +405,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         n_stages = MODELS.index(self.use_)
         if not n_stages:
             return np.zeros((len(X), 3)), np.ones(len(X)), []
-        stages = Stages(self.linear_model_, self.network_, self.features)
+        stages = Stages(self.linear_model_, self.network_, self.joints)
         fades = self.fadings_[0].factor > 0
         parts = stages.parts(X, return_std or fades)
         return *guarded(parts, self.fadings_, self.cap_mm_, len(X)), parts

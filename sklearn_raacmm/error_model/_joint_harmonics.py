@@ -24,6 +24,9 @@ from sklearn_raacmm.utils import (
     whole_fit,
 )
 
+# Of a harmonic, in arc seconds: a thousandth of what an encoder resolves, and more than a turn.
+_PRIOR_BOUNDS = 1e-6, 2e6
+
 
 class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Linear model of what the arm itself does to its probe, joint by joint.
@@ -85,7 +88,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     prior_sd : float or "auto", default="auto"
         Standard deviation that the cosine and sine of a harmonic have before any data are seen, in
-        arc seconds. "auto" lets the data decide, as always for the other causes.
+        arc seconds, from 1e-6 to 2e6. "auto" lets the data decide, as always for the other
+        causes.
 
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
@@ -227,7 +231,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         "gravity": ["boolean"],
         "kinematics": ["boolean"],
         "wobble": ["boolean"],
-        "prior_sd": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"})],
+        "prior_sd": [Interval(Real, *_PRIOR_BOUNDS, closed="both"), StrOptions({"auto"})],
         "offsets": ["boolean", StrOptions({"auto"})],
         "loss": [StrOptions({"squared", "tukey"})],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
@@ -314,16 +318,19 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         ValueError
             If X has not one column per joint and extra name, or y not three, something is NaN or
             infinite, a weight is negative or all are 0, the model has no columns at all, or
-            ``offsets=True`` comes without `groups`; if y are the probe's points; if lengths name
-            unknown positions, are not positive, or come without offsets; if orientations come with
-            offsets, or are no small rotation vectors.
+            ``offsets=True`` comes without `groups`; if y are the probe's points, or half of them
+            longer than a twentieth of the arm's reach; if lengths name unknown positions, are not
+            positive, or come without offsets; if orientations come with offsets, or are no small
+            rotation vectors.
 
         Warns
         -----
         UserWarning
             If the angles are most likely in the other unit: larger than two turns in rad, or all
-            within one turn of radians in degrees; if ``kinematics=False`` and
-            positions have offsets, but no `lengths` are given.
+            within one turn of radians in degrees; if ``kinematics=False`` and positions have
+            offsets, but no `lengths` are given; if ``offsets="auto"`` finds none although the
+            positions' means are smaller than chance makes them; if nearly all of `y` is one motion
+            of the base: the reference is then most likely in another frame.
         """
         arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
         X, y, weights, codes, _ = data

@@ -5,6 +5,7 @@
 
 import hashlib
 import json
+from dataclasses import fields
 from functools import partial
 from types import MethodType
 
@@ -21,7 +22,7 @@ from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._steps import check_fitted
-from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.network import NetworkPosterior, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_shapes, show
 
@@ -36,7 +37,7 @@ _ESTIMATORS = {
     )
 }  # fmt: skip
 # Fitted numbers that are values of their own.
-_VALUES = {kind.__name__: kind for kind in (Fading, LinearModel)}
+_VALUES = {kind.__name__: kind for kind in (Fading, LinearModel, NetworkPosterior)}
 # Arrays of scikit-learn's steps: d is the number of features. Those that are None are left out.
 _SHAPES = {
     name: dict.fromkeys(attributes, ("d",))
@@ -101,10 +102,10 @@ def _encoded(value, path):
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {"dict": _encoded_fields(value, path)}
     if type(value).__name__ in _ESTIMATORS and type(value) is _ESTIMATORS[type(value).__name__]:
-        state = {k: v for k, v in vars(value).items() if k != "_posterior_"}
-        return {"estimator": type(value).__name__, "state": _encoded_fields(state, path)}
+        return {"estimator": type(value).__name__, "state": _encoded_fields(vars(value), path)}
     if type(value) in _VALUES.values():
-        return {"value": type(value).__name__, "state": _encoded_fields(vars(value), path)}
+        state = {field.name: getattr(value, field.name) for field in fields(value)}
+        return {"value": type(value).__name__, "state": _encoded_fields(state, path)}
     unit, method = "rad", value
     if isinstance(value, partial) and set(value.keywords) == {"angle_unit"} and not value.args:
         unit, method = value.keywords["angle_unit"], value.func

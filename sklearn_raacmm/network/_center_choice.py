@@ -32,7 +32,6 @@ _ALIKE = 4.0
 class CenterSettings(NamedTuple):
     """Parameters of `RBFNetRegressor` that decide on the centres."""
 
-    kernel: str
     n_centers: int | None  # None: found by the criterion
     criterion: str
     tol: float
@@ -64,7 +63,7 @@ def criterion_in_force(settings, alpha):
 
 
 @stage("centres of the network")
-def choose_centers(problem, alpha, shift, length_scale, settings, rng):
+def choose_centers(problem, alpha, functions, settings, rng):
     """Choose centres in order of how much they lower the objective.
 
     Parameters
@@ -72,7 +71,7 @@ def choose_centers(problem, alpha, shift, length_scale, settings, rng):
     problem : Problem
     alpha : ndarray of shape (q,)
         Ridge of every output, in the problem's units.
-    shift, length_scale : ndarray of shape (d,)
+    functions : RadialFunctions
     settings : CenterSettings
     rng : numpy.random.RandomState
         Draws the candidates.
@@ -105,8 +104,8 @@ def choose_centers(problem, alpha, shift, length_scale, settings, rng):
         "max_rank": max(MAX_RANK, int(_RANK_PER_CENTER * n_select)),
         "whitened": settings.refine,
     }
-    where = rows, shift, length_scale
-    candidates = candidate_groups(problem, view, *where, members, settings.kernel, alphas, **limits)
+    where = rows, functions.shift, functions.length_scale, members, functions.kernel
+    candidates = candidate_groups(problem, view, *where, alphas, **limits)
     score, goal = total_score, None
     if settings.selection == "newrb":
         score = squared_ratio_score(view.total[np.concatenate(members)])

@@ -170,7 +170,7 @@ def test_from_a_calibration(measured):
     true = np.swapaxes(Rotation.from_rotvec(turns).as_matrix(), 1, 2) @ orientation(arm, theta)
     options = {"points": (arm.forward(theta) - y) @ tracker.T + [1000.0, -500.0, 300.0]}
     options["orientations"] = tracker @ true @ target
-    result = calibrate(arm, theta, free=["probe"], loss="linear", **options)
+    result = calibrate(arm, theta, free=["probe"], loss="squared", **options)
     found = result.orientation_residuals(theta, options["orientations"])
     shown = result.base_rotation @ orientation(result.arm, theta) @ result.target_rotation
     expected = turned_by(shown, options["orientations"]) @ result.base_rotation
