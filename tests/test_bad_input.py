@@ -25,10 +25,12 @@ from sklearn_raacmm import (
     cylindrical_to_cartesian,
     datasets,
     display,
+    elbow_angle,
     export,
     metrics,
     next_poses,
     position_residuals,
+    shoulder_wrist_distance,
 )
 
 
@@ -118,12 +120,17 @@ def doors():
     yield "next_poses", ANGLES, lambda v: next_poses(linear, v, 3)[1]
     yield "next_poses, targets", ANGLES, lambda v: next_poses(linear, ANGLES, 3, targets=v)[1]
     yield "2S", POINTS, lambda v: measures.single_point_repeatability(v, GROUPS)
+    interval = measures.repeatability_interval
+    yield "interval", POINTS, lambda v: interval(v, GROUPS, n_resamples=9)
+    yield "Dis", ANGLES, lambda v: shoulder_wrist_distance(ARM, v)
+    yield "gamma", ANGLES, lambda v: elbow_angle(ARM, v)
     yield "axes", POINTS, lambda v: measures.axis_repeatability(v, GROUPS)
     yield "report", POINTS, lambda v: measures.repeatability_report(v, GROUPS).axis_2s_x
     kept = {"groups": GROUPS}
     yield "scatter", RESIDUALS, lambda v: measures.within_position_scatter(POINTS, v, **kept)
     yield "R2", POINTS, lambda v: measures.within_position_r2_score(v, RESIDUALS, **kept)
     yield "gauge", POINTS, lambda v: measures.gauge_lengths(v, GROUPS, [[0, 1]])
+    yield "block", POINTS, lambda v: measures.block_lengths(v, GROUPS, [[0, 1]])
     lengths = np.array([300.0, 500.0])
     yield "measured", lengths, lambda v: measures.length_error(v, [300, 500])
     yield "calibrated", lengths, lambda v: measures.length_error([300, 500], v)
@@ -162,8 +169,10 @@ def label_doors():
     linear = harmonics().fit(ANGLES, RESIDUALS)
     yield "next_poses", lambda v: next_poses(linear, ANGLES, 3, groups=v)[1]
     yield "2S", lambda v: metrics.single_point_repeatability(POINTS, v)
+    yield "interval", lambda v: metrics.repeatability_interval(POINTS, v, n_resamples=9)
     yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
     yield "gauge", lambda v: metrics.gauge_lengths(POINTS, v, [np.array(v, dtype=object)[[0, 5]]])
+    yield "block", lambda v: metrics.block_lengths(POINTS, v, [np.array(v, dtype=object)[[0, 5]]])
     yield "location", lambda v: metrics.articulated_location_error(POINTS, v)
     fit = network().fit(ANGLES, RESIDUALS)
     yield "scorer", lambda v: metrics.repeatability_scorer(ANGLES, v)(fit, ANGLES, RESIDUALS)
@@ -238,6 +247,8 @@ FINE = {
     ("Arm.frames", "no rows"),
     ("Arm.jacobian", "no rows"),
     ("Arm.azimuth", "no rows"),
+    ("Dis", "no rows"),
+    ("gamma", "no rows"),
     ("SimulatedArm.forward", "no rows"),
     ("SimulatedArm.read", "no rows"),
     # Infinitely wide is a feature that does not count; wider than can be told apart, too.

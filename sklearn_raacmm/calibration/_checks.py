@@ -194,7 +194,7 @@ def warn_of_few_rows(seen, names, problem):
         f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
         f"with. {known} Measure about {rows} rows or more, or let fewer fields change (free=).",
         UserWarning,
-        stacklevel=CALLER + 1,
+        stacklevel=CALLER + 2,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm import dh_theta, frame_columns
+from sklearn_raacmm.utils import nearest_rotation
 
 
 def flange_turns(arm, angles):
@@ -27,8 +28,7 @@ def flange_turns(arm, angles):
 
 def mean_turn(turns):
     """The rotation (3, 3) nearest to many (n, 3, 3) by least squares of the matrices."""
-    u, _, vt = np.linalg.svd(turns.sum(axis=0))
-    return u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return nearest_rotation(turns.sum(axis=0))
 
 
 def turn_vectors(turns):

@@ -6,8 +6,8 @@
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.utils import check_features, check_whole_number, encode_groups
+from sklearn_raacmm.error_model import check_poses
+from sklearn_raacmm.utils import check_whole_number, encode_groups
 
 
 def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
@@ -23,7 +23,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         Fitted model; of the latter, the first stage.
 
     X : array-like of shape (n_candidates, n_joints)
-        Poses that could be measured: joint angles in rad.
+        Poses that could be measured: joint angles, in the unit that the model takes.
 
     n_poses : int
         How many to choose: poses, or positions where `groups` are given.
@@ -88,7 +88,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         )
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
         raise ValueError(f'criterion must be "I" or "D", got {criterion!r}.')
-    X = _check_poses(model, X)
+    X = check_poses(model, X)
     if groups is None:
         if linear.offsets:
             raise ValueError(
@@ -105,7 +105,7 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         return linear.columns(angles) @ linear.gauge_free_half
 
     rows = whitened(X)
-    aim = rows if targets is None else whitened(_check_poses(model, targets))
+    aim = rows if targets is None else whitened(check_poses(model, targets))
     aim = aim.reshape(-1, aim.shape[2])
     gram = aim.T @ aim / (len(aim) / 3)
     if linear.offsets:
@@ -131,11 +131,6 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         chosen.append(best)
         variance.append(np.sum(gram * M))
     return labels[chosen], np.sqrt(np.maximum(variance, 0.0))
-
-
-def _check_poses(model, X):
-    X = check_features(model, X, dtype=np.float64, reset=False)
-    return check_angles(X, X.shape[1], "rad", stacklevel=4)
 
 
 def _gain(rows, moved, gram, criterion):

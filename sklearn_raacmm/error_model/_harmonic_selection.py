@@ -40,6 +40,8 @@ _ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
 # arc seconds, beyond which an arm's errors are not linear; directions that the data do not show
 # would carry the variance beyond all bounds by their rounding.
 _LEAST_SHARE, _LARGEST_VARIANCE = 1e-8, 3600.0**2
+# Least mean square of residuals, mm^2: its square is a number yet.
+_NO_NOISE = 1e-120
 # Least noise variance, relative to the mean square of y; halvings of a step that lowers evidence.
 _LEAST_NOISE, _HALVINGS = 1e-12, 5
 # Share of the largest eigenvalue of the always-in columns' scaled Gram matrix below which a
@@ -145,7 +147,7 @@ class _Problem:
         self.given = prior_variance
         self.lengths = lengths
         self.n = max(sums.n_observations, 1.0)
-        noise = sums.square / self.n if sums.square > 0 else 1.0
+        noise = max(sums.square / self.n, _NO_NOISE)
         self.start = noise
         self.assumed = _ASSUMED_ROWS * _ASSUMED_SHARE * noise
         self.guess = self._first_guess()

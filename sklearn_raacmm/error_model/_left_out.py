@@ -63,10 +63,14 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     """
     positions = np.unique(positions, return_inverse=True)[1].ravel()
     # Weights of equal size: a position without weight is still at its place.
-    blocks = blocks_of_positions(points_of(model.arm, X), positions, np.ones(len(X)), n_blocks)
+    angles = X[:, : model.arm.n_joints]
+    points = points_of(model.arm, angles)
+    blocks = blocks_of_positions(points, positions, np.ones(len(X)), n_blocks)
     if blocks is None or not model.noise_variance > 0:
         return []
-    offered, expected = offered_harmonics(X, options.max_order, options.orders, options.gear_ratio)
+    offered, expected = offered_harmonics(
+        angles, options.max_order, options.orders, options.gear_ratio
+    )
     chosen = {tuple(pair) for pair in model.terms.harmonics.tolist()}
     low = offered[:, 1] <= _HIGHEST_ORDER
     used = [i or tuple(p) in chosen for i, p in zip(low, offered.tolist(), strict=True)]

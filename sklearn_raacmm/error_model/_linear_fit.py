@@ -17,6 +17,8 @@ from sklearn_raacmm.error_model._columns import (
     scale_direction,
     term_names,
 )
+from sklearn_raacmm.error_model._extra import with_references
+from sklearn_raacmm.error_model._families import IDLE_VARIANCE, least_of_the_idle
 from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmonics
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import candidate_sums
@@ -48,6 +50,7 @@ class LinearOptions(NamedTuple):
     wobble: bool
     prior_sd: float | str
     loss: str
+    extra: tuple = ()
 
     @classmethod
     def of(cls, estimator):
@@ -62,8 +65,8 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     Parameters
     ----------
     arm : Arm
-    X : ndarray of shape (n, n_joints)
-        Angles in rad.
+    X : ndarray of shape (n, n_joints + n_extra)
+        Angles in rad, then the extra columns.
     y : ndarray of shape (n, 3)
         Residuals in mm.
     weights : ndarray of shape (n,)
@@ -84,11 +87,22 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     ValueError
         If the options leave no columns.
     """
-    data = FitData(arm, X, y, weights, codes, lengths, options)
+    extra = with_references(options.extra, X[:, arm.n_joints :], weights)
+    data = FitData(arm, X, y, weights, codes, lengths, options, extra)
+    model, factor = _fit(data)
+    while (least := least_of_the_idle(model, data.idle)) is not None:
+        data = data._replace(idle=data.idle | {least})
+        model, factor = _fit(data)
+    return model, factor
+
+
+def _fit(data):
+    """Choose harmonics and weights by turns: the model, and the factors of the weights."""
+    X, weights, options = data.X, data.weights, data.options
     offered, expected = offered_harmonics(
-        X[weights > 0], options.max_order, options.orders, options.gear_ratio
+        X[weights > 0, : data.arm.n_joints], options.max_order, options.orders, options.gear_ratio
     )
-    factor, start = np.ones(len(y)), None
+    factor, start = np.ones(len(weights)), None
     for _ in range(_MAX_CHOICES):
         chosen, terms = _choose(data, factor, offered, expected, start)
         model, settled, found = _settle(data, factor, chosen, terms)
@@ -107,6 +121,8 @@ class FitData(NamedTuple):
     codes: np.ndarray
     lengths: list
     options: LinearOptions
+    extra: tuple = ()  # with references
+    idle: frozenset = frozenset()  # families of it that are not worth their price
 
     def weighted(self, factor):
         """Rows that have weight, and positions and lengths that have such rows."""
@@ -135,13 +151,14 @@ class FitData(NamedTuple):
         variance = np.full(len(FAMILIES), np.nan)
         if not isinstance(self.options.prior_sd, str):
             variance[HARMONIC] = self.options.prior_sd**2
+        variance[list(self.idle)] = IDLE_VARIANCE
         return variance
 
 
 def _choose(data, factor, offered, expected, start):
     """Posterior of the harmonics chosen at given weights, and its terms."""
     options = data.options
-    terms = Terms(offered, options.gravity, options.kinematics, options.wobble)
+    terms = Terms(offered, options.gravity, options.kinematics, options.wobble, data.extra)
     family = term_names(data.arm, terms)[1]
     if not len(offered) and not len(family):
         raise ValueError(
@@ -178,7 +195,8 @@ def constrained(model, X, weights, codes, keep_scale=True):
         return model
     columns = mean_columns(model.arm, X, weights, codes, model.terms)
     if keep_scale:
-        model = _keep_scale(model, columns, group_means(points_of(model.arm, X), codes, weights))
+        points = points_of(model.arm, X[:, : model.arm.n_joints])
+        model = _keep_scale(model, columns, group_means(points, codes, weights))
     return _without_gauge(model, columns)
 
 

@@ -128,8 +128,8 @@ class LinearModel:
 
         Parameters
         ----------
-        angles : ndarray of shape (n, n_joints)
-            In rad.
+        angles : ndarray of shape (n, n_joints + n_extra)
+            In rad; then the extra columns of `terms`.
 
         Returns
         -------
@@ -143,8 +143,8 @@ class LinearModel:
 
         Parameters
         ----------
-        angles : ndarray of shape (n, n_joints)
-            In rad.
+        angles : ndarray of shape (n, n_joints + n_extra)
+            In rad; then the extra columns of `terms`.
 
         return_std : bool, default=False
             Also return standard deviations.
@@ -198,7 +198,8 @@ class LinearModel:
         ndarray of shape (n,)
             In mm; 0 for lengths of zero.
         """
-        line = points_of(self.arm, second) - points_of(self.arm, first)
+        n = self.arm.n_joints
+        line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
         length = np.linalg.norm(line, axis=1, keepdims=True)
         line = line / np.maximum(length, 1e-300)
         out = np.empty(len(first))
@@ -226,7 +227,7 @@ class LinearModel:
         names, family = term_names(self.arm, self.terms)
         n = 2 * len(self.terms.harmonics)
         width = max([len(name) for name in names], default=1)
-        dtype = [("family", "U10"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
+        dtype = [("family", "U11"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
         table = np.empty(len(names), dtype=dtype)
         table["family"] = [FAMILIES[f] for f in family]
         table["name"] = names

@@ -109,6 +109,11 @@ class _Writer:
                 f"{path} comes after another transformer, which cannot be exported: it has to see "
                 "the joint angles."
             )
+        extra = [name for name, _ in step.linear_model_.terms.extra]
+        if extra:
+            raise ValueError(
+                f"{path} has extra columns ({', '.join(extra)}), which cannot be exported yet."
+            )
         self.n_outputs = 3
         if isinstance(step, JointHarmonicRegressor):
             self.fades = step.fading_.factor > 0
@@ -125,11 +130,13 @@ class _Writer:
         if stages > 0:
             self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
         if stages > 1:
-            if step.features == "pose":
+            if step.joints == "pose":
                 pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
                 self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
             self.parts.append(_c_steps.azimuth_direction(self.numbers))
-            self.parts.append(_c_network.network(self.numbers, step.network_, doubted, False)[0])
+            exact = step.fade_ > 0  # the correction itself depends on the standard deviation
+            text, _ = _c_network.network(self.numbers, step.network_, doubted, False, exact)
+            self.parts.append(text)
             self.parts.append(_c_steps.rotation(self.numbers, doubted))
         text = _c_columns.guarded_sum(self.numbers, step, self.std)
         self.fades = stages > 0 and step.fade_ > 0

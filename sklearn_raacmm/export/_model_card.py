@@ -48,6 +48,10 @@ class ModelCard(dict):
     def __str__(self):
         lines = ["# Residual correction of an arm", ""]
         for key, value in self.items():
+            if key == "updates":
+                lines += ["", "## updates", ""]
+                lines += [f"- {_short(entry)}" for entry in value]
+                continue
             if not isinstance(value, dict):
                 lines.append(f"- {_words(key)}: {_short(value)}")
                 continue
@@ -72,6 +76,9 @@ def _short(value, digits=6):
         return repr(value) if digits >= 17 else f"{value:.{digits}g}"
     if isinstance(value, list):
         return ", ".join(_short(entry, digits) for entry in value)
+    if isinstance(value, dict):
+        facts = (f"{_words(name)}: {_short(fact, digits)}" for name, fact in value.items())
+        return "; ".join(facts)
     return "unknown" if value is None else escaped(value)
 
 
@@ -126,6 +133,9 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
+    updates = getattr(list(leaves(model))[-1].estimator, "updates_", ())
+    if updates:
+        card["updates"] = [dict(entry) for entry in updates]
     if X is not None:
         given = X  # a table keeps the names that the model was fitted with
         refuse_disguised("X", X)
@@ -145,7 +155,10 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
         card["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
         if y is not None:
             named = given if hasattr(first, "feature_names_in_") else X
-            card["error"] = _error(model, named, y, codes, groups, n_folds)
+            # A copy that is fitted anew is not the updated model.
+            card["error"] = _error(model, named, y, codes, groups, 0 if updates else n_folds)
+            if updates:
+                card["error"]["after_is_measured_at"] += "; the model was updated after its fit"
     return card
 
 

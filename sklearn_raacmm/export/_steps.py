@@ -7,6 +7,8 @@ from functools import partial
 from types import MethodType
 from typing import NamedTuple
 
+import numpy as np
+from scipy.linalg import solve_triangular
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import Pipeline
@@ -100,7 +102,7 @@ def arm_of(model):
         elif isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             found.append((path, *azimuth_arm(path, step.azimuth)))
         elif isinstance(getattr(step, "arm_", None), Arm):
-            found.append((path, step.arm_, "rad"))
+            found.append((path, step.arm_, step.angle_unit))
     for path, arm, unit in found[1:]:
         if (arm, unit) != found[0][1:]:
             what = "arms" if arm != found[0][1] else "angle units"
@@ -114,6 +116,45 @@ def arm_of(model):
 def n_outputs(network):
     """Number of outputs of a fitted `RBFNetRegressor`, whatever the shape of its target."""
     return 1 if getattr(network.intercept_, "ndim", 0) == 0 else len(network.intercept_)
+
+
+def fadings_of(step):
+    """How each stage of one of the arm's estimators fades; all have one size and one factor."""
+    return step.fadings_ if hasattr(step, "fadings_") else [step.fading_]
+
+
+def posterior_spectrum(step):
+    """The posterior of the weights in coordinates in which its covariance is diagonal.
+
+    With phi the radial functions and t the polynomial's terms at a point, and A the triangle of the
+    columns at the training rows, tail first, the variance of output j is
+
+        signal_j (1 - |g|^2) + noise_j (|u|^2 + sum_i h_i^2 / (spectrum_i + alpha_j)),
+        u = tail (1, x), g = turn phi, h = g - shift u.
+
+    One matrix serves all outputs, whatever their ridges are.
+
+    Returns
+    -------
+    turn : ndarray of shape (k, k)
+    shift : ndarray of shape (k, p)
+    tail : ndarray of shape (p, 1 + n_features)
+    shrunk : ndarray of shape (n_outputs, k)
+        ``1 / (spectrum + alpha)``.
+    """
+    posterior, k = step.posterior_, len(step.centers_)
+    p, rows = len(posterior.tail_map), posterior.design_triangle()
+    left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
+    tail = solve_triangular(left, posterior.tail_map, trans="T") if p else posterior.tail_map
+    if not k:
+        return np.empty((0, 0)), np.empty((0, p)), tail, np.empty((n_outputs(step), 0))
+    whiten = posterior.prior_root
+    _, singular, turn = np.linalg.svd(own @ whiten.T)
+    spectrum = np.zeros(len(whiten))
+    spectrum[: len(singular)] = np.square(singular)
+    turn = turn @ whiten
+    shrunk = 1 / np.maximum(spectrum + posterior.alpha[:, None], np.finfo(float).tiny)
+    return turn, turn @ across.T, tail, shrunk
 
 
 _KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, RBFNetRegressor, *LINEAR)
