@@ -312,8 +312,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             If the angles are most likely in the other unit: larger than two turns in rad, or all
             within one turn of radians in degrees; if ``kinematics=False`` and positions have
             offsets, but no `lengths` are given; if ``offsets="auto"`` finds none although the
-            positions' means are smaller than chance makes them; if nearly all of `y` is one motion
-            of the base: the reference is then most likely in another frame.
+            positions' means are smaller than chance makes them; if the weights add up to less than
+            a tenth or more than a hundred times the number of rows; if nearly all of `y` is one
+            motion of the base: the reference is then most likely in another frame.
         """
         arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
         X, y, weights, codes, _ = data
