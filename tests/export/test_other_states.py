@@ -151,7 +151,8 @@ def test_extra_columns(with_extra, tmp_path, guarded):
         assert np.isnan(ways[way](new)).all(), way
 
 
-def test_extra_columns_in_header_and_card(with_extra, tmp_path):
+@pytest.mark.parametrize("dtype", ["double", "float"])
+def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
     X, y = with_extra
     model = harmonics(extra=EXTRA, angle_unit="deg")
     X = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
@@ -161,7 +162,7 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path):
     low, high = card["training"]["range_of_payload"]
     assert 0 <= low < 0.5 < 3.5 < high <= 4
     assert len(card["training"]["largest_joint_angles_deg"]) == 6
-    header = export_c(model, tmp_path / "arm.c", card=card, poses=X)[1].read_text()
+    header = export_c(model, tmp_path / "arm.c", dtype=dtype, card=card, poses=X)[1].read_text()
     assert "then temperature, force x, tool, payload, direction 2, temperature 3" in header
     assert "#define ARM_N_INPUTS 12\n" in header
     assert "6 joints, standard DH" in header
