@@ -26,7 +26,9 @@ from sklearn_raacmm.residuals import (
     PoseFeatures,
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
+    elbow_angle,
     position_residuals,
+    shoulder_wrist_distance,
 )
 
 __all__ = [
@@ -47,9 +49,11 @@ __all__ = [
     "check_correction",
     "cross_validate_correction",
     "cylindrical_to_cartesian",
+    "elbow_angle",
     "learn_correction",
     "next_poses",
     "position_residuals",
     "search_table",
+    "shoulder_wrist_distance",
     "update_correction",
 ]

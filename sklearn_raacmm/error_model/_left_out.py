@@ -47,7 +47,8 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
         Fitted on all rows.
     options : LinearOptions
     X : ndarray of shape (n, n_joints)
-    y : ndarray of shape (n, 3)
+    y : ndarray of shape (n, 3) or (n, 6)
+        As `candidate_sums` takes it, for the `turn_mm` of the model.
     weights : ndarray of shape (n,)
         Those of the fit. Rows of weight 0 teach nothing.
     codes : ndarray of shape (n,) or None
@@ -64,10 +65,14 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     """
     positions = np.unique(positions, return_inverse=True)[1].ravel()
     # Weights of equal size: a position without weight is still at its place.
-    blocks = blocks_of_positions(points_of(model.arm, X), positions, np.ones(len(X)), n_blocks)
+    angles = X[:, : model.arm.n_joints]
+    points = points_of(model.arm, angles)
+    blocks = blocks_of_positions(points, positions, np.ones(len(X)), n_blocks)
     if blocks is None or not model.noise_variance > 0:
         return []
-    offered, expected = offered_harmonics(X, options.max_order, options.orders, options.gear_ratio)
+    offered, expected = offered_harmonics(
+        angles, options.max_order, options.orders, options.gear_ratio
+    )
     chosen = {tuple(pair) for pair in model.terms.harmonics.tolist()}
     low = offered[:, 1] <= _HIGHEST_ORDER
     used = [i or tuple(p) in chosen for i, p in zip(low, offered.tolist(), strict=True)]
@@ -87,7 +92,7 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
             rows = blocks == block
         own = _codes_of(codes, rows)
         poses = X[rows], y[rows], weights[rows]
-        sums = candidate_sums(model.arm, *poses, own, offered, terms)
+        sums = candidate_sums(model.arm, *poses, own, offered, terms, model.turn_mm)
         parts.append(sums._replace(n_observations=max(sums.n_observations, 0.0)))
     found = []
     for block, sums in zip(labels, sums_of_the_others(parts), strict=True):
@@ -99,6 +104,7 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
             best = left_out_beside_smooth(sums, family, HARMONIC, prices, start, shares)
         own = _codes_of(codes, rest)
         data = FitData(model.arm, X[rest], y[rest], weights[rest], own, [], options)
+        data = data._replace(turn_mm=model.turn_mm)
         rest_terms = terms._replace(harmonics=offered[best.pairs])
         every = np.ones(rest.sum())
         found.append((np.flatnonzero(blocks == block), model_of(data, every, best, rest_terms)))

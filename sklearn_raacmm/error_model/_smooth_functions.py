@@ -14,6 +14,7 @@ evidence, less the prices, by the price of one line.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from sklearn_raacmm.error_model._harmonic_selection import (
     MAX_CHOICES,
@@ -108,7 +109,10 @@ def _promise(problem, found, shares):
     """
     variance = found.prior_variance
     known = found.pairs, *alone(found.pairs)
-    left = Leftover(problem, *known, variance, found.noise_variance)
+    try:
+        left = Leftover(problem, *known, variance, found.noise_variance)
+    except LinAlgError:  # so little noise that only rounding is left
+        return 1.0, -np.inf
     free = np.setdiff1d(np.flatnonzero(shares > 0), found.pairs)
     size = np.maximum(left.own[:2, free] - 1 / left.prior, 0.0)
     seen = np.square(left.r.reshape(-1, 2)[free].T)
