@@ -10,7 +10,7 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit_checks import check_fit
+from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
 from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
 from sklearn_raacmm.error_model._poses import check_poses
@@ -271,7 +271,16 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
     @whole_fit
-    def fit(self, X, y, *, sample_weight=None, groups=None, lengths=()):
+    def fit(
+        self,
+        X,
+        y,
+        *,
+        sample_weight=None,
+        groups=None,
+        lengths=(),
+        orientation_residuals=None,
+    ):
         """Choose the harmonics and fit all coefficients.
 
         Parameters
@@ -292,6 +301,13 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
             offsets, only they tell the model of what happens between positions.
 
+        orientation_residuals : array-like of shape (n_samples, 3), default=None
+            How far the orientation that the arm shows is turned from the measured one: rotation
+            vectors in rad, in the arm's base frame, as
+            :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
+            probe and turn the last link, so that both are fitted together, each weighed by the
+            noise that it shows.
+
         Returns
         -------
         self : object
@@ -304,7 +320,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             infinite, a weight is negative or all are 0, the model has no columns at all, or
             ``offsets=True`` comes without `groups`; if y are the probe's points, or half of them
             longer than a twentieth of the arm's reach; if lengths name unknown positions, are not
-            positive, or come without offsets.
+            positive, or come without offsets; if orientations come with offsets, or are no small
+            rotation vectors.
 
         Warns
         -----
@@ -319,10 +336,12 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
         X, y, weights, codes, _ = data
         options = LinearOptions.of(self)
-        model, pose_weight = fit_linear_model(arm, *data, options)
+        turns = check_turns(orientation_residuals, len(y), codes)
+        model, pose_weight = fit_linear_model(arm, *data, options, turns)
         robust = weights * pose_weight
         positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
-        left_out = leave_out(model, options, X, y, robust, codes, positions)
+        both = y if turns is None else np.hstack([y, model.turn_mm * turns])
+        left_out = leave_out(model, options, X, both, robust, codes, positions)
         model = with_honest_intervals(model, left_out, X, y, weights, codes, positions)
         std = model.predict(X, return_std=True)[1]
         self.linear_model_, self.pose_weight_ = model, pose_weight
@@ -419,6 +438,47 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             warn_where_unknown(share, stacklevel=2)
             mean = share[:, None] * mean
         return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+
+    def predict_orientation(self, X, return_std=False, with_noise=False):
+        """Predict how far the last link is turned from where the arm shows it.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        return_std : bool, default=False
+            Also return standard deviations.
+
+        with_noise : bool, default=False
+            Add the noise of a measured component to them, where orientations were in the fit.
+
+        Returns
+        -------
+        turns : ndarray of shape (n_samples, 3)
+            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
+            times the orientation that the arm shows is the corrected one. Faded as the correction
+            of the points is.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviations in rad, where asked for.
+
+        Notes
+        -----
+        A model that was fitted to points only knows of the orientation what the same causes do to
+        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
+        goes through the probe.
+        """
+        X, model = check_poses(self, X), self.linear_model_
+        mean, std = model.predict_turn(X, return_std)
+        if self.fading_.factor > 0:
+            share = self.fading_.share(model.predict(X, return_std=True)[1])
+            warn_where_unknown(share, stacklevel=2)
+            mean = share[:, None] * mean
+        if not return_std:
+            return mean
+        noise = with_noise and model.turn_mm > 0
+        return mean, np.hypot(model.std_scale * std, model.turn_noise if noise else 0.0)
 
     def fading(self, X):
         """Share of the correction that `predict` returns at each pose.

@@ -46,7 +46,8 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
         Fitted on all rows.
     options : LinearOptions
     X : ndarray of shape (n, n_joints)
-    y : ndarray of shape (n, 3)
+    y : ndarray of shape (n, 3) or (n, 6)
+        As `candidate_sums` takes it, for the `turn_mm` of the model.
     weights : ndarray of shape (n,)
         Those of the fit. Rows of weight 0 teach nothing.
     codes : ndarray of shape (n,) or None
@@ -84,9 +85,10 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
         if not rest.any():
             return []  # all that has weight is in this block
         own = None if codes is None else np.unique(codes[rest], return_inverse=True)[1].ravel()
-        sums = candidate_sums(model.arm, X[rest], y[rest], weights[rest], own, offered, terms)
-        best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
         data = FitData(model.arm, X[rest], y[rest], weights[rest], own, [], options)
+        data = data._replace(turn_mm=model.turn_mm)
+        sums = candidate_sums(*data[:5], offered, terms, data.turn_mm)
+        best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
         rest_terms = terms._replace(harmonics=offered[best.pairs])
         every = np.ones(rest.sum())
         found.append((np.flatnonzero(blocks == block), model_of(data, every, best, rest_terms)))

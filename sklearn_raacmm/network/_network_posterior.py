@@ -177,10 +177,19 @@ class NetworkPosterior:
                 variance[part] = self._variance(X[part], K, with_noise)
         return mean, np.sqrt(variance) if return_std else None
 
+    def outside(self, X):
+        """Part of the prior variance at some rows that the centres do not explain, (n,)."""
+        found = np.empty(len(X))
+        for part in chunks(len(X), _CHUNK // max(len(self.centers), 1)):
+            found[part] = self._outside(self.radial(X[part]))
+        return found
+
+    def _outside(self, K):
+        return np.maximum(1 - np.square(K @ self.prior_root.T).sum(axis=1), 0.0)
+
     def _variance(self, X, K, with_noise):
         """Variance of the weights' part, and of what lies outside the centres' span, (n, q)."""
-        outside = np.maximum(1 - np.square(K @ self.prior_root.T).sum(axis=1), 0.0)
-        variance = np.outer(outside, self.signal_variance)
+        variance = np.outer(self._outside(K), self.signal_variance)
         rows, of_weights = self._columns(X, K), {}
         for i, R in enumerate(self._roots):
             if id(R) not in of_weights:

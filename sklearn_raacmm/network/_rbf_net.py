@@ -25,7 +25,7 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
-from sklearn_raacmm.network._tuning import tune
+from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
@@ -126,6 +126,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     refine : bool, default=False
         After the forward pass exchange centres, one for a better one, until nothing improves. A
         given number of centres is then used better, at up to several times the cost.
+
+    warm_start : bool, default=False
+        Start a refit from the last fit, for data that have changed little: kernel, widths and
+        ridges are kept if the likelihood says that they are right for the new rows, too, and are
+        searched for anew if not; candidates are the last centres, and rows far from all of them.
 
     random_state : int, RandomState instance or None, default=None
         Draws the candidates, and the rows on which kernel, widths and ridge are found: the search
@@ -261,6 +266,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "loss": [StrOptions({"squared", "tukey"})],
         "selection": [StrOptions({"ols", "newrb"})],
         "refine": ["boolean"],
+        "warm_start": ["boolean"],
         "random_state": ["random_state"],
     }
 
@@ -279,6 +285,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         loss="squared",
         selection="ols",
         refine=False,
+        warm_start=False,
         random_state=None,
     ):
         self.n_centers = n_centers
@@ -293,6 +300,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.loss = loss
         self.selection = selection
         self.refine = refine
+        self.warm_start = warm_start
         self.random_state = random_state
 
     @fit_context(prefer_skip_nested_validation=True)
@@ -366,11 +374,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         check_resolved(width, problem.X, self.alpha)
         alpha = check_alpha(self.alpha, len(problem.spread))
         isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
-        functions, alpha, log_likelihood = tune(problem, self.kernel, width, alpha, isotropic, rng)
+        last = last_network(self, problem) if self.warm_start else None
+        functions, alpha, log_likelihood = tune(
+            problem, self.kernel, width, alpha, isotropic, rng, last
+        )
         if log_likelihood is not None:
             self.log_marginal_likelihood_value_ = log_likelihood
-        settings = self._center_settings()
-        order, stop_reason = choose_centers(problem, alpha, functions, settings, rng)
+        settings = CenterSettings.of(self)
+        order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
         path = fit_path(problem, order, alpha, functions)
         k, scores, reached = choose_size(problem, alpha, path, settings)
         self.posterior_ = posterior_of(problem, path, order[:k], alpha, functions)
@@ -381,18 +392,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
         self.error_reduction_ = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
         self.relevance_ = relevance(problem, self.posterior_)
-
-    def _center_settings(self):
-        """The parameters that decide on the centres."""
-        return CenterSettings(
-            None if self.n_centers == "auto" else self.n_centers,
-            self.criterion,
-            self.tol,
-            self.max_centers,
-            self.max_candidates,
-            self.selection,
-            self.refine,
-        )
 
     def predict(self, X, return_std=False, return_cov=False, with_noise=True):
         """Predict targets.
