@@ -130,6 +130,7 @@ def test_orientations_show_what_points_do_not(measured):
     both = JointHarmonicRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
     error = turns_new - both.predict_orientation(new)
     assert rms(error) < 0.15 * rms(left)
+    assert both.linear_model_ is both.orientation_model_  # it is better for points, too
     assert (6, 2) in both.harmonics_[["joint", "order"]].tolist()
     assert rms(y_new - both.predict(new)) < points_only
     # Each is weighed by its noise, and both noises are found.
