@@ -16,6 +16,7 @@ from sklearn_raacmm.correction import (
     cross_validate_correction,
     learn_correction,
     next_poses,
+    read_check_records,
     search_table,
     update_correction,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "position_residuals",
+    "read_check_records",
     "search_table",
     "update_correction",
 ]
