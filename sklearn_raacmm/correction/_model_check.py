@@ -340,7 +340,10 @@ class _Poses(NamedTuple):
         arm, angles = self.linear.arm, self.angles
         jacobian = arm.jacobian(angles)
         causes = {"probe": self.rows(place_columns(arm, angles, with_base=False))}
-        causes["scale"] = self.rows(arm.forward(angles)[:, :, None])
+        points = arm.forward(angles)
+        if self.codes is not None:  # a position is one point: what it shows about it is no scale
+            points = self._means(points)[self.codes]
+        causes["scale"] = self.rows(points[:, :, None])
         for j in range(arm.n_joints):
             causes[f"offset of joint {j + 1}"] = self.rows(jacobian[:, :, [j]])
             phase = angles[:, [j]] * np.array(_ORDERS)

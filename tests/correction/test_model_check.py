@@ -174,6 +174,15 @@ def test_gauge_lengths_of_today_show_a_change_of_scale(model):
     assert "scale" in check.tests["cause"]
 
 
+def test_single_points_without_lengths_show_no_scale():
+    data = make_single_point(n_positions=10, n_poses=20, random_state=1)
+    model = JointHarmonicRegressor(data.arm, max_order=6)
+    model.fit(data.data, data.target, groups=data.groups)
+    check = check_correction(model, data.data, data.target, groups=data.groups)
+    assert "scale" not in check.tests["cause"]
+    assert check.holds
+
+
 def test_lengths_need_positions(model):
     angles, y, groups, lengths = gauge_rows(0, lambda q: np.zeros((len(q), 3)))
     with pytest.raises(ValueError, match="lengths are between positions: give groups"):
