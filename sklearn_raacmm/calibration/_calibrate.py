@@ -15,7 +15,6 @@ from sklearn_raacmm.calibration._checks import (
     check_correction,
     check_free,
     check_problem,
-    listed,
     warn_of_few_rows,
     warn_of_what_no_arm_is,
     warn_of_wrong_lengths,
@@ -25,7 +24,7 @@ from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
-from sklearn_raacmm.utils import Interval, StrOptions, one_blas_thread, validate_params
+from sklearn_raacmm.utils import Interval, StrOptions, listed, one_blas_thread, validate_params
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
@@ -110,8 +109,8 @@ def calibrate(
         of what the correction subtracts.
     free : iterable of str, default=("a", "alpha", "d", "theta_offset", "probe")
         Fields of `arm` that may change.
-    loss : {"soft_l1", "huber", "cauchy", "linear"}, default="soft_l1"
-        How the distance of a point counts; "linear" is plain least squares.
+    loss : {"soft_l1", "huber", "cauchy", "squared"}, default="soft_l1"
+        How the distance of a point counts; "squared" is plain least squares.
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
         `arm`. They decide only what the data leave open. "auto" finds them by the evidence.
@@ -236,29 +235,12 @@ def _parameters(arm, tool_labels):
 
 def _result(fit, names, is_free, kind, tool_labels, station_labels, given, before, groups):
     """Everything that is to be known of a fit that has settled."""
-    problem, n = fit.problem, len(names)
+    problem = fit.problem
     mask = fit.mask_of(is_free)
-    labels = [""] if station_labels is None else [f"[{label}]" for label in station_labels]
-    bases = [f"base_{c}{at}" for at in labels[: problem.n_stations] for c in _BASE_COORDINATES]
-    all_names = [*names, *bases]
-    x_names = all_names + [f"target{i}" for i in range(len(fit.x) - len(all_names))]
-    free_names = [name for name, is_in in zip(x_names, mask, strict=True) if is_in]
-    angle = np.array([is_angle(name) or name.startswith("target") for name in x_names])
-    wide = np.where(angle, _BASE_RAD, _BASE_MM)
-    wide[:n] = fit.prior_sd
-    unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)
-    seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
-    warn_of_few_rows(seen, free_names, problem)
-    sd, scale_sd, scale_is_open = _standard_deviations(fit, mask)
-    if seen.rank and problem.n_coordinates <= seen.rank:  # nothing to tell the noise from
-        sd[mask], scale_sd = np.nan, np.nan
-    is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
-    unidentified = tuple(name for name, is_in in zip(x_names, is_open, strict=True) if is_in)
-    # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
-    robust = fit.robust_distances()
-    limit = outlier_limit(robust[problem.informative], fit.sigma)
-    far = robust > limit
-    farthest = np.argsort(-robust, kind="stable")
+    all_names, x_names = _all_names(fit, names, station_labels)
+    found = _identified(fit, mask, x_names)
+    sd = found["standard_deviations"][: len(all_names)]
+    far, limit, rows = _outliers(fit)
     values = fit.x[: len(all_names)].copy()
     for s in range(problem.n_stations):
         values[fit.base_columns(s)[:3]] = turn_vectors(fit.rotations[s])
@@ -267,21 +249,13 @@ def _result(fit, names, is_free, kind, tool_labels, station_labels, given, befor
     return CalibrationResult(
         arm=fit.arm(),
         names=tuple(all_names),
-        nominal=np.r_[fit.nominal, np.full(len(bases), np.nan)],
+        nominal=np.r_[fit.nominal, np.full(len(all_names) - len(names), np.nan)],
         values=values,
-        standard_deviations=sd[: len(all_names)],
-        unidentified=unidentified + (("scale",) if scale_is_open else ()),
-        unidentified_combinations=seen.open_combinations,
         prior_sd={
             name: float(fit.prior_sd[np.argmax(kind == i)])
             for i, name in enumerate(("length_mm", "angle_rad", "probe_mm"))
         },
-        rank=seen.rank,
-        n_free=len(free_names),
         n_coordinates=max(problem.n_coordinates, 0),
-        condition_number=seen.condition_number,
-        observability_index=seen.index,
-        scale_sd=scale_sd,
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
@@ -289,8 +263,8 @@ def _result(fit, names, is_free, kind, tool_labels, station_labels, given, befor
         length_errors_mm=fit.length_errors(),
         sigma_mm=float(fit.sigma),
         sigma_rad=None if problem.turns is None else float(fit.sigma_turn),
-        outliers=tuple(int(i) for i in farthest if far[i]),
-        outlier_limit_mm=float(limit),
+        outliers=rows,
+        outlier_limit_mm=limit,
         sample_weight=np.where(far, 0.0, 1.0),
         groups=None if groups is None else np.asarray(groups),
         arms=_by_label(tool_labels, map(fit.arm, range(problem.n_tools))),
@@ -299,7 +273,52 @@ def _result(fit, names, is_free, kind, tool_labels, station_labels, given, befor
         base_translation=stations[0][1] if stations else None,
         target_rotation=None if problem.turns is None else fit.targets[0],
         converged=fit.converged,
+        **found | {"standard_deviations": sd},
     )
+
+
+def _all_names(fit, names, station_labels):
+    """Names of table, probes and bases, and of all parameters x, the targets' turns behind them."""
+    labels = [""] if station_labels is None else [f"[{label}]" for label in station_labels]
+    labels = labels[: fit.problem.n_stations]
+    all_names = [*names, *(f"base_{c}{at}" for at in labels for c in _BASE_COORDINATES)]
+    return all_names, all_names + [f"target{i}" for i in range(len(fit.x) - len(all_names))]
+
+
+def _identified(fit, mask, x_names):
+    """What the data say of the free parameters, as fields of a `CalibrationResult`."""
+    free_names = [name for name, is_in in zip(x_names, mask, strict=True) if is_in]
+    angle = np.array([is_angle(name) or name.startswith("target") for name in x_names])
+    wide = np.where(angle, _BASE_RAD, _BASE_MM)
+    wide[: len(fit.nominal)] = fit.prior_sd
+    unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)
+    seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
+    warn_of_few_rows(seen, free_names, fit.problem)
+    sd, scale_sd, scale_is_open = _standard_deviations(fit, mask)
+    if seen.rank and fit.problem.n_coordinates <= seen.rank:  # nothing to tell the noise from
+        sd[mask], scale_sd = np.nan, np.nan
+    is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
+    unidentified = tuple(name for name, is_in in zip(x_names, is_open, strict=True) if is_in)
+    return {
+        "standard_deviations": sd,
+        "unidentified": unidentified + (("scale",) if scale_is_open else ()),
+        "unidentified_combinations": seen.open_combinations,
+        "rank": seen.rank,
+        "n_free": len(free_names),
+        "condition_number": seen.condition_number,
+        "observability_index": seen.index,
+        "scale_sd": scale_sd,
+    }
+
+
+def _outliers(fit):
+    """Whether each row is an outlier, from which distance on, and those rows, farthest first."""
+    # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
+    robust = fit.robust_distances()
+    limit = outlier_limit(robust[fit.problem.informative], fit.sigma)
+    far = robust > limit
+    farthest = np.argsort(-robust, kind="stable")
+    return far, float(limit), tuple(int(i) for i in farthest if far[i])
 
 
 def _by_label(labels, values):

@@ -4,22 +4,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi
 
 from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
 from sklearn_raacmm.calibration._problem import (
-    align,
     jacobian_of_all,
     left_jacobian,
     points_of_all,
     unpack,
 )
+from sklearn_raacmm.utils import align
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
-    "linear": np.ones_like,
+    "squared": np.ones_like,
     "soft_l1": lambda u: 1 / np.sqrt(1 + (u / 2) ** 2),
     "huber": lambda u: 2.5 / np.maximum(u, 2.5),
     "cauchy": lambda u: 1 / (1 + (u / 4) ** 2),
@@ -30,6 +30,13 @@ _MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
 MAX_ROUNDS = 20
 # Rounds in which prior standard deviations are found; two digits of them are enough.
 _EVIDENCE_ROUNDS = 8
+# Gauss-Newton steps of one round. They end where the next one would lower the sum of squares by
+# less than this part. Damping of a step that did not lower it, and where it is given up.
+_MAX_STEPS, _SMALL_GAIN = 100, 1e-10
+_DAMPING, _MOST_DAMPING = 1e-8, 1e8
+# Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
+# decomposition: their condition is squared.
+_LEAST_PIVOT = 1e-8
 # What a prior variance is worth before any data, as a number of parameters that were seen. Chosen
 # with the guesses of `calibrate` on simulated arms.
 _GUESS_COUNTS = 4.0
@@ -62,7 +69,8 @@ class Fit:
         self.x = nominal.copy()
         self.rotations, self.targets = np.empty((0, 3, 3)), np.empty((0, 3, 3))
         self.converged = False
-        points, jac = jacobian_of_all(arm, angles, self.x, problem, len(nominal))
+        self._evaluated = None
+        points, jac = self._points_and_jacobian(self.x, True)
         if problem.points is not None:
             self._place(points)
         # The common scale of the links, each as much as the data feel it: an offset along the
@@ -197,30 +205,27 @@ class Fit:
             self.turn_weights = WEIGHTS[self.loss](sizes / self.sigma_turn)
 
     def _solve(self, mask):
-        start = self.x.copy()
-        n = len(self.nominal)
-        bases = self.problem.n_stations
-        step = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)]
-        step = np.r_[step, np.full(len(self.x) - len(step), _STEP_RAD)]
-        memory = {}
-
-        def evaluate(z):
-            if memory.get("z") != z.tobytes():
-                x = start.copy()
-                x[mask] += step[mask] * z
-                residuals, jac = self._residuals_and_jacobian(x, mask)
-                memory.update(z=z.tobytes(), x=x, r=residuals, j=jac * step[mask])
-            return memory
-
-        solution = least_squares(
-            lambda z: evaluate(z)["r"],
-            np.zeros(mask.sum()),
-            jac=lambda z: evaluate(z)["j"],
-            xtol=1e-10,
-            ftol=1e-10,
-            max_nfev=100,
-        )
-        self.x = evaluate(solution.x)["x"].copy()
+        """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
+        n, bases = len(self.nominal), self.problem.n_stations
+        unit = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)]
+        unit = np.r_[unit, np.full(len(self.x) - len(unit), _STEP_RAD)][mask]
+        rows, jac = self._residuals_and_jacobian(self.x, mask)
+        damping = 0.0
+        for _ in range(_MAX_STEPS):
+            step, gain = gauss_newton_step(jac * unit, rows, damping)
+            x = self.x.copy()
+            x[mask] += unit * step
+            if gain <= _SMALL_GAIN * (rows @ rows):
+                self.x = x
+                break
+            new_rows, new_jac = self._residuals_and_jacobian(x, mask)
+            if new_rows @ new_rows <= rows @ rows:
+                self.x, rows, jac = x, new_rows, new_jac
+                damping = damping / 10 if damping > _DAMPING else 0.0
+            elif damping > _MOST_DAMPING:
+                break
+            else:
+                damping = max(100 * damping, _DAMPING)
         # Rotations are small ones about the last: take them over.
         for s in range(bases):
             turn = n + 6 * s + np.arange(3)
@@ -231,18 +236,43 @@ class Fit:
             self.targets[t] = Rotation.from_rotvec(self.x[turn]).as_matrix() @ self.targets[t]
             self.x[turn] = 0
 
-    def _data_residuals(self, x):
+    def _points_and_jacobian(self, x, table_is_free):
+        """Corrected points (n, 3), and their derivatives (n, 3, n_parameters) by table and probes.
+
+        The last ones are kept. Points move linearly with a probe, so that nothing is computed anew
+        where only probes have moved; the derivatives by the table are then of the former probes.
+        """
+        arm_x, n_table = x[: len(self.nominal)], 4 * self.nominal_arm.n_joints
+        if self._evaluated is not None:
+            old, points, jac = self._evaluated
+            same_table = np.array_equal(old[:n_table], arm_x[:n_table])
+            move = arm_x[n_table:] - old[n_table:]
+            if same_table and not move.any():
+                return points, jac
+            if same_table and not table_is_free:
+                return points + jac[:, :, n_table:] @ move, jac
+        points, jac = jacobian_of_all(self.nominal_arm, self.angles, arm_x, self.problem)
+        self._evaluated = arm_x.copy(), points, jac
+        return points, jac
+
+    def _data_residuals(self, x, mask):
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
         problem, n = self.problem, len(self.nominal)
-        points, jac = jacobian_of_all(self.nominal_arm, self.angles, x, problem, len(x))
+        points, jac = self._points_and_jacobian(x, mask[: 4 * self.nominal_arm.n_joints].any())
+        jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
         if problem.points is None:
             centres, centres_jac = (problem.sums(v, self.weights) for v in (points, jac))
-            residuals, jac = points - centres[problem.index], jac - centres_jac[problem.index]
-            scale = self.scale @ x
+            residuals = points - centres[problem.index]
+            jac -= centres_jac[problem.index]
+            scale, by_length = self.scale @ x, np.flatnonzero(self.scale[mask])
             if scale > 0:
-                jac = jac / scale - residuals[:, :, None] * (self.scale / scale**2)
-                residuals = residuals / scale
+                jac /= scale
+                slope = self.scale[mask][by_length] / scale**2
+                jac[:, :, by_length] -= residuals[:, :, None] * slope
+                residuals /= scale
             return residuals, jac, centres, centres_jac
+        place = np.cumsum(mask) - 1  # of each parameter among those that are free
+        whole, n_free = np.zeros((len(points), 3, mask.sum())), jac.shape[2]
         residuals = np.empty_like(points)
         for s in range(problem.n_stations):
             rows, columns = problem.rows_of_station(s), self.base_columns(s)
@@ -250,11 +280,11 @@ class Fit:
             turn = Rotation.from_rotvec(rotvec).as_matrix() @ self.rotations[s]
             turned = points[rows] @ turn.T
             residuals[rows] = turned + x[columns[3:]] - problem.points[rows]
-            jac[rows, :, :n] = turn @ jac[rows, :, :n]
-            for column, axis in zip(columns[:3], left_jacobian(rotvec).T, strict=True):
-                jac[rows, :, column] = np.cross(axis, turned)
-            jac[rows, :, columns[3] : columns[5] + 1] = np.eye(3)
-        return residuals, jac, None, None
+            whole[rows, :, :n_free] = turn @ jac[rows]
+            for column, axis in zip(place[columns[:3]], left_jacobian(rotvec).T, strict=True):
+                whole[rows, :, column] = np.cross(axis, turned)
+            whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
+        return residuals, whole, None, None
 
     def _turn_residuals_and_jacobian(self, x):
         """Differences of orientation (n, 3) in rad, in the frame of the points."""
@@ -277,17 +307,17 @@ class Fit:
             jac[rows, :, columns[0] : columns[2] + 1] = carried @ left_jacobian(x[columns])
         return residuals, jac
 
-    def _data_rows(self, x):
+    def _data_rows(self, x, mask):
         """Weighted residuals of data and known lengths, and their Jacobian, without the prior."""
-        residuals, jac, centres, centres_jac = self._data_residuals(x)
+        residuals, jac, centres, centres_jac = self._data_residuals(x, mask)
         weight = np.sqrt(self.weights)[:, None] / self.sigma
-        rows = [(weight * residuals).ravel()]
-        jacs = [(weight[:, :, None] * jac).reshape(-1, len(x))]
+        jac *= weight[:, :, None]
+        rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]
         if self.problem.turns is not None:
             residuals, jac = self._turn_residuals_and_jacobian(x)
             weight = np.sqrt(self.turn_weights)[:, None] / self.sigma_turn
             rows.append((weight * residuals).ravel())
-            jacs.append((weight[:, :, None] * jac).reshape(-1, len(x)))
+            jacs.append((weight[:, :, None] * jac[:, :, mask]).reshape(-1, mask.sum()))
         for (i, j, length, sd), length_weight in zip(
             self.problem.lengths, self.length_weights, strict=True
         ):
@@ -296,19 +326,19 @@ class Fit:
             distance = max(np.linalg.norm(gap), 1e-12)
             rows.append([(distance - length) / sd])
             jacs.append((gap @ (centres_jac[i] - centres_jac[j]) / (distance * sd))[None])
-        return np.concatenate(rows), np.concatenate(jacs)
+        return rows, jacs
 
     def _residuals_and_jacobian(self, x, mask):
-        rows, jac = self._data_rows(x)
+        rows, jacs = self._data_rows(x, mask)
         n, is_free = len(self.nominal), mask[: len(self.nominal)]
         prior = np.zeros((is_free.sum(), mask.sum()))
         prior[:, : is_free.sum()] = np.diag(1 / self.prior_sd[is_free])
         departure = ((x[:n] - self.nominal) / self.prior_sd)[is_free]
-        return np.concatenate([rows, departure]), np.concatenate([jac[:, mask], prior])
+        return np.concatenate([*rows, departure]), np.concatenate([*jacs, prior])
 
     def data_jacobian(self, mask):
         """Derivatives of the weighted data, in standard deviations, by the free parameters."""
-        return self._data_rows(self.x)[1][:, mask]
+        return np.concatenate(self._data_rows(self.x, mask)[1])
 
     def points(self):
         """Corrected points (n, 3) in mm, in the arm's base frame."""
@@ -353,7 +383,7 @@ class Fit:
     def _new_sigma(self, distances):
         """Standard deviation of one coordinate of vectors of these lengths."""
         distances = distances[self.problem.informative]
-        if self.loss == "linear":
+        if self.loss == "squared":
             sigma = np.sqrt(np.mean(distances**2) / 3)
         else:
             # Outliers would shift the median to larger ones of the others.
@@ -364,6 +394,30 @@ class Fit:
     def covariance(self, mask):
         """Posterior covariance of the free parameters; infinite where nothing is known."""
         return covariance_of(self._residuals_and_jacobian(self.x, mask)[1])
+
+
+def gauss_newton_step(jac, rows, damping):
+    """Step of least squares (p,), and by how much it lowers the sum of squares if all is linear.
+
+    The damping, as a part of the squares of each column, is Marquardt's.
+    """
+    normal, slope = jac.T @ jac, jac.T @ rows
+    size = np.sqrt(np.diag(normal))
+    size[size == 0] = 1
+    normal /= np.outer(size, size)
+    normal[np.diag_indices(len(size))] += damping
+    try:
+        factor = cho_factor(normal, lower=True, check_finite=False)
+        known = np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT
+    except LinAlgError:
+        known = False
+    if known:
+        step = -cho_solve(factor, slope / size, check_finite=False) / size
+    else:
+        whole = np.concatenate([jac / size, np.sqrt(damping) * np.eye(len(size))])
+        target = -np.r_[rows, np.zeros(len(size))]
+        step = np.linalg.lstsq(whole, target, rcond=1e-12)[0] / size
+    return step, float(-slope @ step)
 
 
 def covariance_of(jac):

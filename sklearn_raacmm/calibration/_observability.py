@@ -11,6 +11,8 @@ import numpy as np
 _RANK = 1e-9
 # Terms of a combination that move the probe by less than this part of its largest are not written.
 _SMALL_TERM = 0.05
+# Columns whose sizes differ by less than this part are equal.
+_TIE = 1e-6
 # A combination is open where its posterior standard deviation is above half the prior's, which is
 # 1 / sqrt(1 + s^2) of it for a singular value s of the data in prior units.
 _OPEN = np.sqrt(3.0)
@@ -60,15 +62,16 @@ def observability(jac, names, prior_sd, unit, sigma):
 
 def _readable(basis, names, prior_sd, unit):
     """A basis (k, p), in prior units, as sums with few terms: its reduced echelon form."""
-    basis, lines, pivots = basis.copy(), [], []
-    for i in range(len(basis)):
-        rest = np.abs(basis[i:])
-        row, pivot = np.unravel_index(np.argmax(rest), rest.shape)
-        basis[[i, i + row]] = basis[[i + row, i]]
-        basis[i] /= basis[i, pivot]
-        others = np.arange(len(basis)) != i
-        basis[others] -= basis[others, pivot][:, None] * basis[i]
-        pivots.append(pivot)
+    lines, pivots, rest = [], [], basis.copy()
+    for _ in range(len(basis)):
+        # What is left of each column beside those chosen: that does not depend on which basis of
+        # the space was given. Of equal ones the first, whatever rounding says.
+        size = np.linalg.norm(rest, axis=0)
+        pivots.append(int(np.argmax(size > (1 - _TIE) * size.max())))
+        along = rest[:, pivots[-1]] / size[pivots[-1]]
+        rest = rest - np.outer(along, along @ rest)
+        rest[:, pivots] = 0.0
+    basis = np.linalg.solve(basis[:, pivots], basis)
     for row, pivot in sorted(zip(basis, pivots, strict=True), key=lambda pair: pair[1]):
         moves = np.abs(row * prior_sd / unit)  # mm at the probe, about
         large = moves > _SMALL_TERM * moves.max()

@@ -117,9 +117,12 @@ def points_of_all(arm, angles, x, problem):
     return points if problem.correction is None else points - problem.correction
 
 
-def jacobian_of_all(arm, angles, x, problem, n_parameters):
-    """Corrected points (n, 3) and their derivatives (n, 3, n_parameters) by table and probes."""
-    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, n_parameters))
+def jacobian_of_all(arm, angles, x, problem):
+    """Corrected points (n, 3) and their derivatives (n, 3, len(x)) by table and probes."""
+    if problem.n_tools == 1:
+        points, jac = parameter_jacobian(unpack(arm, x), angles)
+        return (points if problem.correction is None else points - problem.correction), jac
+    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     n_table = 4 * arm.n_joints
     for tool in range(problem.n_tools):
         rows = problem.rows_of_tool(tool)
@@ -128,14 +131,6 @@ def jacobian_of_all(arm, angles, x, problem, n_parameters):
         start = n_table + 3 * tool
         jac[rows, :, start : start + 3] = own[:, :, n_table:]
     return (points if problem.correction is None else points - problem.correction), jac
-
-
-def align(points, target):
-    """Rotation and shift that take points to target with the least squares of what is left."""
-    centre, target_centre = points.mean(axis=0), target.mean(axis=0)
-    u, _, vt = np.linalg.svd((target - target_centre).T @ (points - centre))
-    rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return rotation, target_centre - rotation @ centre
 
 
 def left_jacobian(rotvec):

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from copy import copy
 from dataclasses import dataclass, field
 from datetime import date as calendar
 from numbers import Real
@@ -90,7 +91,7 @@ def check_correction(
         Fitted model.
 
     X : array-like of shape (n_samples, n_joints)
-        Joint angles of today's poses in rad.
+        Joint angles of today's poses, in the unit that the model takes.
 
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
@@ -157,7 +158,7 @@ def check_correction(
     """
     linear = linear_model_of(model, "checked")
     angles, y, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
-    left = y - model.predict(angles)
+    left = y - copy(model).set_params(angle_unit="rad").predict(angles)
     kept = weights > 0
     slipped = _slipped(linear, angles, left, codes, kept)
     kept &= ~slipped

@@ -14,11 +14,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import check_angles, reach_mm
-from sklearn_raacmm.error_model import LinearModel, find_fading
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.error_model import LinearModel, check_poses, interval_scales
 from sklearn_raacmm.utils import (
     centred,
-    check_features,
     check_points,
     check_weights,
     encode_groups,
@@ -34,6 +33,8 @@ _TAU, _TAU_LOG_SD = 0.1, 1.5
 _LOG_TAU, _LOG_NOISE, _NOISE_LOG_SD = (-7.0, 0.0), (0.0, 4.0), 1.0
 # How far base and tool may be from where they were registered, mm at the probe.
 _PLACE_MM = 5.0
+# Noise that every measurement has, mm: without any, rounding would decide beside those millimetres.
+_LEAST_NOISE_MM = 1e-4
 # What changes need not be an order that the old data needed: these low ones are offered, too.
 _LOW_ORDERS = 8
 # Tukey's biweight, as in the first fit: standard deviations without weight, median distance of
@@ -41,9 +42,10 @@ _LOW_ORDERS = 8
 _OUTLIER, _MEDIAN_OF_CHI3, _ROUNDS, _SETTLED_WEIGHT = 5.5, 1.5382, 4, 0.05
 # Noise of the new poses, in units of the old one, that no arm in use comes to.
 _STRANGE = 10.0
-# Multiple of the standard deviation at 99 % of the new poses that counts as known, as in the fading
-# of a single-point test.
-_KNOWN_FACTOR = 3.0
+# A pose that the fit follows freely says nothing when it is left out.
+_LEAST_FREE = 1e-6
+# Poses in the range of the new ones that are tried for how much an update leaves open there.
+_TRIED = 200
 
 
 class _Change(NamedTuple):
@@ -60,9 +62,10 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     The linear model keeps its columns. Its coefficients may change by a part tau of what they were
-    expected to be before any data, base and tool by some millimetres. How much has changed is found
-    by the evidence, for the harmonics of each joint and for each other family of columns. With no
-    new pose the result is the old model, with very many it is what these poses say.
+    expected to be before any data (a harmonic above order 8 by a part of what it was), base and
+    tool by some millimetres. How much has changed is found by the evidence, for the harmonics of
+    each joint and for each other family of columns. With no new pose the result is the old model,
+    with very many it is what these poses say.
 
     Parameters
     ----------
@@ -70,7 +73,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         Fitted model; it is left as it is.
 
     X : array-like of shape (n_samples, n_joints)
-        Joint angles of the new poses in rad.
+        Joint angles of the new poses, in the unit that the model takes.
 
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
@@ -161,10 +164,11 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         )
         return deepcopy(model)
     linear = with_low_orders(linear)
+    linear = replace(linear, noise_variance=max(linear.noise_variance, _LEAST_NOISE_MM**2))
     columns = centred(linear.columns(angles), codes, weights)
     place = centred(place, codes, weights)
     residuals = centred(residuals - _unfaded(model, angles), codes, weights)
-    change = _robust_change(linear, columns, place, residuals, weights)
+    change, scales = _robust_change(linear, columns, place, residuals, weights)
     if change.noise_sd > _STRANGE * linear.noise_sd:
         warnings.warn(
             f"The new poses scatter by {change.noise_sd:.3g} mm a coordinate about the updated "
@@ -180,8 +184,10 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         half=change.half,
         gauge_free_half=change.half,
         noise_variance=change.noise_sd**2,
+        noise_scale=scales[0],
+        std_scale=scales[1],
     )
-    _fade_beyond_new_poses(updated, angles, weights, codes)
+    _keep_fading(updated, model, angles[weights > 0])
     entry = {
         "date": calendar.today().isoformat() if date is None else str(date),
         "n_poses": len(angles),
@@ -192,26 +198,35 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     return updated
 
 
-def _fade_beyond_new_poses(updated, angles, weights, codes):
-    """Let the correction fade from where less is known than at the new poses.
+def _keep_fading(updated, model, angles):
+    """Let the updated correction fade where the old one did.
 
     What few poses leave open of base, tool and change adds to every standard deviation. The change
     is shrunk to the old model for that already, so that it is no reason to take the whole
-    correction back.
+    correction back. It is measured at poses whose joints stand anywhere in the ranges that the new
+    poses are from.
     """
-    std = updated.linear_model_.predict(angles, return_std=True)[1]
-    known = find_fading(np.zeros_like(std), std, weights, codes, 0.0, known=_KNOWN_FACTOR).known_mm
-    fadings = getattr(updated, "fadings_", None) or [updated.fading_]
-    first = replace(fadings[0], known_mm=max(fadings[0].known_mm, known))
+    low, high = angles.min(axis=0), angles.max(axis=0)
+    # Of n uniform numbers the extremes lie this far inside their range on the average.
+    beyond = (high - low) / max(len(angles) - 1, 1)
+    shape = (_TRIED, angles.shape[1])
+    tried = np.random.default_rng(0).uniform(low - beyond, high + beyond, shape)
+    old, new = (
+        np.square(m.linear_model_.predict(tried, return_std=True)[1]).sum(axis=1)
+        for m in (model, updated)
+    )
+    added = max(np.max(new - old), 0.0)
+    fadings = list(getattr(updated, "fadings_", None) or [updated.fading_])
+    fadings[0] = replace(fadings[0], known_mm=float(np.sqrt(fadings[0].known_mm ** 2 + added)))
     if hasattr(updated, "fadings_"):
-        updated.fadings_ = [first, *fadings[1:]]
+        updated.fadings_ = fadings
     else:
-        updated.fading_ = first
+        updated.fading_ = fadings[0]
 
 
 def _unfaded(model, angles):
-    """What a model predicts before it fades."""
-    model = copy(model)
+    """What a model predicts at angles in rad before it fades."""
+    model = copy(model).set_params(angle_unit="rad")
     if hasattr(model, "fadings_"):
         model.fadings_ = [replace(fading, factor=0.0) for fading in model.fadings_]
     else:
@@ -229,13 +244,17 @@ def linear_model_of(model, done):
             f"A {type(model).__name__} that holds no linear model in use cannot be {done}: it has "
             "no posterior of causes. It can be registered, by calibrate(..., correction=model)."
         )
+    if linear.terms.extra:
+        raise ValueError(
+            f"A model with extra columns ({', '.join(name for name, _ in linear.terms.extra)}) "
+            f"cannot be {done} yet: fit it again."
+        )
     return linear
 
 
 def check_new_poses(model, X, y, groups, sample_weight):
     """Angles, residuals, weights and codes of new poses; each fault gets one clear sentence."""
-    angles = check_features(model, X, dtype=np.float64, reset=False)
-    check_angles(angles, angles.shape[1], "rad", stacklevel=6)
+    angles = check_poses(model, X, stacklevel=6)
     y = check_points(y, 3)
     if len(y) != len(angles):
         raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
@@ -302,18 +321,18 @@ def parts_of(linear):
 
 
 def _robust_change(linear, columns, place, residuals, weights):
-    """Change found again without the poses that are too far from it.
+    """Change found again without the poses that are too far from it, and factors of intervals.
 
     Poses far from the old model show the change: only those count as outliers that stay far off.
     """
     factor = np.ones(len(weights))
     for _ in range(_ROUNDS):
-        change, left = _change(linear, columns, place, residuals, weights * factor)
+        change, left, spread = _change(linear, columns, place, residuals, weights * factor)
         # Few poses are followed closely: what is left of them is less than the noise.
         before, factor = factor, _tukey(left, weights, change.noise_sd)
         if np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
-    return change
+    return change, _honest_scales(left, spread, weights * before, change.noise_sd)
 
 
 def _tukey(residuals, weights, noise_sd):
@@ -326,9 +345,24 @@ def _tukey(residuals, weights, noise_sd):
     return np.square(np.maximum(1 - share, 0.0))
 
 
-def _change(linear, columns, place, residuals, weights):
-    """Posterior of the change, and what it leaves of the residuals."""
+def _largest_change(linear):
+    """What a tau of 1 lets each column change by, (n_columns,).
+
+    A low order may appear where there was none: it changes by what harmonics were expected to be
+    before any data. A high one, the tooth of a gear, changes by as much as there is of it.
+    """
     prior = np.array([linear.prior_sd[name] for name in families_of(linear)])
+    pairs = np.asarray(linear.terms.harmonics, dtype=int).reshape(-1, 2)
+    waves = slice(0, 2 * len(pairs))
+    amplitude = np.linalg.norm(linear.coef[waves].reshape(-1, 2), axis=1) / np.sqrt(2)
+    high = np.repeat(pairs[:, 1] > _LOW_ORDERS, 2)
+    prior[waves] = np.where(high, np.minimum(np.repeat(amplitude, 2), prior[waves]), prior[waves])
+    return prior
+
+
+def _change(linear, columns, place, residuals, weights):
+    """Posterior of the change, what it leaves of the residuals, and its root at the poses."""
+    prior = _largest_change(linear)
     part = parts_of(linear)
     names = sorted(set(part.tolist()))
     kept = weights > 0
@@ -356,18 +390,39 @@ def _change(linear, columns, place, residuals, weights):
     half[:, linear.half.shape[1] :] = np.diag(np.r_[np.sqrt(variance), np.full(q, _PLACE_MM)])
     half = half[:, np.any(half != 0, axis=0)]
     seen = both @ half / noise_sd
-    # Posterior of the factors u of half: (I + seen' seen)^-1 is root @ root.T.
-    values, axes = np.linalg.eigh(seen.T @ seen)
-    values = np.maximum(values, 0.0)
-    u = axes @ ((axes.T @ (seen.T @ r)) / (1 + values)) / noise_sd
-    mean, half = half @ u, half @ (axes / np.sqrt(1 + values))
+    # Posterior of the factors of half: (I + seen' seen)^-1, the square of I + V (d - 1) V'.
+    U, size, Vt = np.linalg.svd(seen, full_matrices=False)
+    along = half @ Vt.T
+    mean = along @ (size / (1 + size**2) * (U.T @ r)) / noise_sd
+    half = half + (along * (1 / np.sqrt(1 + size**2) - 1)) @ Vt
     left = residuals - columns @ mean[:p] - place @ mean[p:]
+    spread = np.concatenate([columns, place], axis=2) @ half
     fold = _into_kinematics(linear, with_base=q > 3)
     coef, half = mean[:p] + fold @ mean[p:], half[:p] + fold @ half[p:]
     # As many columns as rows hold the same covariance.
     half = np.linalg.qr(half.T, mode="r").T if half.shape[1] > p else half
     found = dict(zip(names, np.asarray(tau).tolist(), strict=True))
-    return _Change(coef, half, found, float(noise_sd)), left
+    return _Change(coef, half, found, float(noise_sd)), left, spread
+
+
+def _honest_scales(left, spread, weights, noise_sd):
+    """Factors of noise and standard deviation at which intervals hold at poses left out.
+
+    With C the columns at one pose times a root of the posterior's covariance, ``H = C C' / s^2`` is
+    the part of its own noise that the fit follows. Without this pose it would be off by
+    ``(I - H)^-1`` times what the fit leaves, of the covariance ``s^2 (I - H)^-1``.
+    """
+    kept = weights > 0
+    left, spread, weights = left[kept], spread[kept], weights[kept]
+    variance = noise_sd**2 / weights
+    own = spread @ spread.swapaxes(1, 2) / variance[:, None, None]
+    free, axes = np.linalg.eigh(np.eye(3) - own)
+    inverse = axes / np.maximum(free, _LEAST_FREE)[:, None] @ axes.swapaxes(1, 2)
+    errors = np.einsum("nij,nj->ni", inverse, left)
+    total = variance[:, None] * np.einsum("nii->ni", inverse)
+    noise = np.broadcast_to(np.sqrt(variance)[:, None], total.shape)
+    std = np.sqrt(np.maximum(total - noise**2, 0.0))
+    return interval_scales(errors, noise, std, np.ones(len(left)))
 
 
 def _into_kinematics(linear, with_base):

@@ -80,6 +80,8 @@ def make_single_point(
             rows are in the order in which they were taken.
         temperature : ndarray of shape (n_positions * n_poses,)
             Temperature of the arm, degC; it was calibrated at 20 degC.
+        payload : ndarray of shape (n_positions * n_poses,)
+            Weight at the probe, N; it was calibrated without.
         frame : DataFrame
             data, target and position; only with ``as_frame=True``.
         simulation : Bunch
@@ -215,13 +217,19 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
     return result.arm.replace(name="calibrated (simulated)")
 
 
-def _readings(machine, cones, poses, rng, warming_k=0.0, slipped=False):
+def _readings(machine, cones, poses, rng, warming_k=0.0, slipped=False, payload_n=0.0):
     """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
     groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
     seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
     true_points = cones[groups] + seating + slipped
     poses = np.vstack(poses)
-    angles = machine.solve(poses, true_points, warming_k=warming_k, directions=directions_of(poses))
+    angles = machine.solve(
+        poses,
+        true_points,
+        warming_k=warming_k,
+        directions=directions_of(poses),
+        payload_n=payload_n,
+    )
     return machine.read(angles, rng), groups, true_points
 
 
@@ -241,11 +249,19 @@ def _slips(errors, n_rows, rng):
     return errors.slip_mm * slipped[:, None] * directions
 
 
+def _payloads(errors, n_rows, rng):
+    """Weight at the probe in each row, N."""
+    if not errors.payload_n:  # and no draw
+        return np.zeros(n_rows)
+    return rng.uniform(0, errors.payload_n, n_rows)
+
+
 def _measure(machine, cones, poses, rng):
     n_rows = sum(map(len, poses))
     warming, slips = _warming(machine.errors, n_rows), _slips(machine.errors, n_rows, rng)
     directions = directions_of(np.vstack(poses))
-    angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips)
+    payload = _payloads(machine.errors, n_rows, rng)
+    angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips, payload)
     arm = _calibrated_arm(machine)
     points = arm.forward(angles)
     return Bunch(
@@ -259,12 +275,13 @@ def _measure(machine, cones, poses, rng):
         target_names=["dx", "dy", "dz"],
         directions=directions,
         temperature=_CALIBRATED_AT_DEGC + warming,
+        payload=payload,
         simulation=Bunch(
             machine=machine,
             positions=cones,
             true_points=true_points,
             perfect_correction=points
-            - machine.forward(angles, warming_k=warming, directions=directions),
+            - machine.forward(angles, warming_k=warming, directions=directions, payload_n=payload),
             slipped=np.any(slips, axis=1),
         ),
     )

@@ -23,7 +23,7 @@ References
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 
 # Rounds of the choice, and steps of the variances in each, at most. Both stop by the evidence:
 # few problems take more than 5 and 30.
@@ -40,6 +40,8 @@ _ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
 # arc seconds, beyond which an arm's errors are not linear; directions that the data do not show
 # would carry the variance beyond all bounds by their rounding.
 _LEAST_SHARE, _LARGEST_VARIANCE = 1e-8, 3600.0**2
+# Least mean square of residuals, mm^2: its square is a number yet.
+_NO_NOISE = 1e-120
 # Least noise variance, relative to the mean square of y; halvings of a step that lowers evidence.
 _LEAST_NOISE, _HALVINGS = 1e-12, 5
 # Share of the largest eigenvalue of the always-in columns' scaled Gram matrix below which a
@@ -47,6 +49,8 @@ _LEAST_NOISE, _HALVINGS = 1e-12, 5
 _ROUNDING = 1e-12
 # Size of a column, relative to the largest, that is rounding, too.
 _NO_SIZE = 1e-7
+# Shares of its diagonal that are added to a matrix, one after another, until it has a factor.
+_RIDGES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
 # Harmonics are guessed to be so many, for the first choice.
 _GUESSED_PAIRS = 12
 # Of the next best candidates, how many are named as likely to be asked for next.
@@ -145,7 +149,7 @@ class _Problem:
         self.given = prior_variance
         self.lengths = lengths
         self.n = max(sums.n_observations, 1.0)
-        noise = sums.square / self.n if sums.square > 0 else 1.0
+        noise = max(sums.square / self.n, _NO_NOISE)
         self.start = noise
         self.assumed = _ASSUMED_ROWS * _ASSUMED_SHARE * noise
         self.guess = self._first_guess()
@@ -234,7 +238,7 @@ def _posterior(part, variance, noise):
         r = r + weighted @ part.lengths.errors
         fixed += precision @ np.square(part.lengths.errors) - np.log(precision).sum()
     S[np.diag_indices(len(S))] += 1 / prior
-    root = cholesky(S, check_finite=False) if len(S) else S
+    root = _root(S) if len(S) else S
     coef = cho_solve((root, False), r, check_finite=False) if len(S) else r
     inverse = solve_triangular(root, np.eye(len(S)), check_finite=False) if len(S) else S
     determined = 1 - np.square(inverse).sum(axis=1) / prior
@@ -251,6 +255,18 @@ def _posterior(part, variance, noise):
         determined=determined,
         n_always=part.n_always,
     )
+
+
+def _root(matrix):
+    """Upper Cholesky factor; where rounding has eaten what the priors add, of slightly more."""
+    diagonal = np.diag_indices(len(matrix))
+    for more in _RIDGES:
+        try:
+            return cholesky(matrix, check_finite=False)
+        except LinAlgError:
+            matrix = matrix.copy()
+            matrix[diagonal] *= 1 + more
+    return cholesky(matrix, check_finite=False)
 
 
 def _fixed_point(part, found):
@@ -304,7 +320,10 @@ def _extend(problem, pairs, variance, noise, prices):
     S is never formed nor downdated as a whole: as in a pivoted Cholesky factorisation, the factor's
     rows and the pairs' own 2 x 2 blocks suffice.
     """
-    left = _Leftover(problem, pairs, variance, noise)
+    try:
+        left = _Leftover(problem, pairs, variance, noise)
+    except LinAlgError:  # so little noise that only rounding is left of the others
+        return pairs
     chosen = pairs.tolist()
     alive = np.ones(left.n_pairs, dtype=bool)
     alive[pairs] = False
@@ -316,8 +335,11 @@ def _extend(problem, pairs, variance, noise, prices):
         if not net[best] > 0:
             break
         likely = np.argsort(-net, kind="stable")[: min(_LIKELY, np.count_nonzero(net > 0))]
-        left.take(best, likely.tolist())
         alive[best] = False
+        try:
+            left.take(best, likely.tolist())
+        except LinAlgError:
+            continue
         chosen.append(best)
     return np.sort(np.array(chosen, dtype=int))
 
@@ -382,13 +404,13 @@ class _Leftover:
         self.factor, self.size = np.empty((len(S) + 2 * len(pairs) + 64, cross.shape[1])), 0
         if len(S):
             S[np.diag_indices(len(S))] += 1 / variance[problem.family]
-            self._add(S, cross, r)
+            self._add(_root(S), cross, r)
         if len(pairs):
-            self._add(*self._left_of(columns_of(pairs), pairs, ()))
+            block, *products = self._left_of(columns_of(pairs), pairs, ())
+            self._add(cholesky(block, check_finite=False), *products)
 
-    def _add(self, block, rows, r):
-        """Rows of the factor for columns whose own block and products are given."""
-        root = cholesky(block, check_finite=False)
+    def _add(self, root, rows, r):
+        """Rows of the factor for columns, given the root of their own block, and products."""
         new = solve_triangular(root, rows, trans="T", check_finite=False)
         end = self.size + len(new)
         if end > len(self.factor):
@@ -401,8 +423,9 @@ class _Leftover:
         self.own = self.own - [np.einsum("kc,kc->c", a, b) for a, b in parts]
 
     def take(self, pair, likely):
-        """Move a candidate to the chosen ones."""
-        self._add(*self._left_of([2 * pair, 2 * pair + 1], [pair], likely))
+        """Move a candidate to the chosen ones; LinAlgError if only rounding is left of it."""
+        block, *products = self._left_of([2 * pair, 2 * pair + 1], [pair], likely)
+        self._add(cholesky(block, check_finite=False), *products)
 
     def _left_of(self, columns, pairs, likely):
         """Own block, rows of the penalised Gram matrix and products of some candidates."""

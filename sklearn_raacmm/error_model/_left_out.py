@@ -46,7 +46,8 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
         Fitted on all rows.
     options : LinearOptions
     X : ndarray of shape (n, n_joints)
-    y : ndarray of shape (n, 3)
+    y : ndarray of shape (n, 3) or (n, 6)
+        As `candidate_sums` takes it, for the `turn_mm` of the model.
     weights : ndarray of shape (n,)
         Those of the fit. Rows of weight 0 teach nothing.
     codes : ndarray of shape (n,) or None
@@ -63,10 +64,14 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     """
     positions = np.unique(positions, return_inverse=True)[1].ravel()
     # Weights of equal size: a position without weight is still at its place.
-    blocks = blocks_of_positions(points_of(model.arm, X), positions, np.ones(len(X)), n_blocks)
+    angles = X[:, : model.arm.n_joints]
+    points = points_of(model.arm, angles)
+    blocks = blocks_of_positions(points, positions, np.ones(len(X)), n_blocks)
     if blocks is None or not model.noise_variance > 0:
         return []
-    offered, expected = offered_harmonics(X, options.max_order, options.orders, options.gear_ratio)
+    offered, expected = offered_harmonics(
+        angles, options.max_order, options.orders, options.gear_ratio
+    )
     chosen = {tuple(pair) for pair in model.terms.harmonics.tolist()}
     low = offered[:, 1] <= _HIGHEST_ORDER
     used = [i or tuple(p) in chosen for i, p in zip(low, offered.tolist(), strict=True)]
@@ -80,9 +85,10 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
         if not rest.any():
             return []  # all that has weight is in this block
         own = None if codes is None else np.unique(codes[rest], return_inverse=True)[1].ravel()
-        sums = candidate_sums(model.arm, X[rest], y[rest], weights[rest], own, offered, terms)
-        best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
         data = FitData(model.arm, X[rest], y[rest], weights[rest], own, [], options)
+        data = data._replace(turn_mm=model.turn_mm)
+        sums = candidate_sums(*data[:5], offered, terms, data.turn_mm)
+        best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
         rest_terms = terms._replace(harmonics=offered[best.pairs])
         every = np.ones(rest.sum())
         found.append((np.flatnonzero(blocks == block), model_of(data, every, best, rest_terms)))

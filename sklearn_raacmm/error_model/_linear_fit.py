@@ -17,6 +17,8 @@ from sklearn_raacmm.error_model._columns import (
     scale_direction,
     term_names,
 )
+from sklearn_raacmm.error_model._extra import with_references
+from sklearn_raacmm.error_model._families import IDLE_VARIANCE, least_of_the_idle
 from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmonics
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import candidate_sums
@@ -29,12 +31,16 @@ BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_b
 # Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
 # errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
 _OUTLIER = 5.5
-_MEDIAN_OF_CHI3 = 1.5382
+_MEDIAN_OF_CHI = {3: 1.5382, 6: 2.3126}  # of three coordinates; with three of a turn
 _ROBUST_ROUNDS = 4
 # Harmonics are chosen from scratch, with what the robust weights have become, at most so often:
 # those chosen while outliers counted fully are a worse beginning than none.
 _MAX_CHOICES = 3
 _SETTLED_WEIGHT = 0.05
+# Points and turns are weighed anew by what the model leaves of them, at most so often, and until
+# the ratio of their noises changes by less than this share.
+_TURN_ROUNDS = 4
+_SETTLED_TURNS = 0.1
 
 
 class LinearOptions(NamedTuple):
@@ -48,6 +54,7 @@ class LinearOptions(NamedTuple):
     wobble: bool
     prior_sd: float | str
     loss: str
+    extra: tuple = ()
 
     @classmethod
     def of(cls, estimator):
@@ -56,14 +63,14 @@ class LinearOptions(NamedTuple):
 
 
 @stage("linear error model")
-def fit_linear_model(arm, X, y, weights, codes, lengths, options):
+def fit_linear_model(arm, X, y, weights, codes, lengths, options, turns=None):
     """Fit the model, and fit it again without the poses that are too far off.
 
     Parameters
     ----------
     arm : Arm
-    X : ndarray of shape (n, n_joints)
-        Angles in rad.
+    X : ndarray of shape (n, n_joints + n_extra)
+        Angles in rad, then the extra columns.
     y : ndarray of shape (n, 3)
         Residuals in mm.
     weights : ndarray of shape (n,)
@@ -72,6 +79,8 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     lengths : list of (int, int, float, float)
         Two positions, their known distance and its standard deviation, mm.
     options : LinearOptions
+    turns : ndarray of shape (n, 3), default=None
+        Residuals of the orientation, rotation vectors in rad.
 
     Returns
     -------
@@ -84,11 +93,40 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     ValueError
         If the options leave no columns.
     """
-    data = FitData(arm, X, y, weights, codes, lengths, options)
+    extra = with_references(options.extra, X[:, arm.n_joints :], weights)
+    data = FitData(arm, X, y, weights, codes, lengths, options, extra)
+    model, factor, data = _fit_with_turns(data, turns)
+    while (least := least_of_the_idle(model, data.idle)) is not None:
+        data = data._replace(idle=data.idle | {least})
+        model, factor = _fit(data)
+    return model, factor
+
+
+def _fit_with_turns(data, turns):
+    """Fit points, and turns where there are some, each by the noise that it shows."""
+    if turns is None:
+        return *_fit(data), data
+    left, size = (data.y, turns), 0.0
+    factor, points = np.ones(len(turns)), data.y
+    for _ in range(_TURN_ROUNDS):
+        weights = data.weights * factor
+        rms = [np.sqrt(weights @ np.square(part).sum(axis=1)) for part in left]
+        last, size = size, rms[0] / max(rms[1], 1e-12 * max(rms[0], 1e-300))
+        if abs(size - last) < _SETTLED_TURNS * size:
+            break
+        data = data._replace(y=np.hstack([points, size * turns]), turn_mm=size)
+        model, factor = _fit(data)
+        left = points - model.predict(data.X)[0], turns - model.predict_turn(data.X)[0]
+    return model, factor, data
+
+
+def _fit(data):
+    """Choose harmonics and weights by turns: the model, and the factors of the weights."""
+    X, weights, options = data.X, data.weights, data.options
     offered, expected = offered_harmonics(
-        X[weights > 0], options.max_order, options.orders, options.gear_ratio
+        X[weights > 0, : data.arm.n_joints], options.max_order, options.orders, options.gear_ratio
     )
-    factor, start = np.ones(len(y)), None
+    factor, start = np.ones(len(weights)), None
     for _ in range(_MAX_CHOICES):
         chosen, terms = _choose(data, factor, offered, expected, start)
         model, settled, found = _settle(data, factor, chosen, terms)
@@ -107,6 +145,9 @@ class FitData(NamedTuple):
     codes: np.ndarray
     lengths: list
     options: LinearOptions
+    extra: tuple = ()  # with references
+    turn_mm: float = 0.0  # see `observed_columns`
+    idle: frozenset = frozenset()  # families of it that are not worth their price
 
     def weighted(self, factor):
         """Rows that have weight, and positions and lengths that have such rows."""
@@ -125,7 +166,7 @@ class FitData(NamedTuple):
     def sums(self, factor, terms):
         """Sums over poses with `terms.harmonics` as candidates, and known lengths."""
         X, y, weights, codes, lengths = self.weighted(factor)
-        sums = candidate_sums(self.arm, X, y, weights, codes, terms.harmonics, terms)
+        sums = candidate_sums(self.arm, X, y, weights, codes, terms.harmonics, terms, self.turn_mm)
         if not lengths:
             return sums, None
         return sums, length_equations(self.arm, X, weights, codes, terms, lengths)
@@ -135,13 +176,15 @@ class FitData(NamedTuple):
         variance = np.full(len(FAMILIES), np.nan)
         if not isinstance(self.options.prior_sd, str):
             variance[HARMONIC] = self.options.prior_sd**2
+        variance[list(self.idle)] = IDLE_VARIANCE
         return variance
 
 
 def _choose(data, factor, offered, expected, start):
     """Posterior of the harmonics chosen at given weights, and its terms."""
     options = data.options
-    terms = Terms(offered, options.gravity, options.kinematics, options.wobble)
+    terms = Terms(offered, options.gravity, options.kinematics, options.wobble, data.extra)
+    terms = terms._replace(target=data.turn_mm > 0)
     family = term_names(data.arm, terms)[1]
     if not len(offered) and not len(family):
         raise ValueError(
@@ -178,7 +221,8 @@ def constrained(model, X, weights, codes, keep_scale=True):
         return model
     columns = mean_columns(model.arm, X, weights, codes, model.terms)
     if keep_scale:
-        model = _keep_scale(model, columns, group_means(points_of(model.arm, X), codes, weights))
+        points = points_of(model.arm, X[:, : model.arm.n_joints])
+        model = _keep_scale(model, columns, group_means(points, codes, weights))
     return _without_gauge(model, columns)
 
 
@@ -203,14 +247,22 @@ def _settle(data, factor, found, terms):
 
 def _pose_weights(data, model, factor):
     """Tukey's weights of the poses; those at hand where none is far off."""
-    left = data.y - model.predict(data.X)[0]
+    left = data.y - _expected(model, data.X)
     distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
-    scale = quantile(distance, 0.5, data.weights) / _MEDIAN_OF_CHI3
+    scale = quantile(distance, 0.5, data.weights) / _MEDIAN_OF_CHI[left.shape[1]]
     share = np.square(distance / max(_OUTLIER * scale, 1e-300))
     far = np.any((share >= 1) & (data.weights > 0))
     if not scale > 0 or (np.all(factor == 1) and not far):
         return factor
     return np.square(np.maximum(1 - share, 0.0))
+
+
+def _expected(model, X):
+    """What the model expects of the residuals that it was fitted to."""
+    points = model.predict(X)[0]
+    if not model.turn_mm:
+        return points
+    return np.hstack([points, model.turn_mm * model.predict_turn(X)[0]])
 
 
 def model_of(data, factor, found, terms):
@@ -232,6 +284,7 @@ def model_of(data, factor, found, terms):
         n_determined=found.n_determined,
         log_bayes_factor=found.gains,
         gauge_free_half=half,
+        turn_mm=data.turn_mm,
     )
     X, _, weights, codes, lengths = data.weighted(factor)
     return constrained(model, X, weights, codes, keep_scale=not lengths)

@@ -12,6 +12,11 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
+from sklearn_raacmm.residuals._plausible import (
+    refuse_large,
+    refuse_points,
+    warn_of_another_frame,
+)
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
@@ -26,8 +31,11 @@ __all__ = [
     "elbow_angle",
     "pose_columns",
     "position_residuals",
+    "refuse_large",
+    "refuse_points",
     "shoulder_wrist_distance",
     "std_to_cartesian",
     "to_cartesian",
     "to_cylindrical",
+    "warn_of_another_frame",
 ]

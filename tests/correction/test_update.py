@@ -93,8 +93,8 @@ def test_posterior_against_the_textbook(model):
     angles, y = rows(40, 4, knock=15)
     columns, place = linear.columns(angles), place_columns(ARM, angles, with_base=True)
     residuals = y - columns @ linear.coef
-    change, _ = _update._change(linear, columns, place, residuals, np.ones(40))
-    prior = np.array([linear.prior_sd[f] for f in _update.families_of(linear)])
+    change, *_ = _update._change(linear, columns, place, residuals, np.ones(40))
+    prior = _update._largest_change(linear)
     tau = np.array([change.tau[f] for f in _update.parts_of(linear)])
     P = linear.covariance + np.diag((tau * prior) ** 2)
     fold = _update._into_kinematics(linear, with_base=True)
@@ -212,3 +212,52 @@ def test_on_the_ur10_another_day(ur10, ur10_b):
     )
     assert registered < 0.32
     assert now < 0.2
+
+
+def test_an_arm_without_errors_stays_as_it_is():
+    """Noise of rounding alone left covariances that were not positive definite."""
+    test = make_single_point(6, 10, machine="none", random_state=3)
+    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False)
+    model.fit(test.data, test.target, groups=test.groups)
+    few = test.groups < 4
+    new = test.data[few], test.target[few]
+    updated = update_correction(model, *new, groups=test.groups[few])
+    assert np.abs(updated.predict(test.data)).max() < 1e-9
+
+
+def test_intervals_hold_after_an_update(model):
+    """At poses far from the new ones, too: 95 % of true residuals in 1.96 deviations."""
+    inside = []
+    for seed in range(4):
+        angles, y = rows(30, 20 + seed, knock=15)
+        updated = update_correction(model, angles, y)
+        far, true = rows(300, 40 + seed, knock=15)
+        mean, std = updated.predict(far, return_std=True, with_noise=True)
+        inside.append(np.mean(np.abs(true - mean) < 1.96 * std))
+        assert updated.linear_model_.std_scale > 0
+    assert 0.88 < np.mean(inside) < 0.995
+
+
+@pytest.mark.parametrize("n", [10, 60])
+def test_an_update_is_no_reason_to_fade(model, n):
+    """Between the new poses the old correction is worth no less; far outside it still fades."""
+    angles, y = rows(n, 30, knock=15)
+    updated = update_correction(model, angles, y)
+    others, _ = rows(200, 31)
+    share = updated.fading(others)
+    assert np.mean(share) > 0.98
+    assert np.quantile(share, 0.05) > 0.9
+
+
+def test_high_orders_change_by_no_more_than_there_is_of_them(model):
+    from sklearn_raacmm.correction import _update
+
+    linear = with_low_orders(model.linear_model_)
+    largest, table = _update._largest_change(linear), np.asarray(linear.terms.harmonics)
+    n = len(table)
+    high = np.flatnonzero(table[:, 1] > 8)
+    assert len(high) > 0
+    expected = np.hypot(linear.coef[2 * high], linear.coef[2 * high + 1]) / np.sqrt(2)
+    assert_allclose(largest[2 * high], np.minimum(expected, linear.prior_sd["harmonics"]))
+    low = np.repeat(table[:, 1] <= 8, 2)
+    assert_allclose(largest[: 2 * n][low], linear.prior_sd["harmonics"])
