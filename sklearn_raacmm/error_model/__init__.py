@@ -22,7 +22,7 @@ from sklearn_raacmm.error_model._left_out import (
     leave_out,
     with_honest_intervals,
 )
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._orders import likely_gear_ratios
 from sklearn_raacmm.error_model._poses import check_poses
@@ -47,7 +47,6 @@ __all__ = [
     "interval_scales",
     "leave_out",
     "likely_gear_ratios",
-    "quantile",
     "term_columns",
     "warn_where_unknown",
     "with_honest_intervals",

@@ -107,7 +107,22 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options, turns=None):
     while (least := least_of_the_idle(model, data.idle)) is not None:
         data = data._replace(idle=data.idle | {least})
         model, factor = _fit(data)
+    if np.any(factor < 1):
+        noise = model.noise_variance / _share_of_noise(data.y.shape[1])
+        model = replace(model, noise_variance=noise)
     return model, factor
+
+
+def _share_of_noise(n):
+    """What the weights of the poses leave of the noise variance, of normal errors in n coordinates.
+
+    E[w d^2] / (n E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution; beyond
+    the limit c the density is next to nothing.
+    """
+    c2 = _OUTLIER**2
+    moment = np.cumprod([1.0, n, n + 2, n + 4])  # E[d^0], E[d^2], E[d^4], E[d^6]
+    whole = moment[0] - 2 * moment[1] / c2 + moment[2] / c2**2
+    return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
 
 
 def _fit_with_turns(data, turns):
@@ -306,9 +321,11 @@ def _pose_weights(data, model, factor):
     """Tukey's weights of the poses; those at hand where none is far off."""
     left = data.y - _expected(model, data.X)
     distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
-    scale = quantile(distance, 0.5, data.weights) / _MEDIAN_OF_CHI[left.shape[1]]
+    used = data.weights > 0
+    median = np.quantile(distance[used], 0.5, weights=data.weights[used], method="inverted_cdf")
+    scale = float(median) / _MEDIAN_OF_CHI[left.shape[1]]
     share = np.square(distance / max(_OUTLIER * scale, 1e-300))
-    far = np.any((share >= 1) & (data.weights > 0))
+    far = np.any((share >= 1) & used)
     if not scale > 0 or (np.all(factor == 1) and not far):
         return factor
     return np.square(np.maximum(1 - share, 0.0))
@@ -386,10 +403,3 @@ def _without_gauge(model, columns):
     half = model.half.copy()
     half[base] -= motion @ model.half
     return replace(model, gauge_free_half=half)
-
-
-def quantile(values, share, weights):
-    """Least of the values below or at which lies this share of the weights."""
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(below, share * below[-1] * (1 - 1e-12))]])
