@@ -59,9 +59,7 @@ def add_smooth(sums, family, harmonic, prior_variance, prices, lengths, found, s
         return None
     variance = base.prior_variance.copy()
     variance[-1] = at
-    new = _beside_smooth(
-        problem, base.pairs, variance, base.noise_variance, prices, shares, fixed=False
-    )
+    new = _beside_smooth(problem, base.pairs, variance, base.noise_variance, prices, shares)
     before = base.log_evidence - prices(base.pairs)[base.pairs].sum()
     chosen = new.pairs[~new.smooth]
     if new.log_evidence - prices(chosen)[chosen].sum() < before + least:
@@ -77,7 +75,7 @@ def choose_beside_smooth(sums, family, harmonic, prior_variance, prices, lengths
     problem = Problem(sums, family, harmonic, prior_variance, lengths)
     start = found.prior_variance, found.noise_variance
     pairs = found.pairs[~found.smooth]
-    return _beside_smooth(problem, pairs, *start, prices, shares, fixed=False)
+    return _beside_smooth(problem, pairs, *start, prices, shares)
 
 
 def left_out_beside_smooth(sums, family, harmonic, prices, start, shares):
@@ -97,8 +95,16 @@ def left_out_beside_smooth(sums, family, harmonic, prices, start, shares):
     Posterior
     """
     problem = Problem(sums, family, harmonic, start[0], None)
-    none = np.empty(0, dtype=int)
-    return _beside_smooth(problem, none, *start, prices, shares, fixed=True)
+    pairs = np.empty(0, dtype=int)
+    pairs = extend(problem, pairs, *start, prices, _joined(pairs, shares))
+    while True:
+        every, smooth, share = _joined(pairs, shares)
+        found = posterior_of(problem.part(every, smooth, share), *start)
+        found = found._replace(pairs=every, smooth=smooth, gains=gains_of(found))
+        worth = _worth(found, prices)
+        if worth.all():
+            return found
+        pairs = pairs[worth]
 
 
 def _promise(problem, found, shares):
@@ -130,26 +136,25 @@ def _joined(pairs, shares):
     return every, smooth, np.where(smooth, shares[every], 1.0)
 
 
-def _beside_smooth(problem, pairs, variance, noise, prices, shares, fixed):
+def _beside_smooth(problem, pairs, variance, noise, prices, shares):
     """Posterior of chosen pairs and a smooth function, from given variances.
 
     Pairs that it makes needless leave, and others that are worth their price beside it join.
     """
     tried = set()
     for _ in range(MAX_CHOICES):
-        joined = _joined(pairs, shares)
-        if fixed:
-            every, smooth, _ = joined
-            found = posterior_of(problem.part(*joined), variance, noise)
-            found = found._replace(pairs=every, smooth=smooth)
-        else:
-            found = problem.find_variances(*joined, variance, noise)
-            variance, noise = found.prior_variance, found.noise_variance
+        found = problem.find_variances(*_joined(pairs, shares), variance, noise)
+        variance, noise = found.prior_variance, found.noise_variance
         found = found._replace(gains=gains_of(found))
-        worth = found.gains[~found.smooth] > prices(pairs)[pairs]
         tried.add(frozenset(pairs.tolist()))
-        pairs = pairs[worth]
+        pairs = pairs[_worth(found, prices)]
         pairs = extend(problem, pairs, variance, noise, prices, _joined(pairs, shares))
         if frozenset(pairs.tolist()) in tried:
             break
     return found
+
+
+def _worth(found, prices):
+    """Which of the chosen pairs are worth their price."""
+    chosen = found.pairs[~found.smooth]
+    return found.gains[~found.smooth] > prices(chosen)[chosen]
