@@ -12,7 +12,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
 from sklearn_raacmm.error_model._linear_fit import LinearOptions
-from sklearn_raacmm.error_model._points_and_turns import clearly_better, fit_with_intervals
+from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.utils import (
     Interval,
@@ -346,13 +346,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         options = LinearOptions.of(self)
         turns = check_turns(orientation_residuals, len(y), codes)
         positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
-        fitted = fit_with_intervals(arm, data, options, positions)
-        self.orientation_model_ = None
-        if turns is not None:
-            both = fit_with_intervals(arm, data, options, positions, turns)
-            self.orientation_model_ = both.model
-            if clearly_better(both, fitted, X, y, weights):
-                fitted = both
+        fitted, both = fit_points_and_turns(arm, data, options, positions, turns)
+        self.orientation_model_ = both
         self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
         std = fitted.model.predict(X, return_std=True)[1]
         self.fading_ = find_fading(y, std, weights * self.pose_weight_, codes, self.fade)
@@ -479,17 +474,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         it. It does not know what no point shows, such as the zero angle of a last joint whose axis
         goes through the probe.
         """
-        X, linear = check_poses(self, X), self.linear_model_
-        model = linear if self.orientation_model_ is None else self.orientation_model_
-        mean, std = model.predict_turn(X, return_std)
-        if self.fading_.factor > 0:
-            share = self.fading_.share(linear.predict(X, return_std=True)[1])
-            warn_where_unknown(share, stacklevel=2)
-            mean = share[:, None] * mean
-        if not return_std:
-            return mean
-        noise = with_noise and model.turn_mm > 0
-        return mean, np.hypot(model.std_scale * std, model.turn_noise if noise else 0.0)
+        mean, std, share = predict_turns(self, X, return_std, with_noise)
+        warn_where_unknown(share, stacklevel=2)
+        return (mean, std) if return_std else mean
 
     def fading(self, X):
         """Share of the correction that `predict` returns at each pose.

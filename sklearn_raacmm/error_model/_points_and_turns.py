@@ -1,4 +1,4 @@
-"""The fit of a linear model with intervals that hold, and which of two is better for points."""
+"""Fits to points, and to points and orientations together, with intervals that hold."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_raacmm.error_model._left_out import (
+    N_BLOCKS,
     errors_left_out,
     leave_out,
     with_honest_intervals,
 )
 from sklearn_raacmm.error_model._linear_fit import fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._poses import check_poses
 
 
 class Fitted(NamedTuple):
@@ -24,8 +26,8 @@ class Fitted(NamedTuple):
     left_out: list
 
 
-def fit_with_intervals(arm, data, options, positions, turns=None):
-    """Fit a model and widen its intervals by its errors at positions left out.
+def fit_points_and_turns(arm, data, options, positions, turns, n_blocks=N_BLOCKS):
+    """Fit the model of points, and where there are orientations one of both.
 
     Parameters
     ----------
@@ -35,22 +37,38 @@ def fit_with_intervals(arm, data, options, positions, turns=None):
     options : LinearOptions
     positions : ndarray of shape (n,)
         Position of each row.
-    turns : ndarray of shape (n, 3), default=None
+    turns : ndarray of shape (n, 3) or None
         Residuals of the orientation, rad.
+    n_blocks : int, default=10
+        Blocks of positions that are left out in turn.
 
     Returns
     -------
-    Fitted
+    fitted : Fitted
+        The model of points; that of both where it is clearly better for points.
+    orientation_model : LinearModel or None
+        The model of both.
     """
+    fitted = _fit_with_intervals(arm, data, options, positions, None, n_blocks)
+    if turns is None:
+        return fitted, None
+    both = _fit_with_intervals(arm, data, options, positions, turns, n_blocks)
+    X, y, weights = data[:3]
+    better = _clearly_better(both, fitted, X, y, weights)
+    return (both if better else fitted), both.model
+
+
+def _fit_with_intervals(arm, data, options, positions, turns, n_blocks):
+    """A model whose intervals are widened by its errors at positions left out."""
     X, y, weights, codes, _ = data
     model, pose_weight = fit_linear_model(arm, *data, options, turns)
     both = y if turns is None else np.hstack([y, model.turn_mm * turns])
-    left_out = leave_out(model, options, X, both, weights * pose_weight, codes, positions)
+    left_out = leave_out(model, options, X, both, weights * pose_weight, codes, positions, n_blocks)
     model = with_honest_intervals(model, left_out, X, y, weights, codes, positions)
     return Fitted(model, pose_weight, left_out)
 
 
-def clearly_better(new, old, X, y, weights):
+def _clearly_better(new, old, X, y, weights):
     """Whether a fit is better for points than another one at the positions left out.
 
     Parameters
@@ -78,3 +96,35 @@ def clearly_better(new, old, X, y, weights):
         if used[rows].any()
     ]
     return bool(np.mean(gains) > np.std(gains, ddof=1) / np.sqrt(len(gains)))
+
+
+def predict_turns(estimator, X, return_std, with_noise):
+    """What `predict_orientation` of either estimator returns, and how much of it is left.
+
+    Parameters
+    ----------
+    estimator : JointHarmonicRegressor or ArmResidualRegressor
+        Fitted.
+    X : array-like of shape (n, n_features_in_)
+    return_std, with_noise : bool
+
+    Returns
+    -------
+    mean : ndarray of shape (n, 3)
+        Rotation vectors in rad.
+    std : ndarray of shape (n, 3) or None
+    share : ndarray of shape (n,)
+        What the fading leaves.
+    """
+    X, points = check_poses(estimator, X, stacklevel=5), estimator.linear_model_
+    both = estimator.orientation_model_
+    model = points if both is None else both
+    mean, std = model.predict_turn(X, return_std)
+    fading = estimator.fading_ if hasattr(estimator, "fading_") else estimator.fadings_[0]
+    share = np.ones(len(X))
+    if fading.factor > 0:
+        share = fading.share(points.predict(X, return_std=True)[1])
+    if return_std:
+        noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
+        std = np.hypot(model.std_scale * std, noise)
+    return share[:, None] * mean, std, share
