@@ -19,6 +19,7 @@ import pandas as pd
 from sklearn_raacmm import JointHarmonicRegressor, learn_correction
 from sklearn_raacmm.app import read_table
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.display import RepeatabilityDisplay
 
 # %%
 # A file such as yours
@@ -64,9 +65,19 @@ print(learned)
 points, std = learned.correct(table.angles[:3], angle_unit="deg")
 print("corrected points (mm):", points.round(3), "standard deviations:", std.round(4), sep="\n")
 
-scores = pd.DataFrame(learned.scores.table).set_index("position")
-ax = (1000 * scores[["before", "after"]]).plot.bar(color=["0.6", "tab:blue"], figsize=(7, 3))
-ax.set_ylabel("2S at positions left out, µm")
-plt.tight_layout()
+# %%
+# Every position, before and after
+# --------------------------------
+# ``left_before`` and ``left_after`` are the deviations of every point when it was left out. Rows
+# that calibration named as outliers are not counted: here, the probe that slipped.
+
+scores = learned.scores
+counted = np.concatenate(scores.rows_by_position)
+display = RepeatabilityDisplay.from_predictions(
+    scores.left_before[counted],
+    scores.left_before[counted] - scores.left_after[counted],
+    groups=table.positions[counted],
+)
+display.ax_.set_title("Positions left out (simulated)")
 plt.show()
 folder.cleanup()

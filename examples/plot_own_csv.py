@@ -4,13 +4,14 @@ Bring your own CSV
 
 From a table of joint angles to corrected points, with pandas. What you need:
 
-- one row a pose, one column a joint, in degrees or in radians;
+- one row for each pose and one column for each joint, in degrees or in radians;
 - one column with a label of the position at which the probe was held: the same label means the same
-  point. Ten positions, a few dozen poses at each, is a fair start;
+  point. Ten positions with a few dozen poses each are a fair start;
 - the arm's nominal Denavit-Hartenberg table, from its maker or its drawings.
 
-You do not need coordinates: they follow from the angles. The table here is simulated, written the
-way many loggers do, with semicolons and decimal commas, in degrees.
+You do not need coordinates: they follow from the angles. The table here is simulated: 10 positions
+with 30 poses each, written as many loggers do it, with semicolons and decimal commas, in degrees.
+The script takes about a minute.
 """
 
 from pathlib import Path
@@ -19,21 +20,10 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from sklearn.model_selection import GroupKFold, cross_val_predict
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm import (
-    Arm,
-    CylindricalResidualTarget,
-    PoseFeatures,
-    RBFNetRegressor,
-    calibrate,
-    position_residuals,
-)
+from sklearn_raacmm import Arm, learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.display import RepeatabilityDisplay
-from sklearn_raacmm.metrics import repeatability_report
 
 # %%
 # A file such as yours
@@ -61,11 +51,9 @@ print(angles.describe().loc[["min", "max"]].round(1))
 print(positions.value_counts(sort=False).to_string())
 
 # %%
-# The arm, calibrated
-# -------------------
-# Lengths in mm, twists in degrees. Calibration needs no coordinates either: points of one position
-# have to coincide. If you have measured a gauge, its two ends are two positions, and
-# ``lengths=[("left end", "right end", 500.0, 0.01)]`` gives the arm its scale, which no cone can.
+# The arm
+# -------
+# Lengths in mm, twists in degrees. The table need not be exact, for calibration corrects it.
 
 nominal = Arm.from_degrees(
     a=[0, 62, 0, 62, 0, 0],
@@ -74,41 +62,39 @@ nominal = Arm.from_degrees(
     probe=(0, 0, 98),
     name="by its drawing",
 )
-result = calibrate(nominal, angles, positions, angle_unit="deg")
-print(f"mean scatter: {result.scatter_before_mm:.3f} mm by the drawing (probe fitted),", end=" ")
-print(f"{result.scatter_after_mm:.3f} mm calibrated")
-print("not identified:", ", ".join(result.unidentified))
 
 # %%
-# The model, judged at positions that it has not seen
-# ---------------------------------------------------
-# Everything stays in degrees: ``PoseFeatures`` alone has to know.
+# Calibrate, learn, and ask whether it helps
+# ------------------------------------------
+# One call does all three. Calibration asks that the points of one position coincide. The model
+# learns what calibration leaves. Both are judged at positions that were left out. If you have
+# measured a gauge, its two ends are two positions, and
+# ``lengths=[("left end", "right end", 500.0, 0.01)]`` gives the arm its scale, which no cone can.
 
-arm = result.arm
-points = arm.forward(angles, angle_unit="deg")
-residuals = position_residuals(points, positions)
-model = make_pipeline(
-    PoseFeatures(arm, angle_unit="deg", joints="all", encoding="periodic", append_azimuth=True),
-    CylindricalResidualTarget(make_pipeline(StandardScaler(), RBFNetRegressor(random_state=0))),
+learned = learn_correction(nominal, angles, positions, angle_unit="deg")
+print(learned)
+
+# %%
+# The figure shows every position before and after. The lines are 95 % intervals over the choice of
+# poses.
+
+scores = learned.scores
+counted = np.concatenate(scores.rows_by_position)
+display = RepeatabilityDisplay.from_predictions(
+    scores.left_before[counted],
+    scores.left_before[counted] - scores.left_after[counted],
+    groups=positions.to_numpy()[counted],
+    name="after, position left out",
 )
-correction = cross_val_predict(model, angles, residuals, groups=positions, cv=GroupKFold(5))
-for name, measured in {"before": points, "after": points - correction}.items():
-    report = pd.DataFrame(repeatability_report(measured, positions))
-    columns = ["repeatability_2s", "deviation_max"]
-    print(f"{name}, mean over positions (mm):", report[columns].mean().round(4).to_dict())
+display.ax_.set_title("Your cone-hole test (here: simulated)")
+plt.show()
 
 # %%
 # Correct what you measure from now on
 # ------------------------------------
-# Fit once on all positions. Then: joint angles in, corrected point out.
+# Joint angles in, corrected points and their standard deviations out. ``learned.save("my_arm")``
+# keeps the arm, the model and the scores in a folder.
 
-model.fit(angles, residuals)
-reading = angles.iloc[[0]]
-print("corrected point (mm):", arm.forward(reading, angle_unit="deg") - model.predict(reading))
-
-display = RepeatabilityDisplay.from_predictions(
-    points, correction, groups=positions, name="after, position left out"
-)
-display.ax_.set_title("Your cone-hole test (here: simulated)")
+points, std = learned.correct(angles.iloc[:2], angle_unit="deg")
+print("corrected points (mm):", points.round(3), "standard deviations:", std.round(4), sep="\n")
 folder.cleanup()
-plt.show()

@@ -8,7 +8,7 @@ the pose. Here are the same figures from a simulated arm, with the paper's three
 never saw the position that it corrects, nor any gauge.
 
 The data are simulated: an arm whose errors come from gravity above all, 10 positions with 60 poses
-each. The script takes about 10 seconds.
+each. The script takes about half a minute.
 """
 
 import matplotlib.pyplot as plt

@@ -61,7 +61,7 @@ for encoding in ("angle", "periodic"):
     after = single_point_repeatability(data.points - correction, data.groups)
     print(f"2S at positions left out, {encoding}: {after:.4f} mm")
     curves[f'encoding="{encoding}"'] = model.fit(data.data, data.target).predict(angles)
-for (name, residual), style in zip(curves.items(), ("k--", "tab:orange", "tab:blue"), strict=True):
+for (name, residual), style in zip(curves.items(), ("k--", "#D55E00", "#0072B2"), strict=True):
     radial = cartesian_to_cylindrical(residual, azimuth)[:, 0]
     axes.plot(np.rad2deg(sweep), radial - radial.mean(), style, label=name)
 low, high = np.rad2deg(np.quantile(data.data[:, 4], [0, 1]))

@@ -26,7 +26,7 @@ from sklearn_raacmm import (
     position_residuals,
 )
 from sklearn_raacmm.datasets import fetch_panda_ball_socket
-from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
 
 data = fetch_panda_ball_socket("panda_3")
 names = np.unique(data.placements)
@@ -76,29 +76,39 @@ for name in names:
 # %%
 # At the placements left out
 # --------------------------
-# The mean distance of a point from the mean of its socket, and the repeatability 2S.
+# The mean distance of a point from the mean of its socket, and the repeatability 2S with its 95 %
+# interval: what another choice of poses in the same sockets would change.
 
-spread = {}
+rows = {}
 for name, points in corrected.items():
     distance = np.linalg.norm(position_residuals(points, data.groups), axis=1)
-    spread[name] = single_point_repeatability(points, data.groups, aggregate=None)
-    print(f"{name:<28} mean {distance.mean():.3f} mm, 2S {spread[name].mean():.3f} mm")
+    spread = single_point_repeatability(points, data.groups, aggregate=None)
+    ends = repeatability_interval(points, data.groups, aggregate=None)
+    rows[name] = spread, np.abs(ends.T - spread)
+    low, high = repeatability_interval(points, data.groups)
+    print(
+        f"{name:<28} mean {distance.mean():.3f} mm, "
+        f"2S {spread.mean():.3f} mm ({low:.3f} to {high:.3f})"
+    )
 
 # %%
 # The three angles of the paper explain a part. The geometry of the whole arm, with the harmonics of
 # each joint, explains more of what is left.
 
-figure, axes = plt.subplots(figsize=(9, 4.2), layout="constrained")
+figure, axes = plt.subplots(figsize=(10, 4.4), layout="constrained")
 place = np.arange(len(np.unique(data.groups)))
-styles = [("tab:orange", "o"), ("0.45", "s"), ("tab:green", "^"), ("tab:blue", "D")]
-for (name, values), (color, marker) in zip(spread.items(), styles, strict=True):
-    axes.plot(place, values, marker, color=color, label=f"{name}, mean {values.mean():.3f} mm")
+styles = [("#D55E00", "o"), ("0.5", "s"), ("#E69F00", "^"), ("#0072B2", "D")]
+for shift, (name, (spread, length)), (color, marker) in zip(
+    (-0.24, -0.08, 0.08, 0.24), rows.items(), styles, strict=True
+):
+    label = f"{name}, mean {spread.mean():.3f} mm"
+    axes.errorbar(place + shift, spread, length, fmt=marker, color=color, ms=5, lw=1, label=label)
 axes.set_xticks(place, np.unique(data.groups), rotation=45, ha="right")
 axes.set(
     xlabel="socket",
     ylabel="repeatability 2S (mm)",
     title="panda_3 (real): placements that calibration and models never saw",
 )
-axes.set_ylim(0, 1.5 * max(values.max() for values in spread.values()))
+axes.set_ylim(0, 1.45 * max(spread.max() for spread, _ in rows.values()))
 axes.legend(fontsize="small", loc="upper left", ncols=2)
 plt.show()

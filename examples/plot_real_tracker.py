@@ -69,13 +69,18 @@ names = {
     "harmonics": "JointHarmonicRegressor",
 }
 figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
-for (key, name), color in zip(names.items(), ("tab:orange", "0.45", "tab:blue"), strict=True):
+lines = ("--", ":", "-")
+for (key, name), line, color in zip(
+    names.items(), lines, ("#D55E00", "0.45", "#0072B2"), strict=True
+):
     distance = np.linalg.norm(left[key], axis=1)
     print(
         f"{name:<24} mean {distance.mean():.3f} mm, 95 % below {np.quantile(distance, 0.95):.3f} mm"
     )
     share = np.arange(1, len(distance) + 1) / len(distance)
-    axes.plot(np.sort(distance), share, color=color, label=f"{name}: {distance.mean():.3f} mm")
+    axes.plot(
+        np.sort(distance), share, line, color=color, label=f"{name}: {distance.mean():.3f} mm"
+    )
 axes.set(
     xlabel="distance from the tracker's point (mm)",
     ylabel="share of poses",

@@ -25,7 +25,8 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.display import RepeatabilityDisplay
+from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
 
 data = make_single_point(n_positions=10, n_poses=40, random_state=0)
 print(data.arm)
@@ -59,49 +60,45 @@ corrections = {
 # 2S is the single-point repeatability, twice the standard deviation of a point about the mean of
 # its position. In a simulation the noise floor is known, too: a perfect model would reach it.
 
-spread = {"before": single_point_repeatability(data.points, data.groups, aggregate=None)}
-for name, correction in corrections.items():
+perfect = data.simulation.perfect_correction
+rows = {"before": 0.0, **corrections, "noise floor": perfect}
+for name, correction in rows.items():
     corrected = data.points - correction
-    spread[name] = single_point_repeatability(corrected, data.groups, aggregate=None)
-perfect = data.points - data.simulation.perfect_correction
-spread["noise floor"] = single_point_repeatability(perfect, data.groups, aggregate=None)
-for name, values in spread.items():
-    print(f"{name:<36} 2S mean {1e3 * values.mean():5.1f} um, largest {1e3 * values.max():5.1f} um")
+    low, high = repeatability_interval(corrected, data.groups)
+    mean = single_point_repeatability(corrected, data.groups)
+    print(f"{name:<36} mean 2S {1e3 * mean:5.1f} µm (95 %: {1e3 * low:.1f} to {1e3 * high:.1f})")
 
 # %%
 # The figure
 # ----------
-# To the left, the points of one position seen from the side; to the right, all positions.
+# To the left, the points of one position seen from the side. In the middle and to the right, all
+# positions, with 95 % intervals: what another choice of poses at the same positions would change.
 
-shown = int(np.argsort(spread["after, ArmResidualRegressor"])[5])  # neither the best nor the worst
-rows = data.groups == shown
-figure, (left, right) = plt.subplots(
-    1, 2, figsize=(10, 4), width_ratios=[1, 1.5], layout="constrained"
-)
 after = data.points - corrections["after, ArmResidualRegressor"]
+spread = single_point_repeatability(after, data.groups, aggregate=None)
+shown = int(np.argsort(spread)[5])  # neither the best nor the worst position
+rows = data.groups == shown
+figure, axes = plt.subplots(1, 3, figsize=(12, 4), width_ratios=[1, 1.3, 1.3], layout="constrained")
 for points, color, marker, label in (
-    (data.points, "tab:orange", "o", "before"),
-    (after, "tab:blue", "D", "after"),
+    (data.points, "#D55E00", "o", "before"),
+    (after, "#0072B2", "D", "after"),
 ):
     deviation = 1e3 * (points[rows] - points[rows].mean(axis=0))
-    left.scatter(deviation[:, 0], deviation[:, 2], 18, color=color, marker=marker, label=label)
-left.set(
-    xlabel="x less its mean (um)",
-    ylabel="z less its mean (um)",
+    axes[0].scatter(deviation[:, 0], deviation[:, 2], 18, color=color, marker=marker, label=label)
+axes[0].set(
+    xlabel="x less its mean (µm)",
+    ylabel="z less its mean (µm)",
     title=f"Points in one cone (position {shown + 1})",
     aspect="equal",
 )
-left.legend(fontsize="small")
-styles = [("tab:orange", "o"), ("0.45", "s"), ("tab:blue", "D"), ("black", "_")]
-place = np.arange(1, len(spread["before"]) + 1)
-for (name, values), (color, marker) in zip(spread.items(), styles, strict=True):
-    right.plot(place, 1e3 * values, marker, color=color, label=name)
-right.set(
-    xlabel="position of the cone, from near to far",
-    ylabel="repeatability 2S (um)",
-    title="Each position corrected by models of the others (simulated)",
-    xticks=place,
-)
-right.set_ylim(0, 1.45e3 * spread["before"].max())
-right.legend(fontsize="small", ncols=2, loc="upper left")
+axes[0].legend(fontsize="small")
+titles = ("Network on three pose angles", "ArmResidualRegressor")
+for ax, title, correction in zip(axes[1:], titles, corrections.values(), strict=True):
+    RepeatabilityDisplay.from_predictions(
+        data.points, correction, groups=data.groups + 1, perfect=perfect, ax=ax
+    )
+    ax.set_title(title)
+axes[2].set_ylim(axes[1].get_ylim())
+axes[2].set_ylabel("")
+figure.suptitle("Simulated arm: each position corrected by models of the others")
 plt.show()

@@ -27,7 +27,9 @@ from sklearn_raacmm.residuals import (
     PoseFeatures,
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
+    elbow_angle,
     position_residuals,
+    shoulder_wrist_distance,
 )
 
 __all__ = [
@@ -48,10 +50,12 @@ __all__ = [
     "check_correction",
     "cross_validate_correction",
     "cylindrical_to_cartesian",
+    "elbow_angle",
     "learn_correction",
     "next_poses",
     "position_residuals",
     "read_check_records",
     "search_table",
+    "shoulder_wrist_distance",
     "update_correction",
 ]

@@ -177,7 +177,7 @@ RIGHT = {
         jhr(ANGLES * 0, RESIDUALS),
     ),
     "harmonics: large residuals": (
-        lambda: jhr(ANGLES, RESIDUALS * 2.0**6) * 2.0**-6,
+        lambda: jhr(ANGLES, RESIDUALS * 2.0**4) * 2.0**-4,
         jhr(ANGLES, RESIDUALS),
     ),
     "harmonics: tiny residuals": (

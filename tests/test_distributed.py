@@ -13,7 +13,7 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.network import _rbf_net
+from sklearn_raacmm.network import _read_data
 
 dask = pytest.importorskip("dask")
 da = pytest.importorskip("dask.array")
@@ -39,7 +39,7 @@ def client(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def few_in_memory(monkeypatch):
-    monkeypatch.setattr(_rbf_net, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 1000)
 
 
 def rows(n=6000):

@@ -114,7 +114,7 @@ def test_real_arm(run_alone, monkeypatch, data_folder, capsys):
     page, pictures = run_alone("plot_real_arm")
     assert len(pictures) == 1
     assert "calibrated, uncorrected      mean 0.197 mm" in capsys.readouterr().out
-    means = {name: values.mean() for name, values in page["spread"].items()}
+    means = {name: values.mean() for name, (values, _) in page["rows"].items()}
     assert means["JointHarmonicRegressor"] < 0.9 * means["calibrated, uncorrected"]
 
 
@@ -126,11 +126,14 @@ def test_own_csv_is_corrected(monkeypatch, capsys):
     data = make_single_point(10, 30, random_state=0)
     np.testing.assert_allclose(np.deg2rad(page["angles"]), data.data, atol=1e-8)
     expected = calibrate(page["nominal"], data.data, data.groups).arm.forward(data.data)
-    np.testing.assert_allclose(page["points"], expected, atol=1e-4)
-    left = page["points"] - page["correction"]
-    after = single_point_repeatability(left, data.groups)
+    learned = page["learned"]
+    np.testing.assert_allclose(learned.arm.forward(data.data), expected, atol=1e-4)
+    after = single_point_repeatability(learned.scores.left_after, data.groups)
     assert after < 0.75 * single_point_repeatability(expected, data.groups)
-    assert f"{after:.4f}" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert learned.verdict in output
+    assert f"mean 2S after: {after:.4f} mm" in output
+    assert page["display"].after.mean() == pytest.approx(after)
     assert len(plt.get_fignums()) == 1
 
 

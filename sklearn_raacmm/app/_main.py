@@ -91,18 +91,7 @@ def _parser():
     export.add_argument("--name", default="arm_correction", help="name of the C functions")
     export.add_argument("--std", action="store_true", help="standard deviations in C, too")
 
-    arm = _word(words, "arm", "show an arm and write its file; asks where nothing is given")
-    arm.add_argument("source", nargs="?", help="arm file, URDF, or name of a built-in arm")
-    arm.add_argument("--base", help="first link of a URDF's chain")
-    arm.add_argument("--tip", help="last link of a URDF's chain")
-    for layout in ("222", "223"):
-        arm.add_argument(
-            f"--lengths-{layout}", type=float, nargs=4,
-            metavar=("SHOULDER", "UPPER", "FORE", "PROBE"),
-            help=f"lengths in mm of a {'-'.join(layout)} arm",
-        )  # fmt: skip
-    arm.add_argument("--out", help="JSON file to write")
-    arm.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
+    _add_arm(words)
 
     demo = _word(words, "demo", "the main job on a simulated arm, with its report")
     _add_learning(demo, out="raacmm-demo")
@@ -117,6 +106,21 @@ def _word(words, name, text):
     parser = words.add_parser(name, help=text, description=text, epilog=_EPILOG)
     parser.set_defaults(run=getattr(_commands, name))
     return parser
+
+
+def _add_arm(words):
+    arm = _word(words, "arm", "show an arm and write its file; asks where nothing is given")
+    arm.add_argument("source", nargs="?", help="arm file, URDF, or name of a built-in arm")
+    arm.add_argument("--base", help="first link of a URDF's chain")
+    arm.add_argument("--tip", help="last link of a URDF's chain")
+    for layout in ("222", "223"):
+        arm.add_argument(
+            f"--lengths-{layout}", type=float, nargs=4,
+            metavar=("SHOULDER", "UPPER", "FORE", "PROBE"),
+            help=f"lengths in mm of a {'-'.join(layout)} arm",
+        )  # fmt: skip
+    arm.add_argument("--out", help="JSON file to write")
+    arm.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
 
 
 def _add_learning(parser, out):

@@ -23,10 +23,15 @@ def arm_or_built_in(arm, owner, stacklevel=3):
     return Arm.from_name(_BUILT_IN)
 
 
-def arm_for(arm, owner, n_columns, stacklevel=4):
-    """As `arm_or_built_in`; refuses angles of another number of columns than it has joints."""
+def arm_for(arm, owner, n_columns, stacklevel=4, extra=()):
+    """As `arm_or_built_in`; refuses X without a column for each joint and each name in `extra`."""
     arm = arm_or_built_in(arm, owner, stacklevel)
-    if n_columns != arm.n_joints:
+    if extra and n_columns != arm.n_joints + len(extra):
+        raise ValueError(
+            f"X has {n_columns} columns, but {arm.n_joints + len(extra)} are needed: the angles of "
+            f"{arm.n_joints} joints, then {', '.join(map(repr, extra))}."
+        )
+    if not extra and n_columns != arm.n_joints:
         raise ValueError(
             f"X has {n_columns} columns, but the arm {arm!r} has {arm.n_joints} joints: one column "
             "of joint angles each is needed."

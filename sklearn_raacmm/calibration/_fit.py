@@ -10,16 +10,16 @@ from scipy.stats import chi
 
 from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
 from sklearn_raacmm.calibration._problem import (
-    align,
     jacobian_of_all,
     left_jacobian,
     points_of_all,
     unpack,
 )
+from sklearn_raacmm.utils import align
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
-    "linear": np.ones_like,
+    "squared": np.ones_like,
     "soft_l1": lambda u: 1 / np.sqrt(1 + (u / 2) ** 2),
     "huber": lambda u: 2.5 / np.maximum(u, 2.5),
     "cauchy": lambda u: 1 / (1 + (u / 4) ** 2),
@@ -383,7 +383,7 @@ class Fit:
     def _new_sigma(self, distances):
         """Standard deviation of one coordinate of vectors of these lengths."""
         distances = distances[self.problem.informative]
-        if self.loss == "linear":
+        if self.loss == "squared":
             sigma = np.sqrt(np.mean(distances**2) / 3)
         else:
             # Outliers would shift the median to larger ones of the others.

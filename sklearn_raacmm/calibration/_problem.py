@@ -133,14 +133,6 @@ def jacobian_of_all(arm, angles, x, problem):
     return (points if problem.correction is None else points - problem.correction), jac
 
 
-def align(points, target):
-    """Rotation and shift that take points to target with the least squares of what is left."""
-    centre, target_centre = points.mean(axis=0), target.mean(axis=0)
-    u, _, vt = np.linalg.svd((target - target_centre).T @ (points - centre))
-    rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return rotation, target_centre - rotation @ centre
-
-
 def left_jacobian(rotvec):
     """Rotation that a small change of a rotation vector adds on the left, (3, 3)."""
     angle = np.linalg.norm(rotvec)

@@ -3,14 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from copy import copy
 from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import MultiOutputMixin, RegressorMixin, clone
-from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._check import errors_left_out, shared_by_neighbours, verdict
 from sklearn_raacmm.correction._guards import guarded
 from sklearn_raacmm.correction._stages import (
@@ -25,10 +23,10 @@ from sklearn_raacmm.error_model import (
     JointHarmonicRegressor,
     LinearOptions,
     check_fit,
+    check_poses,
     find_fading,
     fit_linear_model,
     leave_out,
-    quantile,
     warn_where_unknown,
     with_honest_intervals,
 )
@@ -38,10 +36,10 @@ from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     centred,
-    check_features,
     encode_groups,
     fit_context,
     one_blas_thread,
+    whole_fit,
 )
 
 # By the number of their stages.
@@ -65,14 +63,19 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     arm : Arm, default=None
         The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
 
+    angle_unit : {"rad", "deg"}, default="rad"
+        Unit of the joint angles in `X`. Everything else is in mm and rad in either case.
+
     harmonics : JointHarmonicRegressor, default=None
-        The first stage, cloned and given `arm`. None: its defaults.
+        The options of the first stage; its `arm` and `angle_unit` are not used. Its `extra` says
+        what the columns of `X` after the angles are: the network does not see these. None: its
+        defaults.
 
     network : RBFNetRegressor, default=None
         The second stage, cloned. None: one without a constant, so that it vanishes away from its
         centres, ``RBFNetRegressor(degree=-1, random_state=0)``.
 
-    features : {"pose", "all"}, default="all"
+    joints : {"pose", "all"}, default="all"
         What the network sees: the pose of :class:`PoseFeatures`, or the angles of all joints.
 
     use : {"auto", "none", "harmonics", "harmonics+network"}, default="auto"
@@ -134,7 +137,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         The arm in use.
 
     n_features_in_ : int
-        Number of joints.
+        Number of joints, and of extra columns.
 
     See Also
     --------
@@ -160,7 +163,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     >>> from sklearn_raacmm import ArmResidualRegressor
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=8, n_poses=30, random_state=1)
-    >>> model = ArmResidualRegressor(test.arm, features="pose")
+    >>> model = ArmResidualRegressor(test.arm, joints="pose")
     >>> _ = model.fit(test.data, test.target, groups=test.groups)
     >>> bool(model.check_["mean_mm"][0] < 0.1)  # simulated, uncorrected
     True
@@ -169,9 +172,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     _parameter_constraints: dict = {
         "arm": [Arm, None],
+        "angle_unit": [StrOptions({"rad", "deg"})],
         "harmonics": [JointHarmonicRegressor, None],
         "network": [RBFNetRegressor, None],
-        "features": [StrOptions({"pose", "all"})],
+        "joints": [StrOptions({"pose", "all"})],
         "use": [StrOptions({"auto", *MODELS})],
         "n_folds": [Interval(Integral, 2, None, closed="left")],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
@@ -182,18 +186,20 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         self,
         arm=None,
         *,
+        angle_unit="rad",
         harmonics=None,
         network=None,
-        features="all",
+        joints="all",
         use="auto",
         n_folds=10,
         fade="auto",
         cap=None,
     ):
         self.arm = arm
+        self.angle_unit = angle_unit
         self.harmonics = harmonics
         self.network = network
-        self.features = features
+        self.joints = joints
         self.use = use
         self.n_folds = n_folds
         self.fade = fade
@@ -201,13 +207,15 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
+    @whole_fit
     def fit(self, X, y, *, sample_weight=None, groups=None, lengths=()):
         """Check the model against no correction, and fit it.
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles in rad.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that the first stage's
+            `extra` names.
 
         y : array-like of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
@@ -233,16 +241,15 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         ValueError
             As :class:`JointHarmonicRegressor`.
         """
-        fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         arm, X, y, weights, codes, lengths = check_fit(
-            fitted, X, y, sample_weight, groups, lengths, linear=first
+            self, X, y, sample_weight, groups, lengths, linear=first
         )
         options = LinearOptions.of(first)
         linear, pose_weight = fit_linear_model(arm, X, y, weights, codes, lengths, options)
         robust = weights * pose_weight
         kept = robust > 0
-        inputs = network_input(arm, X, self.features)
+        inputs = network_input(arm, X, self.joints)
         data = TrainingData(X, y, robust, codes, inputs).rows(kept)
         positions = np.arange(len(X)) if groups is None else encode_groups(groups)[1]
         left_out = leave_out(linear, options, X, y, robust, codes, positions, self.n_folds)
@@ -254,23 +261,21 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if n_stages == 2 and self.use == "auto":
             left = centred(left_by(linear, data), data.codes, data.weights)
             n_stages = 1 + shared_by_neighbours(data.network.features, left, data.weights)[1]
-        stages = Stages(linear, None, self.features)
+        stages = Stages(linear, None, self.joints)
         if n_stages == 2:
-            stages = fit_network(self._new_network(), linear, data, self.features)
-        fitted.fadings_ = self._fadings(stages, data)
-        fitted.residual_rms_mm_ = fitted.fadings_[0].size_mm
-        fitted.cap_mm_ = self._longest(stages, data, n_stages)
-        fitted.check_ = None
+            stages = fit_network(self._new_network(), linear, data, self.joints)
+        self.fadings_ = self._fadings(stages, data)
+        self.residual_rms_mm_ = self.fadings_[0].size_mm
+        self.cap_mm_ = self._longest(stages, data, n_stages)
+        self.check_ = None
         if groups is not None and self.use == "auto" and left_out:
             places = np.unique(positions[kept], return_inverse=True)[1].ravel()
-            errors = self._errors(fitted, stages, data, places, left_out, range(n_stages + 1))
-            fitted.check_, n_stages = verdict(errors, MODELS[: n_stages + 1], True, everywhere=few)
-        fitted.use_ = MODELS[n_stages]
-        fitted.linear_model_ = linear
-        fitted.network_ = stages.network if n_stages == 2 else None
-        fitted.pose_weight_ = pose_weight
-        self.__dict__ = fitted.__dict__
-        return self
+            errors = self._errors(stages, data, places, left_out, range(n_stages + 1))
+            self.check_, n_stages = verdict(errors, MODELS[: n_stages + 1], True, everywhere=few)
+        self.use_ = MODELS[n_stages]
+        self.linear_model_ = linear
+        self.network_ = stages.network if n_stages == 2 else None
+        self.pose_weight_ = pose_weight
 
     def _new_network(self, tuned=None):
         """Network to be fitted, with the widths and the ridge of one that is `tuned`."""
@@ -286,7 +291,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
                 network.set_params(alpha=float(np.ravel(tuned.alpha_)[0]))
         return network
 
-    def _errors(self, fitted, stages, data, positions, left_out, n_models):
+    def _errors(self, stages, data, positions, left_out, n_models):
         """Mean deviation of each position, left out, by each number of stages."""
         blocks = [rows for rows, _ in left_out if len(rows)]
         models = [model for rows, model in left_out if len(rows)]
@@ -294,11 +299,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
         def fit(number, rest):
             if network is None:
-                return Stages(models[number], None, self.features)
-            return fit_network(network, models[number], rest, self.features)
+                return Stages(models[number], None, self.joints)
+            return fit_network(network, models[number], rest, self.joints)
 
         def guard(parts, n_rows):
-            return guarded(parts, fitted.fadings_, fitted.cap_mm_, n_rows)[0]
+            return guarded(parts, self.fadings_, self.cap_mm_, n_rows)[0]
 
         return errors_left_out(fit, data, positions, blocks, list(n_models), guard)
 
@@ -314,12 +319,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """Longest correction, mm."""
         if self.cap is None:
             return np.inf
-        cap = quantile(np.linalg.norm(data.y, axis=1), self.cap, data.weights)
+        of_most = {"q": self.cap, "weights": data.weights, "method": "inverted_cdf"}
+        cap = np.quantile(np.linalg.norm(data.y, axis=1), **of_most)
         if data.codes is not None and n_stages:
             parts = stages.parts(data.angles, False, data.network)[:n_stages]
             own = np.linalg.norm(sum(value for value, _ in parts), axis=1)
-            cap = max(cap, _CAP_OF_OFFSETS * quantile(own, self.cap, data.weights))
-        return cap
+            cap = max(cap, _CAP_OF_OFFSETS * np.quantile(own, **of_most))
+        return float(cap)
 
     @property
     def harmonics_(self):
@@ -342,8 +348,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles in rad.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that the first stage's
+            `extra` names.
 
         return_std : bool, default=False
             Also return the standard deviation of the correction before the guards.
@@ -366,9 +373,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         UserWarning
             If less than a tenth is left of most of the corrections.
         """
-        check_is_fitted(self)
-        X = check_features(self, X, dtype=np.float64, reset=False)
-        check_angles(X, X.shape[1], "rad")  # warns of degrees
+        X = check_poses(self, X)
         mean, _, parts = self._guarded(X, return_std)
         if parts and self.fadings_[0].factor > 0:
             warn_where_unknown(self.fadings_[0].share(parts[0][1]), stacklevel=2)
@@ -382,8 +387,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles in rad.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that the first stage's
+            `extra` names.
 
         Returns
         -------
@@ -391,9 +397,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             The smallest share of a stage that its fading leaves: 1 where nothing is faded, towards
             0 where nothing is known.
         """
-        check_is_fitted(self)
-        X = check_features(self, X, dtype=np.float64, reset=False)
-        check_angles(X, X.shape[1], "rad")  # warns of degrees
+        X = check_poses(self, X)
         return self._guarded(X, False)[1]
 
     def _guarded(self, X, return_std):
@@ -401,7 +405,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         n_stages = MODELS.index(self.use_)
         if not n_stages:
             return np.zeros((len(X), 3)), np.ones(len(X)), []
-        stages = Stages(self.linear_model_, self.network_, self.features)
+        stages = Stages(self.linear_model_, self.network_, self.joints)
         fades = self.fadings_[0].factor > 0
         parts = stages.parts(X, return_std or fades)
         return *guarded(parts, self.fadings_, self.cap_mm_, len(X)), parts

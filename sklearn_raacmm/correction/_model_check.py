@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
@@ -126,7 +127,7 @@ def check_correction(
         Fitted model.
 
     X : array-like of shape (n_samples, n_joints)
-        Joint angles of today's poses in rad.
+        Joint angles of today's poses, in the unit that the model takes.
 
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
@@ -211,8 +212,9 @@ def check_correction(
     labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
     lengths = _check_lengths(lengths, labels)
     angles, y, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
-    shown = (linear.arm if arm is None else arm).forward(angles) if lengths else angles[:, :3]
-    correction = model.predict(angles)
+    joints = angles[:, : linear.arm.n_joints]
+    shown = (linear.arm if arm is None else arm).forward(joints) if lengths else angles[:, :3]
+    correction = copy(model).set_params(angle_unit="rad").predict(angles)
     left = y - correction
     kept = weights > 0
     slipped = _slipped(linear, angles, left, codes, kept)

@@ -10,7 +10,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.correction._update import place_columns
-from sklearn_raacmm.utils import check_features, check_whole_number, encode_groups, group_means
+from sklearn_raacmm.error_model import check_poses
+from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means
 
 # What is known before any pose of the place of base and probe, of lengths and of angles: as in
 # `calibrate`. Noise of a coordinate where no model says it, mm: beside wide priors its size hardly
@@ -49,7 +50,7 @@ def next_poses(
         Fitted model; of an ArmResidualRegressor, the first stage. With `free` an arm suffices.
 
     X : array-like of shape (n_candidates, n_joints)
-        Poses that could be measured: joint angles in rad.
+        Poses that could be measured: joint angles, in the unit that the model takes.
 
     n_poses : int
         How many to choose: poses, or positions where `groups` are given.
@@ -190,6 +191,7 @@ def _design_of_arm(model, free, groups):
     with_base = "base" in free and groups is None
 
     def columns(angles):
+        angles = angles[:, :n]  # without extra columns
         own = parameter_jacobian(arm, angles)[1][:, :, taken]
         if not with_base:
             return own
@@ -254,5 +256,4 @@ def _greedy(rows, aim, n_poses, criterion):
 def _check_poses(model, X):
     if isinstance(model, Arm):
         return check_angles(X, model.n_joints, "rad", stacklevel=4)
-    X = check_features(model, X, dtype=np.float64, reset=False)
-    return check_angles(X, X.shape[1], "rad", stacklevel=4)
+    return check_poses(model, X, stacklevel=5)

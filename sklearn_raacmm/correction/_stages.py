@@ -49,9 +49,10 @@ class TrainingData(NamedTuple):
         )
 
 
-def network_input(arm, angles, features):
+def network_input(arm, angles, joints):
     """Features of the poses, "all" joints or "pose", and the direction of the probe's azimuth."""
-    if features == "all":
+    angles = angles[:, : arm.n_joints]  # without extra columns
+    if joints == "all":
         F, (x, y, _) = angles, points_of(arm, angles).T
     else:
         columns, (x, y, _) = pose_columns(arm, angles)
@@ -67,13 +68,13 @@ class Stages:
     ----------
     linear : LinearModel
     network : RBFNetRegressor or None
-    features : {"pose", "all"}
+    joints : {"pose", "all"}
         What the network sees.
     """
 
     linear: LinearModel
     network: RBFNetRegressor | None
-    features: str
+    joints: str
 
     @property
     def arm(self) -> Arm:
@@ -83,7 +84,7 @@ class Stages:
         """Correction by each stage, and its standard deviation or None, (n, 3) each in mm."""
         parts = [self.linear.predict(angles, return_std)]
         if self.network is not None:
-            inputs = network_input(self.arm, angles, self.features) if inputs is None else inputs
+            inputs = network_input(self.arm, angles, self.joints) if inputs is None else inputs
             F, direction = inputs
             if return_std:
                 value, std = self.network.predict(F, return_std=True, with_noise=False)
@@ -93,7 +94,7 @@ class Stages:
         return parts
 
 
-def fit_network(network, linear, data, features):
+def fit_network(network, linear, data, joints):
     """Fit the network on what the linear model leaves.
 
     Parameters
@@ -103,7 +104,7 @@ def fit_network(network, linear, data, features):
     linear : LinearModel
     data : TrainingData
         Its weights are those that the linear model's loss has left: outliers teach no network.
-    features : {"pose", "all"}
+    joints : {"pose", "all"}
 
     Returns
     -------
@@ -111,7 +112,7 @@ def fit_network(network, linear, data, features):
     """
     F, direction = data.network
     left = to_cylindrical(left_by(linear, data), direction)
-    return Stages(linear, clone(network).fit(F, left, data.weights), features)
+    return Stages(linear, clone(network).fit(F, left, data.weights), joints)
 
 
 def left_by(linear, data):

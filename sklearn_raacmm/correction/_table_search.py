@@ -11,7 +11,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.utils import centred, encode_groups
+from sklearn_raacmm.utils import align, centred, encode_groups
 
 # Rows that candidates are ranked on, and how many of them are then calibrated.
 _RANKED_ROWS = 400
@@ -183,7 +183,5 @@ def _quick_scatter(arm, angles, codes, points):
         left = b + (A @ probe).reshape(-1, 3)
         return float(np.linalg.norm(left, axis=1).mean())
     ours = origin + turn @ arm.probe
-    a, b = ours - ours.mean(axis=0), points - points.mean(axis=0)
-    u, _, vt = np.linalg.svd(b.T @ a)
-    rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return float(np.linalg.norm(a @ rotation.T - b, axis=1).mean())
+    rotation, shift = align(ours, points)
+    return float(np.linalg.norm(ours @ rotation.T + shift - points, axis=1).mean())

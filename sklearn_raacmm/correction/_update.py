@@ -14,11 +14,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import check_angles, reach_mm
-from sklearn_raacmm.error_model import LinearModel, interval_scales
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.error_model import LinearModel, check_poses, interval_scales
 from sklearn_raacmm.utils import (
     centred,
-    check_features,
     check_points,
     check_weights,
     encode_groups,
@@ -34,6 +33,8 @@ _TAU, _TAU_LOG_SD = 0.1, 1.5
 _LOG_TAU, _LOG_NOISE, _NOISE_LOG_SD = (-7.0, 0.0), (0.0, 4.0), 1.0
 # How far base and tool may be from where they were registered, mm at the probe.
 _PLACE_MM = 5.0
+# Noise that every measurement has, mm: without any, rounding would decide beside those millimetres.
+_LEAST_NOISE_MM = 1e-4
 # What changes need not be an order that the old data needed: these low ones are offered, too.
 _LOW_ORDERS = 8
 # Tukey's biweight, as in the first fit: standard deviations without weight, median distance of
@@ -72,7 +73,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         Fitted model; it is left as it is.
 
     X : array-like of shape (n_samples, n_joints)
-        Joint angles of the new poses in rad.
+        Joint angles of the new poses, in the unit that the model takes.
 
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
@@ -163,6 +164,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
         )
         return deepcopy(model)
     linear = with_low_orders(linear)
+    linear = replace(linear, noise_variance=max(linear.noise_variance, _LEAST_NOISE_MM**2))
     columns = centred(linear.columns(angles), codes, weights)
     place = centred(place, codes, weights)
     residuals = centred(residuals - _unfaded(model, angles), codes, weights)
@@ -223,8 +225,8 @@ def _keep_fading(updated, model, angles):
 
 
 def _unfaded(model, angles):
-    """What a model predicts before it fades."""
-    model = copy(model)
+    """What a model predicts at angles in rad before it fades."""
+    model = copy(model).set_params(angle_unit="rad")
     if hasattr(model, "fadings_"):
         model.fadings_ = [replace(fading, factor=0.0) for fading in model.fadings_]
     else:
@@ -242,13 +244,17 @@ def linear_model_of(model, done):
             f"A {type(model).__name__} that holds no linear model in use cannot be {done}: it has "
             "no posterior of causes. It can be registered, by calibrate(..., correction=model)."
         )
+    if linear.terms.extra:
+        raise ValueError(
+            f"A model with extra columns ({', '.join(name for name, _ in linear.terms.extra)}) "
+            f"cannot be {done} yet: fit it again."
+        )
     return linear
 
 
 def check_new_poses(model, X, y, groups, sample_weight):
     """Angles, residuals, weights and codes of new poses; each fault gets one clear sentence."""
-    angles = check_features(model, X, dtype=np.float64, reset=False)
-    check_angles(angles, angles.shape[1], "rad", stacklevel=6)
+    angles = check_poses(model, X, stacklevel=6)
     y = check_points(y, 3)
     if len(y) != len(angles):
         raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")

@@ -61,6 +61,9 @@ class ArmErrors:
     drift_k : float, default=0.0
         Warming during a data set, K, on top of `warming_k`: fast at first, then slower (three time
         constants). Off by default.
+    payload_n : float, default=0.0
+        Weight at the probe, N: it varies between 0 and this number from pose to pose. Joints twist
+        and tubes bend under it as under the arm's own weight. Off by default.
     slip_share : float, default=0.0
         Share of the poses in which the probe has slipped out of its seat. Off by default.
     slip_mm : float, default=1.0
@@ -99,6 +102,7 @@ class ArmErrors:
     play_arcsec: float = 0.0
     softening_arcsec: float = 0.0
     drift_k: float = 0.0
+    payload_n: float = 0.0
     slip_share: float = 0.0
     slip_mm: float = 1.0
 

@@ -15,6 +15,7 @@ from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._bunch import pack
 from sklearn_raacmm.datasets._checksums import PANDA, UR10
 from sklearn_raacmm.datasets._download import cached_file, data_folder
+from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Interval, StrOptions, validate_params
 
@@ -61,12 +62,12 @@ _UR10_DESCR = """\
 A UR10 against a laser tracker
 ------------------------------
 
-A UR10, six joints, went to 619 goal positions in up to 24 orientations each, in one run of twelve
-hours; a Leica T-Mac on its flange was followed by a laser tracker. Here the residual is known in
+A UR10, six joints, went to 619 goal positions in up to 24 orientations each, within 101 hours with
+breaks; a Leica T-Mac on its flange was followed by a laser tracker. Here the residual is known in
 full, not only up to a constant per position.
 
 :Rows: 11 911 poses
-:Measured: commanded joint angles, rad; points in the tracker's frame, mm; temperature, degC
+:Measured: commanded joint angles, rad; points in the tracker's frame, mm; temperature, degC; time
 :Computed here: points and residuals in the arm's base frame, mm, with the arm calibrated on all
     rows, the tracker's frame and the place of the T-Mac included
 :Pose: the shoulder and elbow axes are parallel, there is no swivel between them; the pose is made
@@ -284,6 +285,11 @@ def fetch_ur10_tracker(
             axes to the tracker's, for ``calibrate(..., orientations=)``.
         temperature : ndarray of shape (11911,)
             In degC.
+        directions : ndarray of shape (11911, 6)
+            Direction from which each joint came: 1 from smaller angles, -1 from larger ones, 0
+            where it stood still, by the pose that was measured before.
+        time : ndarray of datetime64 of shape (11911,)
+            When each pose was measured, to a second. Ten poses do not stand in this order.
         arm : Arm
             The arm, calibrated on all rows.
         nominal_arm : Arm
@@ -336,6 +342,10 @@ def fetch_ur10_tracker(
     table = np.loadtxt(text.splitlines()[1:], delimiter=";", usecols=range(_TURN.stop))
     angles, tracker_points = table[:, _JOINTS], table[:, _POINT]
     goals = np.unique(table[:, _GOAL].round(6), axis=0, return_inverse=True)[1].ravel()
+    time = np.array([_time_of(line) for line in text.splitlines()[1:]], dtype="datetime64[s]")
+    order = np.argsort(time, kind="stable")
+    directions = np.empty_like(angles)
+    directions[order] = directions_of(angles[order])
     nominal = Arm.from_name("ur10", probe=(0, 0, 93))
     result = calibrate(nominal, angles, points=tracker_points)
     points = result.arm.forward(angles)
@@ -349,6 +359,8 @@ def fetch_ur10_tracker(
             _TURN_ORDER, table[:, _TURN], degrees=True
         ).as_matrix(),
         temperature=table[:, _TEMPERATURE],
+        directions=directions,
+        time=time,
         arm=result.arm.replace(name="ur10, calibrated"),
         nominal_arm=nominal,
         feature_names=[f"q{i}" for i in range(1, 7)],
@@ -356,6 +368,12 @@ def fetch_ur10_tracker(
         DESCR=_UR10_DESCR,
     )
     return pack(data, return_X_y, as_frame)
+
+
+def _time_of(line):
+    """Time in the first field of a line, 20200714163904, as NumPy reads it."""
+    t = line.split(";", 1)[0]
+    return f"{t[:4]}-{t[4:6]}-{t[6:8]}T{t[8:10]}:{t[10:12]}:{t[12:14]}"
 
 
 def _address(given, default):

@@ -18,14 +18,22 @@ from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._bunch import pack
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_whole_number, floats
+from sklearn_raacmm.utils import check_whole_number, floats, validate_params
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
 # The reference temperature of dimensional metrology (ISO 1).
 _CALIBRATED_AT_DEGC = 20.0
+# Numbers and lengths are checked with the machine at hand.
+_CONSTRAINTS = {
+    "machine": [SimulatedArm, ArmErrors, str],
+    "random_state": ["random_state"],
+    "return_X_y": ["boolean"],
+    "as_frame": ["boolean"],
+}
 
 
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_single_point(
     n_positions: int = 10,
     n_poses: int = 100,
@@ -80,6 +88,8 @@ def make_single_point(
             rows are in the order in which they were taken.
         temperature : ndarray of shape (n_positions * n_poses,)
             Temperature of the arm, degC; it was calibrated at 20 degC.
+        payload : ndarray of shape (n_positions * n_poses,)
+            Weight at the probe, N; it was calibrated without.
         frame : DataFrame
             data, target and position; only with ``as_frame=True``.
         simulation : Bunch
@@ -124,6 +134,7 @@ def make_single_point(
     return pack(data, return_X_y, as_frame)
 
 
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_gauge(
     lengths: ArrayLike = (300.0, 500.0),
     n_placements: int = 10,
@@ -215,13 +226,19 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
     return result.arm.replace(name="calibrated (simulated)")
 
 
-def _readings(machine, cones, poses, rng, warming_k=0.0, slipped=False):
+def _readings(machine, cones, poses, rng, warming_k=0.0, slipped=False, payload_n=0.0):
     """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
     groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
     seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
     true_points = cones[groups] + seating + slipped
     poses = np.vstack(poses)
-    angles = machine.solve(poses, true_points, warming_k=warming_k, directions=directions_of(poses))
+    angles = machine.solve(
+        poses,
+        true_points,
+        warming_k=warming_k,
+        directions=directions_of(poses),
+        payload_n=payload_n,
+    )
     return machine.read(angles, rng), groups, true_points
 
 
@@ -241,11 +258,19 @@ def _slips(errors, n_rows, rng):
     return errors.slip_mm * slipped[:, None] * directions
 
 
+def _payloads(errors, n_rows, rng):
+    """Weight at the probe in each row, N."""
+    if not errors.payload_n:  # and no draw
+        return np.zeros(n_rows)
+    return rng.uniform(0, errors.payload_n, n_rows)
+
+
 def _measure(machine, cones, poses, rng):
     n_rows = sum(map(len, poses))
     warming, slips = _warming(machine.errors, n_rows), _slips(machine.errors, n_rows, rng)
     directions = directions_of(np.vstack(poses))
-    angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips)
+    payload = _payloads(machine.errors, n_rows, rng)
+    angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips, payload)
     arm = _calibrated_arm(machine)
     points = arm.forward(angles)
     return Bunch(
@@ -259,12 +284,13 @@ def _measure(machine, cones, poses, rng):
         target_names=["dx", "dy", "dz"],
         directions=directions,
         temperature=_CALIBRATED_AT_DEGC + warming,
+        payload=payload,
         simulation=Bunch(
             machine=machine,
             positions=cones,
             true_points=true_points,
             perfect_correction=points
-            - machine.forward(angles, warming_k=warming, directions=directions),
+            - machine.forward(angles, warming_k=warming, directions=directions, payload_n=payload),
             slipped=np.any(slips, axis=1),
         ),
     )

@@ -70,8 +70,8 @@ class SimulatedArm:
     >>> from sklearn_raacmm.datasets import SimulatedArm
     >>> machine = SimulatedArm("typical", random_state=0)
     >>> angles = [[0.0, -1.5, 0.2, 1.5, 0.0, 0.1]]
-    >>> sorted(machine.deviations(angles))
-    ['eccentricity', 'play', 'runout', 'sag', 'softening', 'torsion', 'warming', 'wobble']
+    >>> sorted(machine.deviations(angles))[:5]
+    ['eccentricity', 'payload', 'play', 'runout', 'sag']
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class SimulatedArm:
     def __repr__(self):
         return f"SimulatedArm({self.errors})"
 
-    def deviations(self, angles, *, warming_k=None, directions=None):
+    def deviations(self, angles, *, warming_k=None, directions=None, payload_n=0.0):
         """How far each source moves the probe from where the true geometry alone would have it.
 
         Parameters
@@ -121,6 +121,8 @@ class SimulatedArm:
         directions : array-like of shape (n_samples, 6), default=None
             Direction from which each joint came: 1 from smaller angles, -1 from larger ones, 0 in
             the middle of its play. None: all in the middle.
+        payload_n : float or array-like of shape (n_samples,), default=0
+            Weight at the probe in N, of all poses or of each.
 
         Returns
         -------
@@ -153,8 +155,11 @@ class SimulatedArm:
         )
         tubes = (origin[:, 3] - origin[:, 2]) + (origin[:, 5] - origin[:, 4])
         body = (probe - origin[:, 0]) - tubes
-        warming = _warming(errors.warming_k if warming_k is None else warming_k, len(angles))
+        warming = errors.warming_k if warming_k is None else warming_k
+        warming = _per_row("warming_k", warming, len(angles))
         torques = self._torques(axes, origin)
+        payload = _per_row("payload_n", payload_n, len(angles))
+        pulled = (axes * np.cross(levers / 1e3, [0.0, 0.0, -1.0])).sum(axis=2) * payload
         lag = np.zeros(angles.shape)
         if directions is not None:
             lag = -self._play / 2 * _points("directions", directions, angles.shape)
@@ -163,12 +168,13 @@ class SimulatedArm:
         return {
             "eccentricity": turned(eccentricity),
             "torsion": turned(compliance * torques),
-            "sag": self._sag(origin, probe),
+            "sag": self._bending(origin, probe),
             "wobble": errors.wobble_arcsec * _ARCSEC * np.cross(tilt, levers).sum(axis=1),
             "runout": errors.runout_um * 1e-3 * shift.sum(axis=1),
             "warming": warming * (_TUBE_EXPANSION * tubes + _BODY_EXPANSION * body),
             "play": turned(lag),
             "softening": turned(softening),
+            "payload": turned(compliance * pulled) + self._bending(origin, probe, 0, payload),
         }
 
     def gravity_torques(self, angles):
@@ -209,7 +215,8 @@ class SimulatedArm:
             torques[:, :k] += (axes[:, :k] * moments).sum(axis=2)
         return torques
 
-    def _sag(self, origin, probe):
+    def _bending(self, origin, probe, own_weight=1, payload=0.0):
+        """How far the tubes bend under their own weight (0 or 1 times) and a payload in N."""
         upper, elbow, forearm, wrist = self._loads()
         moved = np.zeros_like(probe)
         for k, (start, end, load) in enumerate(((2, 3, elbow + forearm + wrist), (4, 5, wrist))):
@@ -218,20 +225,23 @@ class SimulatedArm:
             along = tube / length
             across = np.array([0.0, 0.0, -1.0]) + along[:, 2:] * along
             weight = (upper, forearm)[k]  # w L
-            sag = self.errors.sag_um[k] * 1e-3
-            slope = sag / length * (weight / 6 + load / 2) / (weight / 8 + load / 3)
+            # sag_um is that of the horizontal tube under its own weight and load.
+            unit = self.errors.sag_um[k] * 1e-3 / (weight / 8 + load / 3)
+            weight, load = own_weight * weight, own_weight * load + payload
+            sag = unit * (weight / 8 + load / 3)
+            slope = unit / length * (weight / 6 + load / 2)
             moved += sag * across
             moved += np.cross(slope * np.cross(along, across), probe - origin[:, end])
         return moved
 
-    def forward(self, angles, *, warming_k=None, directions=None):
+    def forward(self, angles, *, warming_k=None, directions=None, payload_n=0.0):
         """Where the probe really is.
 
         Parameters
         ----------
         angles : array-like of shape (n_samples, 6)
             Encoder angles free of noise, rad.
-        warming_k, directions : default=None
+        warming_k, directions, payload_n
             As in :meth:`deviations`.
 
         Returns
@@ -239,9 +249,10 @@ class SimulatedArm:
         points : ndarray of shape (n_samples, 3)
             True centres of the probe, mm.
         """
-        return self.true_arm.forward(angles) + sum(
-            self.deviations(angles, warming_k=warming_k, directions=directions).values()
+        deviations = self.deviations(
+            angles, warming_k=warming_k, directions=directions, payload_n=payload_n
         )
+        return self.true_arm.forward(angles) + sum(deviations.values())
 
     def read(self, angles, random_state=None):
         """Read the encoders: noise and quantisation on top of the angles.
@@ -308,7 +319,7 @@ class SimulatedArm:
             f"it is {np.linalg.norm(point - self.shoulder) / self.reach:.0%} of the reach away."
         )
 
-    def solve(self, angles, points, *, warming_k=None, directions=None):
+    def solve(self, angles, points, *, warming_k=None, directions=None, payload_n=0.0):
         """Move poses a little until the true probe is at the points.
 
         Parameters
@@ -317,7 +328,7 @@ class SimulatedArm:
             Poses nearby, rad.
         points : ndarray of shape (n_samples, 3)
             Where the true probe shall be, mm.
-        warming_k, directions : default=None
+        warming_k, directions, payload_n
             As in :meth:`deviations`.
 
         Returns
@@ -332,7 +343,7 @@ class SimulatedArm:
         """
 
         def forward(q):
-            return self.forward(q, warming_k=warming_k, directions=directions)
+            return self.forward(q, warming_k=warming_k, directions=directions, payload_n=payload_n)
 
         angles = check_angles(angles, 6, "rad")
         points = _points("points", points, (len(angles), 3))
@@ -379,18 +390,16 @@ class SimulatedArm:
         )
 
 
-def _warming(value, n_rows):
-    """Warming as one number, or as a column of one for each row."""
-    warming = floats("warming_k", value)
-    if warming.shape not in ((), (n_rows,)) or not np.all(np.isfinite(warming)):
-        raise ValueError(
-            f"warming_k must be a finite number, or {n_rows} of them, got {show(value)}."
-        )
-    return warming[:, None] if warming.ndim else warming
+def _per_row(name, value, n_rows):
+    """One number for all rows, or a column of one for each."""
+    numbers = floats(name, value)
+    if numbers.shape not in ((), (n_rows,)) or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{name} must be a finite number, or {n_rows} of them, got {show(value)}.")
+    return numbers[:, None] if numbers.ndim else numbers
 
 
 def directions_of(angles):
-    """Direction from which each joint came, (n, 6), where the poses were taken in this order.
+    """Direction from which each joint came, (n, n_joints), where poses were taken in this order.
 
     The first pose is taken to have been reached as the second one.
     """

@@ -10,14 +10,21 @@ from sklearn_raacmm.display._drawing import (
     AFTER,
     BEFORE,
     FLOOR,
+    SHIFT,
     axes_grid,
-    line,
+    marks,
     name_places,
     new_axes,
     room_for_legend,
     subtract,
+    unit_of,
 )
-from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
+from sklearn_raacmm.metrics import (
+    gauge_lengths,
+    length_error,
+    repeatability_interval,
+    single_point_repeatability,
+)
 from sklearn_raacmm.utils import check_points
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
@@ -46,6 +53,9 @@ class RepeatabilityDisplay:
     name : str, default="after"
         Name of the correction in the legend.
 
+    before_interval, after_interval : ndarray of shape (n_positions, 2), default=None
+        Lower and upper ends of the intervals of `before` and `after`, mm.
+
     Attributes
     ----------
     ax_ : matplotlib Axes
@@ -53,6 +63,14 @@ class RepeatabilityDisplay:
 
     figure_ : matplotlib Figure
         The figure.
+
+    unit_ : str
+        Unit of the figure: "µm" where all values are below 0.1 mm, else "mm".
+
+    Notes
+    -----
+    The vertical lines are intervals of :func:`~sklearn_raacmm.metrics.repeatability_interval`: what
+    another choice of poses at the same positions would change.
 
     Examples
     --------
@@ -73,13 +91,26 @@ class RepeatabilityDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(self, *, before, after, positions=None, floor=None, statistic="2s", name="after"):
+    def __init__(
+        self,
+        *,
+        before,
+        after,
+        positions=None,
+        floor=None,
+        statistic="2s",
+        name="after",
+        before_interval=None,
+        after_interval=None,
+    ):
         self.before = before
         self.after = after
         self.positions = positions
         self.floor = floor
         self.statistic = statistic
         self.name = name
+        self.before_interval = before_interval
+        self.after_interval = after_interval
 
     @classmethod
     def from_estimator(cls, estimator, X, points, *, groups, ax=None, **options):
@@ -103,7 +134,8 @@ class RepeatabilityDisplay:
             Axes to draw on. None: new ones.
 
         **options : dict
-            `perfect`, `statistic` and `name` of :meth:`from_predictions`.
+            `perfect`, `statistic`, `name`, `interval` and `random_state` of
+            :meth:`from_predictions`.
 
         Returns
         -------
@@ -116,7 +148,17 @@ class RepeatabilityDisplay:
 
     @classmethod
     def from_predictions(
-        cls, points, y_pred, *, groups, perfect=None, statistic="2s", name="after", ax=None
+        cls,
+        points,
+        y_pred,
+        *,
+        groups,
+        perfect=None,
+        statistic="2s",
+        name="after",
+        interval=0.95,
+        random_state=0,
+        ax=None,
     ):
         """Draw the repeatability of points before and after a given correction.
 
@@ -140,6 +182,12 @@ class RepeatabilityDisplay:
         name : str, default="after"
             Name of the correction in the legend.
 
+        interval : float or None, default=0.95
+            Probability of the bootstrap intervals, between 0 and 1. None: no intervals.
+
+        random_state : int, RandomState instance or None, default=0
+            Of the bootstrap.
+
         ax : matplotlib Axes, default=None
             Axes to draw on. None: new ones.
 
@@ -151,22 +199,28 @@ class RepeatabilityDisplay:
         Raises
         ------
         ValueError
-            If shapes differ, values are not finite, or a position holds a single point.
+            If shapes differ, values are not finite, a position holds a single point, or `interval`
+            is not between 0 and 1.
         """
         points = check_points(points, n_coordinates=3)
+        options = {"statistic": statistic, "aggregate": None}
 
-        def spread(correction):
-            return single_point_repeatability(
-                subtract(points, correction), groups, statistic=statistic, aggregate=None
-            )
+        def spread(points):
+            return single_point_repeatability(points, groups, **options)
 
+        corrected = {"before": points, "after": subtract(points, y_pred)}
+        values = {side: spread(some) for side, some in corrected.items()}
+        floor = None if perfect is None else spread(subtract(points, perfect))
+        if interval is not None:
+            options |= {"probability": interval, "random_state": random_state}
+            for side, some in corrected.items():
+                values[f"{side}_interval"] = repeatability_interval(some, groups, **options)
         return cls(
-            before=spread(np.zeros_like(points)),
-            after=spread(y_pred),
             positions=np.unique(groups),
-            floor=None if perfect is None else spread(perfect),
+            floor=floor,
             statistic=statistic,
             name=name,
+            **values,
         ).plot(ax)
 
     def plot(self, ax=None, *, before_kwargs=None, after_kwargs=None):
@@ -187,17 +241,20 @@ class RepeatabilityDisplay:
         """
         ax = new_axes(ax, figsize=(7, 3.6))
         place = np.arange(1, len(self.before) + 1)
-        line(ax, place, self.before, "before", BEFORE, before_kwargs)
-        line(ax, place, self.after, self.name, AFTER, after_kwargs)
+        unit = unit_of([self.before, self.after])
+        sides = (self.before_interval, self.after_interval)
+        marks(ax, place - SHIFT, self.before, "before", BEFORE, unit, before_kwargs, sides[0])
+        marks(ax, place + SHIFT, self.after, self.name, AFTER, unit, after_kwargs, sides[1])
         if self.floor is not None:
-            line(ax, place, self.floor, "noise floor", FLOOR, None)
+            marks(ax, place, self.floor, "noise floor", FLOOR, unit)
         labels = place if self.positions is None else self.positions
         name_places(ax, place, labels)
-        ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} (mm)")
-        drawn = [self.before, self.after] + ([] if self.floor is None else [self.floor])
-        room_for_legend(ax, 0.0, np.max(drawn), 0.35)
+        ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} ({unit[1]})")
+        shown = (self.before, self.after, self.floor, *sides)
+        largest = max(np.max(values) for values in shown if values is not None)
+        room_for_legend(ax, 0.0, unit[0] * largest, 0.35)
         ax.legend(fontsize="small", loc="upper left", title="mean", title_fontsize="small")
-        self.ax_, self.figure_ = ax, ax.figure
+        self.ax_, self.figure_, self.unit_ = ax, ax.figure, unit[1]
         return self
 
 
@@ -228,6 +285,9 @@ class LengthErrorDisplay:
 
     figure_ : matplotlib Figure
         The figure.
+
+    unit_ : str
+        Unit of the figure: "µm" where all errors are below 0.1 mm, else "mm".
 
     Examples
     --------
@@ -374,21 +434,22 @@ class LengthErrorDisplay:
         sizes = np.unique(self.lengths)
         axes = axes_grid(axes, (1, len(sizes)), figsize=(4.2 * len(sizes), 3.8), sharey=True)[0]
         drawn = [self.before, self.after] + ([] if self.floor is None else [self.floor])
-        low, high = np.min(drawn), np.max(drawn)
+        unit = unit_of([self.before, self.after])
+        low, high = unit[0] * np.min(drawn), unit[0] * np.max(drawn)
         for ax, size in zip(axes, sizes, strict=True):
             rows = np.flatnonzero(self.lengths == size)
             place = np.arange(1, len(rows) + 1)
             ax.axhline(0, color="0.8", linewidth=1, zorder=0)
-            line(ax, place, self.before[rows], "before", BEFORE, before_kwargs)
-            line(ax, place, self.after[rows], self.name, AFTER, after_kwargs)
+            marks(ax, place - SHIFT, self.before[rows], "before", BEFORE, unit, before_kwargs)
+            marks(ax, place + SHIFT, self.after[rows], self.name, AFTER, unit, after_kwargs)
             if self.floor is not None:
-                line(ax, place, self.floor[rows], "noise floor", FLOOR, None)
+                marks(ax, place, self.floor[rows], "noise floor", FLOOR, unit)
             name_places(ax, place, place)
             ax.set(xlabel="placement", title=f"{size:g} mm")
             room_for_legend(ax, low - 0.05 * (high - low), high, 0.5)
             ax.legend(
                 fontsize="small", loc="upper left", title="mean |error|", title_fontsize="small"
             )
-        axes[0].set_ylabel("measured - calibrated (mm)")
-        self.axes_, self.figure_ = axes, axes[0].figure
+        axes[0].set_ylabel(f"measured - calibrated ({unit[1]})")
+        self.axes_, self.figure_, self.unit_ = axes, axes[0].figure, unit[1]
         return self

@@ -7,9 +7,15 @@ import numpy as np
 
 from sklearn_raacmm.utils import check_points
 
-BEFORE = {"color": "0.55", "marker": "o", "linestyle": ":", "markersize": 5}
-AFTER = {"color": "tab:blue", "marker": "D", "linestyle": ":", "markersize": 5}
-FLOOR = {"color": "0.2", "linestyle": "--", "linewidth": 1}
+# Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
+# have no order, so that no line joins them.
+BEFORE = {"color": "#D55E00", "marker": "o", "linestyle": "", "markersize": 5}
+AFTER = {"color": "#0072B2", "marker": "D", "linestyle": "", "markersize": 5}
+FLOOR = {"color": "0.2", "marker": "_", "linestyle": "", "markersize": 10}
+# How far before and after stand to the left and right of their place, so that neither hides.
+SHIFT = 0.12
+# Largest value up to which a figure is in micrometres, mm.
+_MICROMETRES_UP_TO = 0.1
 
 
 def subtract(points, correction):
@@ -43,9 +49,22 @@ def axes_grid(axes, shape, **options):
     return axes.reshape(shape)
 
 
-def line(ax, place, values, label, style, kwargs):
-    mean = np.mean(np.abs(values))
-    ax.plot(place, values, **(style | {"label": f"{label}: {mean:.4f} mm"} | (kwargs or {})))
+def unit_of(values):
+    """One unit for a figure: how many of it a mm has, and its name."""
+    largest = np.max(np.abs(values), initial=0.0)
+    return (1000.0, "µm") if largest < _MICROMETRES_UP_TO else (1.0, "mm")
+
+
+def marks(ax, place, values, label, style, unit, kwargs=None, interval=None):
+    """Draw a value (mm) at each place, with its interval (n, 2) where that is known."""
+    factor, name = unit
+    mean = factor * np.mean(np.abs(values))
+    digits = ".1f" if name == "µm" else ".4f"
+    style = style | {"label": f"{label}: {mean:{digits}} {name}"} | (kwargs or {})
+    (drawn,) = ax.plot(place, factor * np.asarray(values), **style)
+    if interval is not None:
+        low, high = factor * np.asarray(interval).T
+        ax.vlines(place, low, high, color=drawn.get_color(), linewidth=1.2)
 
 
 def name_places(ax, place, labels):

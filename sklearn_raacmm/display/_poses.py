@@ -9,15 +9,16 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, arm_or_built_in
-from sklearn_raacmm.display._drawing import AFTER, pyplot, subtract
+from sklearn_raacmm.display._drawing import AFTER, BEFORE, pyplot, subtract
 from sklearn_raacmm.utils import check_option, check_points, check_whole_number, deviations_by_group
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
-# Not the grey of the other displays: that is the arm's here.
-_BEFORE = {"color": "tab:orange", "linewidth": 1.0}
+_BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
 _AFTER = {"color": AFTER["color"], "linewidth": 1.0}
 # The longest residual is drawn as long as this share of the arm, or a little shorter.
 _LONGEST = 0.3
+# Matplotlib leaves room around a box in space for any view; the usual ones need less.
+_ZOOM = 1.05
 
 
 class ArmPosesDisplay:
@@ -225,6 +226,8 @@ class ArmPosesDisplay:
                 lines = self._bristles(tips, residuals)
                 ax.plot(*lines.T, **(style | {"label": label} | (kwargs or {})))
         corners = np.vstack([self.chains[shown].reshape(-1, 3), [[0, 0, 0]]])
+        longest = self._bristles(tips, self.before).reshape(-1, 3, 3)[:, 1]
+        corners = np.vstack([corners, longest])
         ax.plot(*np.array([[0, 0, 0], [0, 0, 1e-9]]).T, "s", color="0.4", markersize=6)
         ax.set(
             xlabel="x (mm)",
@@ -232,9 +235,8 @@ class ArmPosesDisplay:
             zlabel="z (mm)",
             title=f"{len(shown)} of {len(tips)} poses; residuals x {self.magnification_:g}",
         )
-        ax.set_box_aspect(np.maximum(np.ptp(corners, axis=0), 0.1 * np.ptp(corners)), zoom=1.1)
-        ax.set_aspect("equal")
-        ax.legend(fontsize="small")
+        _fill(ax, corners)
+        ax.legend(fontsize="small", loc="upper left")
         self.ax_, self.figure_ = ax, ax.figure
         return self
 
@@ -252,6 +254,18 @@ class ArmPosesDisplay:
         most = _LONGEST * np.ptp(self.chains.reshape(-1, 3), axis=0).max() / longest
         power = 10.0 ** np.floor(np.log10(most))
         return float(power * max(digit for digit in (1, 2, 5) if digit * power <= most))
+
+
+def _fill(ax, points):
+    """Equal scales, limits close to the points (n, 3), and a box that fills the axes."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    # Arms that stand in one plane still get a box that can be turned.
+    half = 0.52 * np.maximum(high - low, 0.1 * np.max(high - low))
+    middle = (low + high) / 2
+    for axis, start, end in zip("xyz", middle - half, middle + half, strict=True):
+        ax.set(**{f"{axis}lim": (start, end)})
+    ax.set_box_aspect(half, zoom=_ZOOM)
+    ax.locator_params(nbins=5)
 
 
 def arm_chains(arm, angles, angle_unit="rad"):

@@ -6,16 +6,21 @@
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.display._drawing import AFTER, BEFORE, axes_grid, subtract
+from sklearn_raacmm.display._drawing import AFTER, BEFORE, axes_grid, subtract, unit_of
 from sklearn_raacmm.residuals import PoseFeatures, cartesian_to_cylindrical
 from sklearn_raacmm.utils import check_points, deviations_by_group
 
-_DOTS = {"linestyle": "", "marker": ".", "markersize": 4, "alpha": 0.7, "markeredgewidth": 0}
+_DOTS = {"linestyle": "", "marker": ".", "markersize": 4, "alpha": 0.5, "markeredgewidth": 0}
+# The band in which nine of ten residuals lie, over bins of equal numbers of poses.
+_TAILS, _MOST_BINS, _LEAST_PER_BIN = (0.05, 0.95), 12, 20
 _COMPONENTS = ("radial", "tangential", "axial")
 
 
 class ResidualDisplay:
     """Radial, tangential and axial residuals against the three angles of the pose.
+
+    Dots are single poses. Where a correction is given, lines bound the band in which 90 % of the
+    residuals lie before (dashed) and after it, so that both can be read where the dots overlap.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`.
 
@@ -43,6 +48,9 @@ class ResidualDisplay:
 
     figure_ : matplotlib Figure
         The figure.
+
+    unit_ : str
+        Unit of the figure: "µm" where all residuals are below 0.1 mm, else "mm".
 
     Examples
     --------
@@ -181,21 +189,40 @@ class ResidualDisplay:
         self : object
             The display, with `axes_` and `figure_`.
         """
+        given = axes is not None
         axes = axes_grid(axes, (3, 3), figsize=(8, 6.5), sharex="col", sharey=True)
         # Rasterised: thousands of dots would make a vector file of megabytes.
         dots = _DOTS | {"rasterized": True}
+        factor, unit = unit_of(self.before)
+        sides = [(self.before, "before", BEFORE["color"], "--", before_kwargs)]
+        if self.after is not None:
+            sides.append((self.after, self.name, AFTER["color"], "-", after_kwargs))
         for i, j in np.ndindex(3, 3):
             ax, angle = axes[i, j], np.rad2deg(self.pose[:, j])
-            style = dots | {"color": BEFORE["color"], "label": "before"} | (before_kwargs or {})
-            ax.plot(angle, self.before[:, i], **style)
+            for values, label, color, _, kwargs in sides:
+                style = dots | {"color": color, "label": label} | (kwargs or {})
+                ax.plot(angle, factor * values[:, i], **style)
             if self.after is not None:
-                style = dots | {"color": AFTER["color"], "label": self.name} | (after_kwargs or {})
-                ax.plot(angle, self.after[:, i], **style)
+                for values, label, color, line, _ in sides:
+                    middle, band = _band(angle, factor * values[:, i])
+                    name = [f"90 %, {label}"] + [None] * (len(band) - 1)
+                    ax.plot(middle, band.T, color=color, linestyle=line, lw=1.4, label=name)
             if i == 2:
                 ax.set_xlabel(f"{self.feature_names[j]} (deg)")
             if j == 0:
-                ax.set_ylabel(f"{_COMPONENTS[i]} residual (mm)")
-        if self.after is not None:
-            axes[0, 2].legend(fontsize="small", markerscale=4)
-        self.axes_, self.figure_ = axes, axes[0, 0].figure
+                ax.set_ylabel(f"{_COMPONENTS[i]} residual ({unit})")
+        if self.after is not None and given:
+            axes[0, 2].legend(fontsize="small", markerscale=3)
+        elif self.after is not None:
+            handles = axes[0, 0].get_legend_handles_labels()
+            axes[0, 0].figure.legend(*handles, loc="outside lower center", ncols=4, markerscale=3)
+        self.axes_, self.figure_, self.unit_ = axes, axes[0, 0].figure, unit
         return self
+
+
+def _band(angle, values):
+    """Middles of bins of equal numbers of poses, and the quantiles (2, n_bins) in each."""
+    n_bins = int(np.clip(len(angle) // _LEAST_PER_BIN, 1, _MOST_BINS))
+    bins = np.array_split(np.argsort(angle, kind="stable"), n_bins)
+    middle = np.array([np.median(angle[rows]) for rows in bins])
+    return middle, np.array([np.quantile(values[rows], _TAILS) for rows in bins]).T

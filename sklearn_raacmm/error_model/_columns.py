@@ -14,18 +14,23 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, cross, dh_theta, frame_columns, probe_of, reach_mm
+from sklearn_raacmm.error_model._extra import force_on_probe, parsed
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own.
-HARMONIC, GRAVITY, KINEMATICS, WOBBLE = range(4)
-FAMILIES = ("harmonics", "gravity", "kinematics", "wobble")
+HARMONIC, GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, TOOL = range(8)
+FAMILIES = (
+    "harmonics", "gravity", "kinematics", "wobble", "temperature", "direction", "force", "tool"
+)  # fmt: skip
 # Kinds of columns: a small turn about an axis of a frame, a small shift along it, or a turn about
-# it in proportion to the torque of a load about that axis.
-TURN, SHIFT, LOAD = range(3)
+# it in proportion to the torque about that axis of a load, or of a force on the probe.
+TURN, SHIFT, LOAD, PUSH = range(4)
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
 # What places the base and is not in its table: shifts along and turns about x and y.
 _BASE = ("base_x", "base_y", "base_alpha", "base_beta")
+# Shorter lengths of the table do not grow: 1 mm of aluminium grows by 0.02 um per K.
+_LEAST_GROWING_MM = 1.0
 # Consecutive waves of one joint about one axis from which on a product per joint is faster than
 # one selection of all axes: measured between 1 and 512 rows.
 _LONG_RUN = 24
@@ -36,12 +41,16 @@ class Terms(NamedTuple):
 
     harmonics (n_pairs, 2): joint from 0 and order; each is a cosine and a sine column, first of
     all. Then those of the families that are on.
+    extra: name and reference of each column of X after the angles, as `with_references` makes them.
+    target: three turns of a target on the last link, which its orientation shows and no point does.
     """
 
     harmonics: np.ndarray
     gravity: bool
     kinematics: bool
     wobble: bool
+    extra: tuple = ()
+    target: bool = False
 
 
 class Column(NamedTuple):
@@ -49,12 +58,13 @@ class Column(NamedTuple):
 
     name: str
     family: int
-    kind: int  # TURN, SHIFT or LOAD
+    kind: int  # TURN, SHIFT, LOAD or PUSH
     frame: int  # whose axis it is: 0 is the base
     axis: int  # 0, 1, 2: x, y, z of the frame
     unit: float  # rad or mm per unit coefficient; for LOAD per mm of lever, too
     of: int = 0  # joint of the wave from 0; for LOAD the frame of the load, n_joints + 1: the probe
     order: int = 0  # of the wave: cosine if positive, sine if negative, none if 0
+    by: int = -1  # the extra column that multiplies it, from 0; -1: none
 
 
 class ColumnTable(NamedTuple):
@@ -123,18 +133,76 @@ def _wobble(arm):
                     yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, signed)
 
 
+def _temperature(arm, name, by):
+    """Growth of lengths and drift of offsets, of all joints or of one, per unit of temperature.
+
+    A length grows in proportion to itself: a coefficient of 1 is one arc second in rad, 4.8 ppm.
+    """
+    _, joint = parsed(name, arm.n_joints)
+    of_joint = {f"{field}{joint + 1}" for field in ("a", "d", "theta_offset")}
+    if joint == arm.n_joints - 1:
+        of_joint |= {"probe_x", "probe_y", "probe_z"}
+    lengths = _lengths(arm)
+    for column in _kinematics(arm):
+        length = lengths.get(column.name, 0.0)
+        grows = abs(length) > _LEAST_GROWING_MM
+        if joint >= 0 and column.name not in of_joint:
+            continue
+        if grows or column.name.startswith("theta_offset"):
+            unit = ARCSEC * length if grows else ARCSEC
+            yield column._replace(
+                name=f"{column.name} by {name}", family=TEMPERATURE, unit=unit, by=by
+            )
+
+
+def _force(arm):
+    """Turns of each frame about each of its axes, by the torque of a force on the probe."""
+    unit = ARCSEC / reach_mm(arm)
+    for frame in range(arm.n_joints + 1):
+        for axis in range(3):
+            name = f"force bends frame {frame} about {'xyz'[axis]}"
+            yield Column(name, FORCE, PUSH, frame, axis, unit)
+
+
+def _extra(arm, extra):
+    """What the columns of X after the angles do."""
+    if any(name.startswith(("force", "payload")) for name, _ in extra):
+        yield from _force(arm)
+    for by, (name, reference) in enumerate(extra):
+        kind, joint = parsed(name, arm.n_joints)
+        if kind == "temperature":
+            yield from _temperature(arm, name, by)
+        elif kind == "direction":
+            unit, frame = arm.joint_signs[joint] * ARCSEC, joint + _first_frame(arm)
+            yield Column(f"joint {joint + 1} lags", DIRECTION, TURN, frame, 2, unit, by=by)
+        elif kind == "tool":
+            unit = ARCSEC * reach_mm(arm)
+            for tool in reference:
+                for axis in range(3):
+                    of_tool = f"probe_{'xyz'[axis]} of tool {tool:g}"
+                    yield Column(of_tool, TOOL, SHIFT, arm.n_joints, axis, unit, by=by)
+
+
+def _target(arm):
+    """Turns of the target about the axes of the last frame; of the probe they move nothing."""
+    for axis in range(3):
+        yield Column(f"target_{'xyz'[axis]}", KINEMATICS, TURN, arm.n_joints, axis, 0.0)
+
+
 @lru_cache(maxsize=64)
-def _others(arm, gravity, kinematics, wobble):
+def _others(arm, gravity, kinematics, wobble, extra, target):
     """Columns that are no harmonics, in their order."""
     columns = [*_gravity(arm)] if gravity else []
     columns += _kinematics(arm) if kinematics else []
     columns += _wobble(arm) if wobble else []
+    columns += _extra(arm, extra)
+    columns += _target(arm) if target else []
     return tuple(columns)
 
 
 def other_columns(arm, terms):
     """Columns that are no harmonics, as a tuple of `Column`."""
-    return _others(arm, terms.gravity, terms.kinematics, terms.wobble)
+    return _others(arm, *terms[1:])
 
 
 def term_names(arm, terms):
@@ -175,6 +243,27 @@ def column_table(arm, terms):
     )
 
 
+class GivenFactors(NamedTuple):
+    """By what the extra columns of X multiply columns of the model."""
+
+    column: np.ndarray  # (n_given,) which columns
+    by: np.ndarray  # (n_given,) extra column
+    reference: np.ndarray  # (n_given,) what is taken off before; the number of a tool
+    of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
+
+
+def given_factors(arm, terms):
+    """Columns that an extra column of X multiplies, see `GivenFactors`."""
+    others = other_columns(arm, terms)
+    given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)
+    by = np.array([others[i].by for i in given], dtype=int)
+    of_tool = np.array([others[i].family == TOOL for i in given], dtype=bool)
+    reference = np.array([terms.extra[i][1][0] for i in by], dtype=float)
+    for i in np.unique(by[of_tool]):  # three columns for each tool
+        reference[of_tool & (by == i)] = np.repeat(terms.extra[i][1], 3)
+    return GivenFactors(given + 2 * len(terms.harmonics), by, reference, of_tool)
+
+
 class _Plan(NamedTuple):
     """A column table, arranged for whole arrays: all that does not depend on the pose."""
 
@@ -189,13 +278,17 @@ class _Plan(NamedTuple):
     load_x: np.ndarray  # (n_loads,) into the vectors: axis u of the torque
     load_of: np.ndarray  # (n_loads,) place of the load
     load_frame: np.ndarray  # (n_loads,) place of the axis
+    pushes: np.ndarray  # (n_pushes,) columns
+    push_turn: np.ndarray  # (n_pushes,) into the vectors: what the turn does to the probe
+    given: GivenFactors
 
 
 @lru_cache(maxsize=64)
-def _planned(arm, pairs, gravity, kinematics, wobble):
+def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
     """`_Plan` of an arm and terms; `pairs` are the bytes of the harmonics."""
     harmonics = np.frombuffer(pairs, dtype=int).reshape(-1, 2)
-    table = column_table(arm, Terms(harmonics, gravity, kinematics, wobble))
+    terms = Terms(harmonics, gravity, kinematics, wobble, extra, target)
+    table = column_table(arm, terms)
     n_axes = 3 * (arm.n_joints + 1)
     axis = 3 * table.frame + table.axis
     which = np.where(table.kind == SHIFT, n_axes, 0) + axis
@@ -208,6 +301,8 @@ def _planned(arm, pairs, gravity, kinematics, wobble):
             runs.append((int(start), int(end), int(which[start]), float(table.unit[start])))
         rest = n_waves
     loads = np.flatnonzero(table.kind == LOAD)
+    pushes = np.flatnonzero(table.kind == PUSH)
+    given = given_factors(arm, terms)
     return _Plan(
         which[rest:],
         table.unit[rest:],
@@ -220,6 +315,9 @@ def _planned(arm, pairs, gravity, kinematics, wobble):
         n_axes + axis[loads],
         table.of[loads],
         table.frame[loads],
+        pushes - rest,
+        axis[pushes],
+        given._replace(column=given.column - rest),
     )
 
 
@@ -252,8 +350,8 @@ def term_columns(arm, angles, terms):
     Parameters
     ----------
     arm : Arm
-    angles : ndarray of shape (n, n_joints)
-        In rad.
+    angles : ndarray of shape (n, n_joints + n_extra)
+        In rad; then the extra columns that `terms` names.
     terms : Terms
 
     Returns
@@ -261,30 +359,87 @@ def term_columns(arm, angles, terms):
     ndarray of shape (n, 3, n_columns)
         mm per unit coefficient.
     """
+    return _columns(arm, angles, terms, False)
+
+
+def turn_columns(arm, angles, terms):
+    """What the same coefficients do to the orientation of the last link.
+
+    Parameters
+    ----------
+    arm, angles, terms
+        As for :func:`term_columns`.
+
+    Returns
+    -------
+    ndarray of shape (n, 3, n_columns)
+        Rotation vectors in the base frame, rad per unit coefficient: the axis of each turn, and
+        nothing for a shift.
+    """
+    return _columns(arm, angles, terms, True)
+
+
+def observed_columns(arm, angles, terms, turn_mm):
+    """Columns of the residuals that a fit has: (n, 3, n_columns), or (n, 6, n_columns).
+
+    Parameters
+    ----------
+    arm, angles, terms
+        As for :func:`term_columns`.
+    turn_mm : float
+        Length in mm by which turns in rad are multiplied, so that their noise is that of a
+        coordinate; 0 where no orientations were measured.
+    """
+    columns = term_columns(arm, angles, terms)
+    if not turn_mm:
+        return columns
+    return np.concatenate([columns, turn_mm * turn_columns(arm, angles, terms)], axis=1)
+
+
+def _columns(arm, angles, terms, of_turns):
+    """Columns of points in mm, or of turns in rad."""
     pairs = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
-    plan = _planned(arm, pairs, terms.gravity, terms.kinematics, terms.wobble)
+    plan = _planned(arm, pairs, *terms[1:])
+    angles, values = angles[:, : arm.n_joints], angles[:, arm.n_joints :]
     vectors, places = _vectors(arm, angles)
+    effect = vectors
+    if of_turns:
+        n_axes = vectors.shape[2] // 2
+        effect = np.concatenate([vectors[:, :, n_axes:], np.zeros_like(vectors[:, :, :n_axes])], 2)
     phase = angles[:, plan.wave_joint] * plan.wave_order
     wave = np.empty((len(angles), 2 * phase.shape[1]))
     np.cos(phase, out=wave[:, 0::2])
     np.sin(phase, out=wave[:, 1::2])
     out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
     for start, end, which, unit in plan.runs:
-        turn = vectors[:, :, which, None] * unit
+        turn = effect[:, :, which, None] * unit
         np.multiply(turn, wave[:, None, start:end], out=out[:, :, start:end])
     factor = np.tile(plan.unit, (len(angles), 1))
+    if terms.target and of_turns:
+        factor[:, -3:] = ARCSEC
     if len(plan.loads):
         x, y = (places[:, i, plan.load_of] - places[:, i, plan.load_frame] for i in (0, 1))
         ux, uy = (vectors[:, i, plan.load_x] for i in (0, 1))
         factor[:, plan.loads] *= uy * x - ux * y
     factor[:, plan.waves] *= wave[:, plan.rest :]
-    np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out[:, :, plan.rest :])
+    if terms.extra:
+        force = force_on_probe(terms.extra, values)
+        factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
+        columns, by, reference, of_tool = plan.given
+        given = values[:, by]
+        factor[:, columns] *= np.where(of_tool, given == reference, given - reference)
+    np.multiply(np.take(effect, plan.which, axis=2), factor[:, None], out=out[:, :, plan.rest :])
     return out
 
 
 def scale_direction(arm, terms):
     """Coefficients that make the whole arm larger: the column of the probe's position itself."""
-    lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
-    lengths |= dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
-    sizes = [lengths.get(c.name, 0.0) / c.unit for c in other_columns(arm, terms)]
+    lengths, others = _lengths(arm), other_columns(arm, terms)
+    sizes = [lengths[c.name] / c.unit if c.name in lengths else 0.0 for c in others]
     return np.concatenate([np.zeros(2 * len(terms.harmonics)), sizes])
+
+
+def _lengths(arm):
+    """Lengths of the table by the names of their columns, mm."""
+    lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
+    return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))

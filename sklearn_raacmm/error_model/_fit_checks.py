@@ -6,28 +6,41 @@
 import warnings
 
 import numpy as np
+from scipy.special import fdtr
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
+from sklearn_raacmm.arm import arm_for, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
+from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
+from sklearn_raacmm.error_model._poses import in_rad
+from sklearn_raacmm.residuals import refuse_large, refuse_points, warn_of_another_frame
 from sklearn_raacmm.utils import (
     centred,
     check_data,
     check_weights,
     encode_groups,
+    floats,
     group_means,
     group_weights,
+    listed,
+    refuse_huge,
 )
 
-# For warnings: each check is called by `check_fit`, that by fit, which two decorators wrap.
-_CALLER = 6
-# Part of its own length by which a point that was measured may be off.
-_SHARE_OF_POINTS = 0.05
+# For warnings: each check is called by `check_fit`, that by fit, which three decorators wrap.
+_CALLER = 7
+# Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
+# those of weights that add up to 1 are too few, those of inverse variances too many.
+_MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
 # Mean residuals of positions, as a share of what the scatter within positions explains, below which
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
 _CENTRED = 0.5
+# A residual of the orientation that is larger, in rad, is no small error of an arm.
+_LARGEST_TURN = 0.5
+# A share between that and 1 is worth a warning where independent rows have one as small in fewer
+# fits than one of a thousand. Against a reference it is above 1, as neighbours err alike.
+_BY_CHANCE = 1e-3
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
@@ -44,24 +57,49 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     Returns
     -------
     arm : Arm
-    X : ndarray of shape (n, n_joints)
+    X : ndarray of shape (n, n_joints + n_extra)
+        In rad, then the extra columns.
     y : ndarray of shape (n, 3)
     weights : ndarray of shape (n,)
     codes : ndarray of shape (n,) or None
         Index of each row's position, where positions have offsets.
     lengths : list of (int, int, float, float)
     """
+    linear._validate_params()  # of a first stage, scikit-learn checks only the type
     X, y = check_data(estimator, X, y)
-    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1)
-    check_angles(X, X.shape[1], "rad", _CALLER)  # warns of degrees
-    y = _check_residuals(y, arm, X)
-    weights = check_weights(sample_weight, X)
+    extra = tuple(linear.extra)
+    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1, extra)
+    check_extra(linear.extra, arm.n_joints)
+    X = in_rad(X, arm.n_joints, estimator.angle_unit, _CALLER)
+    y = _check_vectors(y, arm)
+    weights = _check_repeats(check_weights(sample_weight, X))
+    warn_of_constants(extra, X[:, arm.n_joints :], weights, _CALLER)
     codes = _check_offsets(linear.offsets, y, weights, groups)
+    points = points_of(arm, X[:, : arm.n_joints])
+    _check_residuals(y, points, weights, codes, reach_mm(arm))
     return arm, X, y, weights, codes, _check_lengths(lengths, codes, groups, linear.kinematics)
 
 
-def _check_residuals(y, arm, angles):
-    """Residuals (n, 3) as float64, which the arm's points are not."""
+def _check_repeats(weights):
+    """Weights (n,), which are numbers of repeats."""
+    if weights.max() > _MOST_REPEATS:
+        raise ValueError(
+            f"sample_weight holds {weights.max():.4g}, but a weight is worth that many repeats of "
+            f"its row: more than {_MOST_REPEATS:g} are refused."
+        )
+    n = np.count_nonzero(weights)
+    if not _LEAST_WORTH * n <= weights.sum() <= _LARGEST_WORTH * n:
+        warnings.warn(
+            f"By their sample_weight the {n} rows are worth {weights.sum():.3g} rows: too little "
+            "or too much will be learnt. A weight counts repeats: give weights of about 1.",
+            UserWarning,
+            stacklevel=_CALLER,
+        )
+    return weights
+
+
+def _check_vectors(y, arm):
+    """Residuals (n, 3) as float64."""
     if y.ndim != 2 or y.shape[1] != 3:
         raise ValueError(
             f"y has shape {y.shape}; Cartesian residuals (n_samples, 3) in mm are needed."
@@ -73,20 +111,23 @@ def _check_residuals(y, arm, angles):
             f"y holds a residual of {largest:.4g} mm, but the arm reaches {reach_mm(arm):.4g} mm: "
             "residuals in mm are needed."
         )
-    points = points_of(arm, angles)
-    size = np.linalg.norm(points)
-    if size > 0 and np.linalg.norm(y - points) < _SHARE_OF_POINTS * size:
-        raise ValueError(
-            f"y are points, not residuals: they are {size / np.sqrt(len(y)):.4g} mm from the base, "
-            "where the arm says that its probe is. Give arm.forward(angles) less the reference, or "
-            "position_residuals."
-        )
     return y
+
+
+def _check_residuals(y, points, weights, codes, reach):
+    """Refuse what is no residual, and warn of what is one in another frame."""
+    used = weights > 0
+    refuse_points(y[used], points[used], reach)
+    if codes is None:
+        refuse_large(y[used], reach)
+        warn_of_another_frame(y[used], points[used], reach, stacklevel=_CALLER)
+    else:  # offsets may be of any size
+        refuse_large(centred(y, codes, weights)[used], reach)
 
 
 def _check_lengths(lengths, codes, groups, kinematics):
     """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
-    lengths = list(lengths)
+    lengths = listed("lengths", lengths)
     if not lengths:
         if codes is not None and not kinematics:
             warnings.warn(
@@ -114,9 +155,17 @@ def _check_offsets(offsets, y, weights, groups):
         return None
     _, codes = encode_groups(groups, len(y))
     if offsets == "auto":
-        share, of_most = _share_of_means(y, codes, weights)
+        share, of_most, by_chance = _share_of_means(y, codes, weights)
         offsets = share < _CENTRED
-        if not offsets and of_most < 0.1 * _CENTRED:
+        if not offsets and by_chance < _BY_CHANCE:
+            warnings.warn(
+                f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those "
+                "of independent rows of this scatter: y may be deviations from the means of more "
+                "rows than these. No offsets are fitted; set offsets to True or False.",
+                UserWarning,
+                stacklevel=_CALLER,
+            )
+        elif not offsets and of_most < 0.1 * _CENTRED:
             warnings.warn(
                 "Most positions' mean residuals are zero, but not all: y looks like deviations "
                 "from means of other rows than these. No offsets are fitted; set offsets to True "
@@ -134,12 +183,44 @@ def _share_of_means(y, codes, weights):
     -------
     of_all, of_most : float
         Over all positions, and the median position; infinite where nothing scatters.
+    by_chance : float
+        Probability that independent rows have means as small as these.
     """
+    # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
+    weights = weights / min(weights[weights > 0].mean(), 1.0)
     total = group_weights(codes, weights)
     used = total > 0
     left = centred(y, codes, weights)
-    within = weights @ np.square(left).sum(axis=1) / max(total.sum() - used.sum(), 1e-300)
+    n_free = total.sum() - used.sum()
+    within = weights @ np.square(left).sum(axis=1) / max(n_free, 1e-300)
     between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
     if not within > 0:
-        return np.inf, np.inf
-    return between.mean() / within, float(np.median(between)) / within
+        return np.inf, np.inf, 1.0
+    share = between.mean() / within
+    by_chance = float(fdtr(3 * used.sum(), 3 * n_free, share))
+    return share, float(np.median(between)) / within, by_chance
+
+
+def check_turns(turns, n_rows, codes):
+    """Residuals of the orientation (n, 3) in rad, or None where there are none."""
+    if turns is None:
+        return None
+    turns = floats("orientation_residuals", turns)
+    if turns.shape != (n_rows, 3):
+        raise ValueError(
+            f"orientation_residuals must be {n_rows} rotation vectors in rad, shape ({n_rows}, 3), "
+            f"got {turns.shape}."
+        )
+    refuse_huge("orientation_residuals", turns)
+    largest = np.linalg.norm(turns, axis=1).max()
+    if largest > _LARGEST_TURN:
+        raise ValueError(
+            f"orientation_residuals reach {largest:.3g} rad: they must be small errors, what the "
+            "calibrated arm shows against what was measured."
+        )
+    if codes is not None:
+        raise ValueError(
+            "orientation_residuals are for residuals against a reference: here positions have "
+            "unknown offsets."
+        )
+    return turns

@@ -3,27 +3,29 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from copy import copy
 from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import MultiOutputMixin, RegressorMixin
-from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit_checks import check_fit
-from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
+from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
+from sklearn_raacmm.error_model._linear_fit import LinearOptions
+from sklearn_raacmm.error_model._points_and_turns import clearly_better, fit_with_intervals
+from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
-    check_features,
     encode_groups,
     fit_context,
     one_blas_thread,
+    whole_fit,
 )
+
+# Of a harmonic, in arc seconds: a thousandth of what an encoder resolves, and more than a turn.
+_PRIOR_BOUNDS = 1e-6, 2e6
 
 
 class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -50,6 +52,24 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     arm : Arm, default=None
         The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
 
+    angle_unit : {"rad", "deg"}, default="rad"
+        Unit of the joint angles in `X`. Everything else is in mm and rad in either case.
+
+    extra : list of str, default=()
+        What the columns of `X` after the angles are, one name for each: other causes of errors that
+        were written down with the angles. Each goes through the arm's geometry and is judged by the
+        evidence, as the other causes are.
+
+        - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
+          and zero offsets drift in proportion to it.
+        - "direction J": the direction from which joint J came, 1 from smaller angles and -1 from
+          larger ones: its backlash.
+        - "payload": a weight at the probe. "force x", "force y", "force z": a force on the probe in
+          the base frame, such as the probing force. All frames yield in proportion to the torque.
+        - "tool": the number of the probe, where several are in use: each has offsets of its own.
+
+        Numbers count from their mean over the training data, in whatever unit they are in.
+
     max_order : int, default=400
         Highest order of the harmonics offered, for every joint: strain-wave gears show at multiples
         of their ratio. Orders above 72 are taken only where they explain much, or where they are
@@ -68,7 +88,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     prior_sd : float or "auto", default="auto"
         Standard deviation that the cosine and sine of a harmonic have before any data are seen, in
-        arc seconds. "auto" lets the data decide, as always for the other causes.
+        arc seconds, from 1e-6 to 2e6. "auto" lets the data decide, as always for the other
+        causes.
 
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
@@ -85,8 +106,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 2, or 1 below 150 poses with a reference each. Where positions have offsets, t
-        is three times the deviation that 99 % of the training poses stay below; elsewhere 0.
+        all. "auto": 1, or 2 where positions have offsets. There t is ten times the deviation that
+        99 % of the training poses stay below; elsewhere 0.
 
     Attributes
     ----------
@@ -94,11 +115,15 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The fitted numbers as one value: columns, coefficients and their covariance. The attributes
         below show what is in it.
 
+    orientation_model_ : LinearModel or None
+        That of points and orientations together, where orientations were given to `fit`.
+
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
         and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
-        raises the log evidence beside all others.
+        raises the log evidence beside all others. Parts of a smooth function are among them; theirs
+        is about 0 each.
 
     terms_ : structured ndarray of shape (n_terms,)
         The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
@@ -134,7 +159,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The arm in use.
 
     n_features_in_ : int
-        Number of joints.
+        Number of joints, and of extra columns.
 
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
@@ -148,7 +173,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     Coefficients have normal priors of mean zero, one variance a family, found with the noise by
     maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
     least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
-    the rise is more than the logarithm of the number of candidates. The model has no memory of the
+    the rise is more than the logarithm of the number of candidates. Where the data ask for it, all
+    orders up to 48 that are not chosen are there, too, with one small variance that falls with the
+    order (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its
+    angle, of which little is known where there are no poses. The model has no memory of the
     number of poses but their normal equations.
 
     Offsets are exact fixed effects: means over the position are taken out of the columns, too. A
@@ -202,13 +230,15 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     _parameter_constraints: dict = {
         "arm": [Arm, None],
+        "angle_unit": [StrOptions({"rad", "deg"})],
+        "extra": ["array-like"],
         "max_order": [Interval(Integral, 0, 1000, closed="both")],
         "orders": ["array-like", None],
         "gear_ratio": [Interval(Real, 0, None, closed="left"), "array-like", None],
         "gravity": ["boolean"],
         "kinematics": ["boolean"],
         "wobble": ["boolean"],
-        "prior_sd": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"})],
+        "prior_sd": [Interval(Real, *_PRIOR_BOUNDS, closed="both"), StrOptions({"auto"})],
         "offsets": ["boolean", StrOptions({"auto"})],
         "loss": [StrOptions({"squared", "tukey"})],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
@@ -218,6 +248,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         self,
         arm=None,
         *,
+        angle_unit="rad",
+        extra=(),
         max_order=400,
         orders=None,
         gear_ratio=None,
@@ -230,6 +262,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         fade="auto",
     ):
         self.arm = arm
+        self.angle_unit = angle_unit
+        self.extra = extra
         self.max_order = max_order
         self.orders = orders
         self.gear_ratio = gear_ratio
@@ -243,13 +277,23 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
-    def fit(self, X, y, *, sample_weight=None, groups=None, lengths=()):
+    @whole_fit
+    def fit(
+        self,
+        X,
+        y,
+        *,
+        sample_weight=None,
+        groups=None,
+        lengths=(),
+        orientation_residuals=None,
+    ):
         """Choose the harmonics and fit all coefficients.
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles in rad.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
 
         y : array-like of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
@@ -264,6 +308,14 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
             offsets, only they tell the model of what happens between positions.
 
+        orientation_residuals : array-like of shape (n_samples, 3), default=None
+            How far the orientation that the arm shows is turned from the measured one: rotation
+            vectors in rad, in the arm's base frame, as
+            :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
+            probe and turn the last link: a second model is fitted to both, each weighed by the
+            noise that it shows. Points are predicted by it, too, if it is clearly better for them
+            at positions left out.
+
         Returns
         -------
         self : object
@@ -272,31 +324,38 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Raises
         ------
         ValueError
-            If X has not one column per joint or y not three, something is NaN or infinite, a weight
-            is negative or all are 0, the model has no columns at all, or ``offsets=True`` comes
-            without `groups`; if y are the probe's points; if lengths name unknown positions, are
-            not positive, or come without offsets.
+            If X has not one column per joint and extra name, or y not three, something is NaN or
+            infinite, a weight is negative or all are 0, the model has no columns at all, or
+            ``offsets=True`` comes without `groups`; if y are the probe's points, or half of them
+            longer than a twentieth of the arm's reach; if lengths name unknown positions, are not
+            positive, or come without offsets; if orientations come with offsets, or are no small
+            rotation vectors.
 
         Warns
         -----
         UserWarning
-            If angles are larger than two turns: most likely degrees; if ``kinematics=False`` and
-            positions have offsets, but no `lengths` are given.
+            If the angles are most likely in the other unit: larger than two turns in rad, or all
+            within one turn of radians in degrees; if ``kinematics=False`` and positions have
+            offsets, but no `lengths` are given; if ``offsets="auto"`` finds none although the
+            positions' means are smaller than chance makes them; if the weights add up to less than
+            a tenth or more than a hundred times the number of rows; if nearly all of `y` is one
+            motion of the base: the reference is then most likely in another frame.
         """
-        fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
-        arm, *data = check_fit(fitted, X, y, sample_weight, groups, lengths, linear=self)
+        arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
         X, y, weights, codes, _ = data
         options = LinearOptions.of(self)
-        model, pose_weight = fit_linear_model(arm, *data, options)
-        robust = weights * pose_weight
+        turns = check_turns(orientation_residuals, len(y), codes)
         positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
-        left_out = leave_out(model, options, X, y, robust, codes, positions)
-        model = with_honest_intervals(model, left_out, X, y, weights, codes, positions)
-        std = model.predict(X, return_std=True)[1]
-        fitted.linear_model_, fitted.pose_weight_ = model, pose_weight
-        fitted.fading_ = find_fading(y, std, robust, codes, self.fade)
-        self.__dict__ = fitted.__dict__
-        return self
+        fitted = fit_with_intervals(arm, data, options, positions)
+        self.orientation_model_ = None
+        if turns is not None:
+            both = fit_with_intervals(arm, data, options, positions, turns)
+            self.orientation_model_ = both.model
+            if clearly_better(both, fitted, X, y, weights):
+                fitted = both
+        self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
+        std = fitted.model.predict(X, return_std=True)[1]
+        self.fading_ = find_fading(y, std, weights * self.pose_weight_, codes, self.fade)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -345,8 +404,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles in rad.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
 
         return_std : bool, default=False
             Also return the standard deviation of the correction before it fades.
@@ -371,15 +430,17 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If X has another number of columns than the arm has joints, or holds NaN or infinity.
+            If X has another number of columns than in `fit`, holds NaN or infinity, or has a tool
+            that the training data did not have.
 
         Warns
         -----
         UserWarning
-            If angles are larger than two turns: most likely degrees; if most of the corrections
+            If the angles are most likely in the other unit: larger than two turns in rad, or all
+            within one turn of radians in degrees; if most of the corrections
             are reduced to less than a tenth.
         """
-        X = self._check_poses(X)
+        X = check_poses(self, X)
         fades = self.fading_.factor > 0
         mean, std = self.linear_model_.predict(X, return_std or fades)
         if fades:
@@ -388,20 +449,62 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             mean = share[:, None] * mean
         return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
 
+    def predict_orientation(self, X, return_std=False, with_noise=False):
+        """Predict how far the last link is turned from where the arm shows it.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        return_std : bool, default=False
+            Also return standard deviations.
+
+        with_noise : bool, default=False
+            Add the noise of a measured component to them, where orientations were in the fit.
+
+        Returns
+        -------
+        turns : ndarray of shape (n_samples, 3)
+            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
+            times the orientation that the arm shows is the corrected one. Faded as the correction
+            of the points is.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviations in rad, where asked for.
+
+        Notes
+        -----
+        A model that was fitted to points only knows of the orientation what the same causes do to
+        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
+        goes through the probe.
+        """
+        X, linear = check_poses(self, X), self.linear_model_
+        model = linear if self.orientation_model_ is None else self.orientation_model_
+        mean, std = model.predict_turn(X, return_std)
+        if self.fading_.factor > 0:
+            share = self.fading_.share(linear.predict(X, return_std=True)[1])
+            warn_where_unknown(share, stacklevel=2)
+            mean = share[:, None] * mean
+        if not return_std:
+            return mean
+        noise = with_noise and model.turn_mm > 0
+        return mean, np.hypot(model.std_scale * std, model.turn_noise if noise else 0.0)
+
     def fading(self, X):
         """Share of the correction that `predict` returns at each pose.
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints)
-            Joint angles in rad.
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
 
         Returns
         -------
         share : ndarray of shape (n_samples,)
             1 where nothing is faded, towards 0 where nothing is known.
         """
-        X = self._check_poses(X)
+        X = check_poses(self, X)
         return self.fading_.share(self.linear_model_.predict(X, return_std=True)[1])
 
     def distance_std(self, X1, X2):
@@ -409,8 +512,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
         Parameters
         ----------
-        X1, X2 : array-like of shape (n_samples, n_joints)
-            Joint angles in rad at the two ends.
+        X1, X2 : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`, at the two ends.
 
         Returns
         -------
@@ -422,15 +525,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         ValueError
             If X1 and X2 have different numbers of rows, or as in `predict`.
         """
-        X1, X2 = self._check_poses(X1), self._check_poses(X2)
+        X1, X2 = check_poses(self, X1), check_poses(self, X2)
         if len(X1) != len(X2):
             raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
         return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)
-
-    def _check_poses(self, X):
-        check_is_fitted(self)
-        X = check_features(self, X, dtype=np.float64, reset=False)
-        return check_angles(X, X.shape[1], "rad", stacklevel=4)  # warns of degrees
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()

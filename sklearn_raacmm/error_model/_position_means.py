@@ -57,7 +57,7 @@ def length_equations(arm, angles, weights, codes, terms, lengths):
     rows = np.isin(codes, used)
     angles, weights, codes = angles[rows], weights[rows], np.searchsorted(used, codes[rows])
     total = group_weights(codes, weights)
-    points = group_means(points_of(arm, angles), codes, weights)
+    points = group_means(points_of(arm, angles[:, : arm.n_joints]), codes, weights)
     columns = mean_columns(arm, angles, weights, codes, terms)
     line = points[ends[1]] - points[ends[0]]
     measured = np.linalg.norm(line, axis=1)

@@ -5,67 +5,103 @@
 
 import numpy as np
 
-from sklearn_raacmm.error_model import column_table
+from sklearn_raacmm.error_model import LOAD, PUSH, SHIFT, column_table, given_factors
+from sklearn_raacmm.export._c_text import plain
+from sklearn_raacmm.export._steps import fadings_of, force_of
 
 _COLUMNS = """\
-/* What one unit of each coefficient does to the probe, mm. */
-static void error_columns(const struct arm_state *arm, {real} column[{m}][3])
+/* Each column of the model is a vector, mm, that several share, times a size: what one unit of its
+   coefficient does to the probe. */
+static void error_columns(
+    const struct arm_state *arm, {real} vector[{n_vectors}][3], {real} size[{m}])
 {{
-    {real} lever[{n1}][3][3];
-    for (int i = 0; i < {n1}; ++i) {{
+    for (int a = 0; a < {n_axes}; ++a) {{ /* turns about all axes, then shifts along them */
+        const {real} *u = arm->frame[a / 3][a % 3];
         {real} r[3];
         for (int k = 0; k < 3; ++k)
-            r[k] = arm->probe[k] - arm->frame[i][3][k];
-        for (int j = 0; j < 3; ++j) {{
-            const {real} *u = arm->frame[i][j];
-            lever[i][j][0] = u[1] * r[2] - u[2] * r[1];
-            lever[i][j][1] = u[2] * r[0] - u[0] * r[2];
-            lever[i][j][2] = u[0] * r[1] - u[1] * r[0];
-        }}
+            r[k] = arm->probe[k] - arm->frame[a / 3][3][k];
+        vector[a][0] = u[1] * r[2] - u[2] * r[1];
+        vector[a][1] = u[2] * r[0] - u[0] * r[2];
+        vector[a][2] = u[0] * r[1] - u[1] * r[0];
+        for (int k = 0; k < 3; ++k)
+            vector[{n_axes} + a][k] = u[k];
     }}
     for (int c = 0; c < {m}; ++c) {{
-        const int i = column_frame[c], j = column_axis[c], of = column_of[c];
-        const int order = column_order[c];
-        const {real} *u = arm->frame[i][j];
-        const {real} *vector = column_kind[c] == 1 ? u : lever[i][j];
-        {real} size = column_unit[c];
-        if (column_kind[c] == 2) {{ /* the torque of a load: gravity is along -z */
+        const int of = column_of[c], order = column_order[c];
+        size[c] = column_unit[c];
+        if (column_loaded[c] == 1) {{ /* the torque of a load: gravity is along -z */
+            const {real}(*frame)[3] = arm->frame[column_vector[c] / 3];
+            const {real} *u = frame[column_vector[c] % 3];
             const {real} *load = of > {n} ? arm->probe : arm->frame[of][3];
-            size *= u[1] * (load[0] - arm->frame[i][3][0]) - u[0] * (load[1] - arm->frame[i][3][1]);
+            size[c] *= u[1] * (load[0] - frame[3][0]) - u[0] * (load[1] - frame[3][1]);
         }}
         if (order > 0)
-            size *= cos{f}(({real})order * arm->angle[of]);
+            size[c] *= cos{f}(({real})order * arm->angle[of]);
         if (order < 0)
-            size *= sin{f}(({real})-order * arm->angle[of]);
-        for (int k = 0; k < 3; ++k)
-            column[c][k] = size * vector[k];
-    }}
+            size[c] *= sin{f}(({real})-order * arm->angle[of]);
+{extra}    }}
 }}
 
 static void error_model(const struct arm_state *arm, {real} y[3]{v})
 {{
-    {real} column[{m}][3];
-    error_columns(arm, column);
-    for (int k = 0; k < 3; ++k) {{
-        y[k] = 0;
-        for (int c = 0; c < {m}; ++c)
-            y[k] += column[c][k] * column_coef[c];
-    }}
+    {real} vector[{n_vectors}][3], size[{m}];
+    error_columns(arm, vector, size);
+    y[0] = y[1] = y[2] = 0;
+    for (int c = 0; c < {m}; ++c)
+        for (int k = 0; k < 3; ++k)
+            y[k] += size[c] * column_coef[c] * vector[column_vector[c]][k];
 {variance}}}
 """
-_VARIANCE = """\
-    if (v)
-        for (int k = 0; k < 3; ++k) {{
-            {real} dot[{r}] = {{0}};
-            for (int c = 0; c < {m}; ++c)
-                for (int i = 0; i < {r}; ++i)
-                    dot[i] += column[c][k] * column_half[c][i];
-            v[k] = 0;
-            for (int i = 0; i < {r}; ++i)
-                v[k] += dot[i] * dot[i];
+# What the columns of X after the angles do.
+_PUSH = """\
+        if (column_loaded[c] == 2) {{ /* the torque of a force on the probe */
+            {real} torque = 0;
+            for (int e = 0; e < {n_extra}; ++e)
+                for (int k = 0; k < 3; ++k)
+                    torque += force[k][e] * vector[column_vector[c]][k]
+                        * (arm->extra[e] - extra_mean[e]);
+            size[c] *= torque;
         }}
 """
-# Columns of zeros fill up whole vectors of the processor.
+_GIVEN = """\
+        if (column_by[c] >= 0) {{ /* 1 for one tool, 0 for others; or the difference to the mean */
+            const {real} given = arm->extra[column_by[c]] - column_reference[c];
+            const {real} known = given > 0 || given < 0 ? 0 : 1;
+            size[c] *= column_of_tool[c] ? known : given;
+        }}
+"""
+# Columns that share a vector are summed first: that leaves one product of each entry, not three.
+_VARIANCE = """\
+    if (v) {{
+        {real} dot[3][{r}] = {{{{0}}}};
+        const {real} *row = column_root;
+        for (int c = 0; c < {m};) {{
+            const {real} *u = vector[column_vector[c]];
+            {real} shared[{r}] = {{0}};
+            int n = 0; /* entries of a row, up to the diagonal and to the end of a vector */
+            do {{
+                n = c / {vector} * {vector} + {vector};
+                n = n < {r} ? n : {r};
+                for (int i = 0; i < n; ++i)
+                    shared[i] += size[c] * row[i];
+                row += n;
+                ++c;
+            }} while (c < {m} && column_vector[c] == column_vector[c - 1]);
+            for (int k = 0; k < 3; ++k)
+                for (int i = 0; i < n; ++i)
+                    dot[k][i] += u[k] * shared[i];
+        }}
+        for (int k = 0; k < 3; ++k) {{
+            v[k] = 0;
+            for (int i = 0; i < {r}; ++i)
+                v[k] += dot[k][i] * dot[k][i];
+        }}
+    }}
+"""
+
+
+# Entries that are computed together: a multiple of those in a processor's vector. Where compilers
+# know that the number of entries is one, they need no remainder: 15 -> 10 us for 177 columns.
 _VECTOR = 8
 
 
@@ -73,42 +109,92 @@ def error_model(numbers, linear, std):
     """``error_model(arm, y, v)`` of a `LinearModel`; v, the variances, if `std`."""
     arm, real = linear.arm, numbers.real
     table = column_table(arm, linear.terms)
-    m = len(table.kind)
+    m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
     if not m:
-        unused = "    (void)arm;\n" + "    if (v)\n        v[0] = v[1] = v[2] = 0;\n" * std
-        return (
-            f"static void error_model(const struct arm_state *arm, {real} y[3]"
-            f"{f', {real} *v' if std else ''})\n{{\n{unused}    y[0] = y[1] = y[2] = 0;\n}}\n"
-        )
-    note = "0 a turn about the axis, 1 a shift along it, 2 a turn by the torque of a load about it"
-    text = numbers.integers("column_kind", table.kind, note)
-    text += numbers.integers("column_frame", table.frame)
-    text += numbers.integers("column_axis", table.axis)
-    text += numbers.integers("column_of", table.of, "joint of the wave, or load")
+        return _no_columns(real, std)
+    vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
+    order = np.argsort(vector, kind="stable")
+    text = numbers.integers("column_vector", vector[order], "turns about axes, then shifts")
+    loaded = np.select([table.kind == LOAD, table.kind == PUSH], [1, 2], 0)
+    text += numbers.integers("column_loaded", loaded[order])
+    text += numbers.integers("column_of", table.of[order], "joint of the wave, or load")
     note = "of the wave: cosine if positive, sine if negative"
-    text += numbers.integers("column_order", table.order, note)
-    text += numbers.table("column_unit", table.unit, "rad or mm per unit coefficient")
-    text += numbers.table("column_coef", linear.coef)
+    text += numbers.integers("column_order", table.order[order], note)
+    text += numbers.table("column_unit", table.unit[order], "rad or mm per unit coefficient")
+    text += numbers.table("column_coef", linear.coef[order])
     variance = ""
     if std:
-        half = linear.gauge_free_half
-        half = np.pad(half, ((0, 0), (0, -half.shape[1] % _VECTOR)))
-        text += numbers.table("column_half", half, "root of the coefficients' covariance")
-        variance = _VARIANCE.format(real=real, m=m, r=half.shape[1])
-    n = arm.n_joints
-    return (
-        text
-        + "\n"
-        + _COLUMNS.format(
-            real=real,
-            f=numbers.suffix,
-            m=m,
-            n=n,
-            n1=n + 1,
-            v=f", {real} *v" if std else "",
-            variance=variance,
-        )
+        # Any root gives the same variances; a triangle has half the entries.
+        packed, rank = _packed_root(linear.gauge_free_half[order])
+        note = "root of the coefficients' covariance: a triangle, row by row"
+        text += numbers.table("column_root", packed, note)
+        variance = _VARIANCE.format(real=real, m=m, r=rank, vector=_VECTOR)
+    tables, extra = _of_extra_columns(numbers, linear, order)
+    return f"{text}{tables}\n" + _COLUMNS.format(
+        real=real,
+        extra=extra,
+        f=numbers.suffix,
+        m=m,
+        n=arm.n_joints,
+        n_axes=n_axes,
+        n_vectors=2 * n_axes,
+        v=f", {real} *v" if std else "",
+        variance=variance,
     )
+
+
+def _of_extra_columns(numbers, linear, order):
+    """Tables of what the columns of X after the angles do, and the lines that do it."""
+    names = linear.terms.extra
+    if not names:
+        return "", ""
+    text = lines = ""
+    if np.any(column_table(linear.arm, linear.terms).kind == PUSH):
+        mean = np.array([reference[0] for _, reference in names])
+        note = f"of {', '.join(plain(name) for name, _ in names)}"
+        text += numbers.table("extra_mean", mean, note)
+        text += numbers.table("force", force_of(names), "x, y and z of one of each, base frame")
+        lines += _PUSH.format(real=numbers.real, n_extra=len(names))
+    factors = given_factors(linear.arm, linear.terms)
+    if len(factors.column):
+        by, of_tool = np.full(len(order), -1), np.zeros(len(order), dtype=int)
+        reference = np.zeros(len(order))
+        by[factors.column], of_tool[factors.column] = factors.by, factors.of_tool
+        reference[factors.column] = factors.reference
+        text += numbers.integers("column_by", by[order], "which extra column; -1: none")
+        text += numbers.integers("column_of_tool", of_tool[order])
+        text += numbers.table("column_reference", reference[order], "mean, or number of the tool")
+        lines += _GIVEN.format(real=numbers.real)
+    return text, lines
+
+
+def _no_columns(real, std):
+    """``error_model(arm, y, v)`` of a model without terms."""
+    unused = "    (void)arm;\n" + "    if (v)\n        v[0] = v[1] = v[2] = 0;\n" * std
+    return (
+        f"static void error_model(const struct arm_state *arm, {real} y[3]"
+        f"{f', {real} *v' if std else ''})\n{{\n{unused}    y[0] = y[1] = y[2] = 0;\n}}\n"
+    )
+
+
+def _packed_root(half):
+    """Triangular root of ``half @ half.T``, row by row, filled up with zeros to whole vectors.
+
+    Parameters
+    ----------
+    half : ndarray of shape (m, r)
+
+    Returns
+    -------
+    packed : ndarray of shape (n,)
+    rank : int
+        Entries of the longest row.
+    """
+    root = np.linalg.qr(half.T, mode="r").T
+    root = np.pad(root, ((0, 0), (0, -root.shape[1] % _VECTOR)))
+    rank = root.shape[1]
+    lengths = np.minimum(np.arange(len(root)) // _VECTOR * _VECTOR + _VECTOR, rank)
+    return np.concatenate([row[:n] for row, n in zip(root, lengths, strict=True)]), rank
 
 
 _FADED = """\
@@ -145,7 +231,7 @@ def guarded_sum(numbers, step, std):
     head = f"static {real} guarded_sum(const struct arm_state *arm, {real} y[3]"
     head += f", {real} *v)" if std else ")"
     start = ["y[0] = y[1] = y[2] = 0;", *(["if (v)", "    v[0] = v[1] = v[2] = 0;"] * std)]
-    use, fadings = getattr(step, "use_", "harmonics"), _fadings(step)
+    use, fadings = getattr(step, "use_", "harmonics"), fadings_of(step)
     cap = getattr(step, "cap_mm_", np.inf)
     if use == "none":
         lines = ["(void)arm;", *start, "return 1;"]
@@ -156,8 +242,8 @@ def guarded_sum(numbers, step, std):
     v = ", v1" if doubted else ""
     stages = [[f"error_model(arm, y1{v});"]]
     if use == "harmonics+network":
-        declared += [f"{real} cs[2];", *([f"{real} x[3];"] if step.features != "all" else [])]
-        pose = ["pose_features(arm, x);"] if step.features != "all" else []
+        declared += [f"{real} cs[2];", *([f"{real} x[3];"] if step.joints != "all" else [])]
+        pose = ["pose_features(arm, x);"] if step.joints != "all" else []
         inputs = "x" if pose else "arm->angle"
         network = [f"network({inputs}, y1{v});", f"to_cartesian(cs, y1{v});"]
         stages.append(["azimuth_direction(arm, cs);", *pose, *network])
@@ -181,8 +267,3 @@ def guarded_sum(numbers, step, std):
         tiny=literal(max(1e-300, np.finfo(numbers.literal_type).tiny)),
     )
     return f"{faded * doubted}{head}\n{{\n{body}}}\n"
-
-
-def _fadings(step):
-    """How each stage of one of the arm's estimators fades; all have one size and one factor."""
-    return step.fadings_ if hasattr(step, "fadings_") else [step.fading_]

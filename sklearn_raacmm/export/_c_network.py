@@ -6,12 +6,16 @@
 from math import factorial
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
-from sklearn_raacmm.export._steps import n_outputs
+from sklearn_raacmm.export._steps import n_outputs, posterior_spectrum
+from sklearn_raacmm.network import kernel_matrix
 
 # Centres that are computed together: a multiple of the numbers in a processor's vector.
 _VECTOR = 8
+# Share of a standard deviation that rounding may cost, a third of what is promised, measured at so
+# many rows; units in the last place that are tried, the coarsest first.
+_SHARE, _MEASURED_ROWS = 1e-3 / 3, 400
+_STEPS = 10.0 ** np.arange(-4, -12, -0.25)
 # From the squared scaled distance s in phi[c] to the radial function, a loop over all centres for
 # each line: only loops without branches and calls are computed for several centres at once.
 # {f} is the suffix of the precision, {most} where falling_exp ends.
@@ -33,15 +37,17 @@ _KERNEL_LOOPS = {
 }
 
 
-def network(numbers, step, std, with_noise=True):
+def network(numbers, step, std, with_noise=True, exact=False):
     """``network(x, y, v)`` of an `RBFNetRegressor`, and its number of outputs.
 
-    v takes the variances; it is there with `std` only.
+    v takes the variances; it is there with `std` only. They are good to 1e-3 of the standard
+    deviation, or with `exact` to rounding: where a correction depends on them.
     """
     real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
+    full = _whole_vectors(k)
     text = numbers.table("intercept", np.atleast_1d(step.intercept_))
     linear_coef = np.atleast_2d(step.linear_coef_)
-    lines = ["(void)x;"] if not k else [f"{real} phi[{-(-k // _VECTOR) * _VECTOR}];"]
+    lines = [f"{real} phi[{full}];"] if k else ["(void)x;"]
     lines += [f"for (int j = 0; j < {q}; ++j)", "    y[j] = intercept[j];"]
     if np.any(linear_coef):
         text += numbers.table("linear_coef", linear_coef)
@@ -51,33 +57,10 @@ def network(numbers, step, std, with_noise=True):
             "        y[j] += linear_coef[j][i] * x[i];",
         ]
     if k:
-        # Centred as predict does it: the rounding is the same.
-        shift = step.centers_.mean(axis=0)
-        text += numbers.table("center_shift", shift, "middle of the centres")
-        text += numbers.table(
-            "inverse_width",
-            1 / step.length_scale_,
-            "1 / length scale; 0 for a feature that did not vary",
-        )
-        # Columns of zeros fill up whole vectors of the processor: compilers need no remainder.
-        full = -(-k // _VECTOR) * _VECTOR
-        fill = ((0, 0), (0, full - k))
-        centers = ((step.centers_ - shift) / step.length_scale_).T
-        note = "one column a centre, less their middle, in units of the length scales"
-        text += numbers.table("center", np.pad(centers, fill), note)
-        weights = np.atleast_2d(step.coef_)
-        text += numbers.table("weight", np.pad(weights, fill), "one column a centre")
-        exp, loops = _kernel(numbers, step.kernel_, full)
-        text += exp
+        tables, radial = _radial_functions(numbers, step, full)
+        text += tables
         lines += [
-            f"for (int c = 0; c < {full}; ++c)",
-            "    phi[c] = 0;",
-            f"for (int i = 0; i < {d}; ++i) {{",
-            f"    const {real} z = (x[i] - center_shift[i]) * inverse_width[i];",
-            f"    for (int c = 0; c < {full}; ++c)",
-            "        phi[c] += (z - center[i][c]) * (z - center[i][c]);",
-            "}",
-            *loops,
+            *radial,
             f"for (int j = 0; j < {q}; ++j) {{",
             f"    {real} sum[{_VECTOR}] = {{0}};",
             f"    for (int c = 0; c < {full}; c += {_VECTOR})",
@@ -88,7 +71,7 @@ def network(numbers, step, std, with_noise=True):
             "}",
         ]
     if std:
-        text += "\n" + _network_variance(numbers, step, with_noise)
+        text += "\n" + _network_variance(numbers, step, with_noise, exact)
         lines += ["if (v)", f"    network_variance(x, {'phi' if k else '0'}, v);"]
     body = "\n".join(f"    {line}" for line in lines)
     head = f"static void network(const {real} x[{d}], {real} y[{q}]"
@@ -96,50 +79,94 @@ def network(numbers, step, std, with_noise=True):
     return f"{text}\n{head}\n{{\n{body}\n}}\n", q
 
 
-def _posterior_spectrum(step):
-    """The posterior of the weights in coordinates in which its covariance is diagonal.
+def _whole_vectors(n):
+    """The next multiple of `_VECTOR`: zeros fill up the rest, and compilers need no remainder."""
+    return -(-n // _VECTOR) * _VECTOR
 
-    With phi the radial functions and t the polynomial's terms at a point, and A the triangle of the
-    columns at the training rows, tail first, the variance of output j is
 
-        signal_j (1 - |g|^2) + noise_j (|u|^2 + sum_i h_i^2 / (spectrum_i + alpha_j)),
-        u = tail (1, x), g = turn phi, h = g - shift u.
+def _radial_functions(numbers, step, full):
+    """Tables of the centres, and lines that compute phi of all of them."""
+    d, fill = step.n_features_in_, ((0, 0), (0, full - len(step.centers_)))
+    # Centred as predict does it: the rounding is the same.
+    shift = step.centers_.mean(axis=0)
+    text = numbers.table("center_shift", shift, "middle of the centres")
+    note = "1 / length scale; 0 for a feature that did not vary"
+    text += numbers.table("inverse_width", 1 / step.length_scale_, note)
+    centers = ((step.centers_ - shift) / step.length_scale_).T
+    note = "one column a centre, less their middle, in units of the length scales"
+    text += numbers.table("center", np.pad(centers, fill), note)
+    weights = np.pad(np.atleast_2d(step.coef_), fill)
+    text += numbers.table("weight", weights, "one column a centre")
+    exp, loops = _kernel(numbers, step.kernel_, full)
+    lines = [
+        f"for (int c = 0; c < {full}; ++c)",
+        "    phi[c] = 0;",
+        f"for (int i = 0; i < {d}; ++i) {{",
+        f"    const {numbers.real} z = (x[i] - center_shift[i]) * inverse_width[i];",
+        f"    for (int c = 0; c < {full}; ++c)",
+        "        phi[c] += (z - center[i][c]) * (z - center[i][c]);",
+        "}",
+        *loops,
+    ]
+    return text + exp, lines
 
-    One matrix serves all outputs, whatever their ridges are.
+
+def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
+    """`turn` as whole numbers times one factor a row, which cost the variances next to nothing.
+
+    Neither can directions be left out (at 266 centres 5 % of them are 3 % of a standard deviation)
+    nor are all digits needed. How many are, the centres themselves tell: training rows, where
+    variances are smallest; and the middles between them. A row is rounded the finer, the larger it
+    is there.
 
     Returns
     -------
-    turn : ndarray of shape (k, k)
-    shift : ndarray of shape (k, p)
-    tail : ndarray of shape (p, 1 + n_features)
-    shrunk : ndarray of shape (n_outputs, k)
-        ``1 / (spectrum + alpha)``.
+    whole : ndarray of shape (k, k)
+        Below 2^24: exact in single precision, in which the error was measured.
+    factor : ndarray of shape (k, 1)
+        None, None where single precision is not enough, as for data without noise.
     """
-    p = len(step._tail_map)
-    whiten = step._posterior((step.centers_ - step.centers_.mean(axis=0)) / step.length_scale_)[0]
-    rows = step._design_triangle()
-    left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
-    _, singular, turn = np.linalg.svd(own @ whiten.T)
-    spectrum = np.zeros(len(whiten))
-    spectrum[: len(singular)] = np.square(singular)
-    turn = turn @ whiten
-    alpha = np.atleast_1d(step.alpha_) / step._weight_unit
-    shrunk = 1 / np.maximum(spectrum + alpha[:, None], np.finfo(float).tiny)
-    tail = solve_triangular(left, step._tail_map, trans="T") if p else step._tail_map
-    return turn, turn @ across.T, tail, shrunk
+    rows = _rows_to_measure(step.centers_)
+    scaled = (rows / step.length_scale_, step.centers_ / step.length_scale_)
+    phi = kernel_matrix(*scaled, step.kernel_).T
+    u = tail @ np.vstack([np.ones(len(rows)), rows.T])
+    noise, signal = (np.reshape(v, (-1, 1)) for v in (step.noise_variance_, step.signal_variance_))
+
+    def variances(g):
+        h = np.square(g - shift @ u)
+        outside = np.maximum(1 - np.square(g).sum(axis=0), 0.0)
+        common = float(with_noise) + np.square(u).sum(axis=0)
+        return signal * outside + noise * (common + shrunk @ h)
+
+    exact = turn @ phi
+    expected, size = variances(exact), np.sqrt(np.square(exact).mean(axis=1, keepdims=True))
+    for step_size in _STEPS:
+        factor = step_size / np.maximum(size, np.finfo(float).tiny)
+        whole = np.round(turn / factor)
+        if np.abs(whole).max() >= 2**24:
+            break
+        g = factor * (whole.astype(np.float32) @ phi.astype(np.float32))
+        if np.all(np.abs(np.sqrt(variances(g)) - np.sqrt(expected)) <= _SHARE * np.sqrt(expected)):
+            return whole, factor
+    return None, None
 
 
-def _network_variance(numbers, step, with_noise):
-    """``network_variance(x, phi, v)``: what ``RBFNetRegressor._variance`` computes."""
+def _rows_to_measure(centers):
+    """Some of the centres, and points half way between two of them."""
+    rows = [centers]
+    for shift in range(1, -(-_MEASURED_ROWS // len(centers)) + 1):
+        rows.append((centers + np.roll(centers, shift, axis=0)) / 2)
+    rows = np.concatenate(rows)
+    return rows[np.linspace(0, len(rows) - 1, _MEASURED_ROWS).astype(int)]
+
+
+def _network_variance(numbers, step, with_noise, exact):
+    """``network_variance(x, phi, v)``: the variance as `NetworkPosterior` computes it."""
     real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
-    p = len(step._tail_map)
     text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
     text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
-    tail = step._tail_map if not k else None
-    if k:
-        turn, shift, tail, shrunk = _posterior_spectrum(step)
-    elif p:
-        tail = solve_triangular(step._design_triangle()[:p, :p], tail, trans="T")
+    p = len(step.posterior_.tail_map)
+    turn, shift, tail, shrunk = posterior_spectrum(step)
     lines = [f"{real} outside = 1, common = {int(with_noise)};"]
     if p:
         text += numbers.table("tail_map", tail, "polynomial: constant, then one a feature")
@@ -156,31 +183,10 @@ def _network_variance(numbers, step, with_noise):
         lines.append("(void)x;")
     inner = []
     if k:
-        n = -(-len(turn) // _VECTOR) * _VECTOR
-        fill = ((0, 0), (0, n - len(turn)))
-        text += numbers.table(
-            "turn", np.pad(turn.T, fill), "one row a centre, one column a direction"
-        )
-        text += numbers.table("shrunk", np.pad(shrunk, fill), "per direction and output")
-        lines += [
-            f"{real} g[{n}] = {{0}};",
-            f"for (int c = 0; c < {k}; ++c)",
-            f"    for (int i = 0; i < {n}; ++i)",
-            "        g[i] += turn[c][i] * phi[c];",
-            f"for (int i = 0; i < {n}; ++i)",
-            "    outside -= g[i] * g[i];",
-            "if (outside < 0)",
-            "    outside = 0;",
-        ]
-        if p:
-            text += numbers.table("tail_shift", np.pad(shift.T, fill))
-            lines += [
-                f"for (int j = 0; j < {p}; ++j)",
-                f"    for (int i = 0; i < {n}; ++i)",
-                "        g[i] -= tail_shift[j][i] * tail[j];",
-            ]
-        inner = [f"    for (int i = 0; i < {n}; ++i)"]
-        inner.append("        sum += shrunk[j][i] * (g[i] * g[i]);")
+        few = (None, None) if exact else _in_few_digits(step, turn, shift, tail, shrunk, with_noise)
+        tables, spectrum, inner = _spectral_sum(numbers, turn, shift, shrunk, *few)
+        text += tables
+        lines += spectrum
     else:
         lines.append("(void)phi;")
     lines += [
@@ -195,6 +201,50 @@ def _network_variance(numbers, step, with_noise):
         f"{text}\nstatic void network_variance(const {real} *x, const {real} *phi, {real} v[{q}])"
         f"\n{{\n{body}\n}}\n"
     )
+
+
+def _spectral_sum(numbers, turn, shift, shrunk, whole, factor):
+    """Tables of the posterior's directions, lines that compute g and h, and the sum over them."""
+    real, (k, p), n = numbers.real, shift.shape, _whole_vectors(len(turn))
+    fill = ((0, 0), (0, n - k))
+    note = "one row a centre, one column a direction"
+    if whole is None:
+        text = numbers.table("turn", np.pad(turn.T, fill), note)
+        of_float = real
+    else:
+        text = numbers.whole("turn", np.pad(whole.T, fill), f"{note}, whole numbers")
+        text += numbers.table("turn_unit", np.pad(factor[:, 0], fill[1]), "of each direction")
+        of_float = "float"
+    text += numbers.table("shrunk", np.pad(shrunk, fill), "per direction and output")
+    sums = "g" if whole is None else "sums"
+    lines = [
+        f"{of_float} {sums}[{n}] = {{0}};",
+        f"for (int c = 0; c < {k}; ++c)",
+        f"    for (int i = 0; i < {n}; ++i)",
+        f"        {sums}[i] += turn[c][i] * ({of_float})phi[c];",
+    ]
+    if whole is not None:
+        lines += [
+            f"{real} g[{n}];",
+            f"for (int i = 0; i < {n}; ++i)",
+            f"    g[i] = turn_unit[i] * ({real})sums[i];",
+        ]
+    lines += [
+        f"for (int i = 0; i < {n}; ++i)",
+        "    outside -= g[i] * g[i];",
+        "if (outside < 0)",
+        "    outside = 0;",
+    ]
+    if p:
+        text += numbers.table("tail_shift", np.pad(shift.T, fill))
+        lines += [
+            f"for (int j = 0; j < {p}; ++j)",
+            f"    for (int i = 0; i < {n}; ++i)",
+            "        g[i] -= tail_shift[j][i] * tail[j];",
+        ]
+    inner = [f"    for (int i = 0; i < {n}; ++i)"]
+    inner.append("        sum += shrunk[j][i] * (g[i] * g[i]);")
+    return text, lines, inner
 
 
 _FALLING_EXP = """

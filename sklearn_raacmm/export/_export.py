@@ -18,7 +18,7 @@ from sklearn_raacmm.export._json import model_of, text_of
 from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
-from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.network import NetworkPosterior, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show, write_whole
 
@@ -34,6 +34,7 @@ TRUSTED_TYPES = [
         JointHarmonicRegressor,
         LinearModel,
         PoseFeatures,
+        NetworkPosterior,
         RBFNetRegressor,
         Terms,
         CylindricalResidualTarget,
@@ -82,8 +83,9 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
         ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
         and ``_DATA_FINGERPRINT``.
 
-        Joint angles are in the unit that `model` takes. A model without an arm, or without three
-        outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
+        Joint angles are in the unit that `model` takes; extra columns, such as a temperature, come
+        after them, and a tool that was not in the fit gives NaN. A model without an arm, or without
+        three outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
 
     dtype : {"double", "float"}, default="double"
         Precision of everything, the functions' arguments included. In single precision a
@@ -92,7 +94,10 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
     std : bool, default=False
         Also write the standard deviation, by which the caller can tell poses that the model knows
         from those it does not. Its tables grow with the square of the number of centres (or terms);
-        those of an :class:`ArmResidualRegressor` that fades are there in any case.
+        those of a correction that fades are there in any case. That of a network is good to 1e-3
+        of itself, in a third of the text that all digits take; where the correction depends on it,
+        as in an :class:`ArmResidualRegressor` that fades, and of data almost without noise, all
+        digits are written.
 
     card : ModelCard or str, default=None
         Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
@@ -314,9 +319,10 @@ def fingerprint(model):
 def register_onnx():
     """Register the package's converters with skl2onnx.
 
-    After that ``skl2onnx.to_onnx`` converts :class:`PoseFeatures`, :class:`RBFNetRegressor` and
-    :class:`CylindricalResidualTarget` wherever they stand: in pipelines, searches, column
-    transformers. To call it again does no harm.
+    After that ``skl2onnx.to_onnx`` converts :class:`PoseFeatures`, :class:`RBFNetRegressor`,
+    :class:`CylindricalResidualTarget`, :class:`JointHarmonicRegressor` and
+    :class:`ArmResidualRegressor` wherever they stand: in pipelines, searches, column transformers.
+    To call it again does no harm.
 
     Raises
     ------
@@ -417,7 +423,8 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=Non
     n_folds : int, default=5
         Where `groups` are given, the error after the correction is that at positions left out, a
         copy of the model having been fitted on the others, in so many folds. 0, or without
-        `groups`: that at the rows given, and the card says so.
+        `groups`, or of a model that :func:`update_correction` has changed: that at the rows given,
+        and the card says so.
 
     serial_number : str, default=None
         Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
@@ -432,6 +439,7 @@ def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=Non
         the single-point repeatability, the mean over positions. Where `y` are deviations from the
         means of their positions, the means are taken off what is left, too: neither data nor
         model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
+        ``updates`` lists what :func:`update_correction` has recorded.
 
     Raises
     ------

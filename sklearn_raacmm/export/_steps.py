@@ -7,6 +7,8 @@ from functools import partial
 from types import MethodType
 from typing import NamedTuple
 
+import numpy as np
+from scipy.linalg import solve_triangular
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import Pipeline
@@ -14,11 +16,14 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model import force_on_probe
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
+# What an ArmResidualRegressor uses, by the number of its stages.
+STAGES = ("none", "harmonics", "harmonics+network")
 
 
 class Step(NamedTuple):
@@ -100,7 +105,7 @@ def arm_of(model):
         elif isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             found.append((path, *azimuth_arm(path, step.azimuth)))
         elif isinstance(getattr(step, "arm_", None), Arm):
-            found.append((path, step.arm_, "rad"))
+            found.append((path, step.arm_, step.angle_unit))
     for path, arm, unit in found[1:]:
         if (arm, unit) != found[0][1:]:
             what = "arms" if arm != found[0][1] else "angle units"
@@ -114,6 +119,67 @@ def arm_of(model):
 def n_outputs(network):
     """Number of outputs of a fitted `RBFNetRegressor`, whatever the shape of its target."""
     return 1 if getattr(network.intercept_, "ndim", 0) == 0 else len(network.intercept_)
+
+
+def extra_of(model):
+    """Names of the columns after the angles that the arm's estimator of a chain takes."""
+    for _, step in leaves(model):
+        linear = getattr(step, "linear_model_", None)
+        if linear is not None:
+            return tuple(name for name, _ in linear.terms.extra)
+    return ()
+
+
+def force_of(extra):
+    """Force on the probe of one unit of each extra column, (3, n_extra), base frame.
+
+    Parameters
+    ----------
+    extra : tuple of (str, tuple of float)
+        As `Terms` has it.
+    """
+    mean = np.array([reference[0] for _, reference in extra])
+    one = force_on_probe(extra, mean + np.eye(len(extra)))
+    return np.round(one - force_on_probe(extra, mean[None])).T
+
+
+def fadings_of(step):
+    """How each stage of one of the arm's estimators fades; all have one size and one factor."""
+    return step.fadings_ if hasattr(step, "fadings_") else [step.fading_]
+
+
+def posterior_spectrum(step):
+    """The posterior of the weights in coordinates in which its covariance is diagonal.
+
+    With phi the radial functions and t the polynomial's terms at a point, and A the triangle of the
+    columns at the training rows, tail first, the variance of output j is
+
+        signal_j (1 - |g|^2) + noise_j (|u|^2 + sum_i h_i^2 / (spectrum_i + alpha_j)),
+        u = tail (1, x), g = turn phi, h = g - shift u.
+
+    One matrix serves all outputs, whatever their ridges are.
+
+    Returns
+    -------
+    turn : ndarray of shape (k, k)
+    shift : ndarray of shape (k, p)
+    tail : ndarray of shape (p, 1 + n_features)
+    shrunk : ndarray of shape (n_outputs, k)
+        ``1 / (spectrum + alpha)``.
+    """
+    posterior, k = step.posterior_, len(step.centers_)
+    p, rows = len(posterior.tail_map), posterior.design_triangle()
+    left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
+    tail = solve_triangular(left, posterior.tail_map, trans="T") if p else posterior.tail_map
+    if not k:
+        return np.empty((0, 0)), np.empty((0, p)), tail, np.empty((n_outputs(step), 0))
+    whiten = posterior.prior_root
+    _, singular, turn = np.linalg.svd(own @ whiten.T)
+    spectrum = np.zeros(len(whiten))
+    spectrum[: len(singular)] = np.square(singular)
+    turn = turn @ whiten
+    shrunk = 1 / np.maximum(spectrum + posterior.alpha[:, None], np.finfo(float).tiny)
+    return turn, turn @ across.T, tail, shrunk
 
 
 _KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, RBFNetRegressor, *LINEAR)

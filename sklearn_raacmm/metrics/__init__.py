@@ -10,11 +10,13 @@ this module is no statement of conformance to any of them.
 
 from sklearn_raacmm.metrics._acceptance import (
     articulated_location_error,
+    block_lengths,
     gauge_lengths,
     length_error,
     probing_form_error,
     probing_size_error,
 )
+from sklearn_raacmm.metrics._bootstrap import repeatability_interval
 from sklearn_raacmm.metrics._repeatability import (
     axis_repeatability,
     repeatability_report,
@@ -27,10 +29,12 @@ from sklearn_raacmm.metrics._repeatability import (
 __all__ = [
     "articulated_location_error",
     "axis_repeatability",
+    "block_lengths",
     "gauge_lengths",
     "length_error",
     "probing_form_error",
     "probing_size_error",
+    "repeatability_interval",
     "repeatability_report",
     "repeatability_scorer",
     "single_point_repeatability",

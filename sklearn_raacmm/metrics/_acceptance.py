@@ -16,6 +16,9 @@ from sklearn_raacmm.utils import (
     refuse_masked,
 )
 
+# Points of a face that are this close to a line, by its length, do not determine a plane.
+_LEAST_SPREAD = 1e-3
+
 
 def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.ndarray:
     """Measured lengths: distances between the mean points of pairs of groups.
@@ -48,6 +51,72 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     """
     points = check_points(points, n_coordinates=3)
     labels, position = check_groups(groups, len(points))
+    ends = _ends(labels, pairs)
+    means = group_means(points, position)
+    return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
+
+
+def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.ndarray:
+    """Measured lengths of gauge blocks: distances between their two parallel faces.
+
+    Parameters
+    ----------
+    points : array-like of shape (n_points, 3)
+        Measured or corrected points on the faces, mm, compensated for the radius of the probe.
+    groups : array-like of shape (n_points,)
+        Label of the face of each point.
+    pairs : array-like of shape (n_lengths, 2)
+        Labels of the two faces of each placement of the block.
+
+    Returns
+    -------
+    lengths : ndarray of shape (n_lengths,)
+        In mm.
+
+    Raises
+    ------
+    ValueError
+        If a pair names a face without points, if the points of two faces do not determine a
+        plane, or shapes do not fit.
+
+    See Also
+    --------
+    gauge_lengths : Lengths from cone to cone.
+
+    Notes
+    -----
+    Both faces get planes with one common normal, by least squares of the distances along it: the
+    right singular vector of the least singular value of the points less the mean of their face.
+    Plane to plane, errors across the normal do not count, and those along it are averaged over a
+    face. From cone to cone, the error of the length depends on two places alone.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.metrics import block_lengths
+    >>> left = [[0, 0, 0], [0, 20, 0], [0, 0, 20]]
+    >>> right = [[100, 5, 5], [100, 25, 5], [100, 5, 25]]
+    >>> block_lengths([*left, *right], ["l", "l", "l", "r", "r", "r"], [["l", "r"]]).round(6)
+    array([100.])
+    """
+    points = check_points(points, n_coordinates=3)
+    labels, position = check_groups(groups, len(points))
+    means = group_means(points, position)
+    lengths = []
+    for first, second in _ends(labels, pairs):
+        rows = np.isin(position, (first, second))
+        flat = points[rows] - means[position[rows]]
+        sizes, directions = np.linalg.svd(flat, full_matrices=False)[1:]
+        if len(sizes) < 3 or sizes[1] < _LEAST_SPREAD * max(sizes[0], 1e-300):
+            raise ValueError(
+                f"The points on the faces {labels[first]} and {labels[second]} do not "
+                "determine a plane: measure at least three points on a face, not in one line."
+            )
+        lengths.append(abs((means[second] - means[first]) @ directions[2]))
+    return np.array(lengths)
+
+
+def _ends(labels, pairs):
+    """Numbers (n_lengths, 2) of the two groups of each pair."""
     refuse_masked("pairs", pairs)
     pairs = np.asarray(pairs)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
@@ -56,9 +125,7 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     unknown = [label for label in pairs.ravel().tolist() if label not in index]
     if unknown:
         raise ValueError(f"pairs names the group {unknown[0]!r}, which has no points.")
-    ends = np.array([[index[a], index[b]] for a, b in pairs.tolist()], dtype=int).reshape(-1, 2)
-    means = group_means(points, position)
-    return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
+    return np.array([[index[a], index[b]] for a, b in pairs.tolist()], dtype=int).reshape(-1, 2)
 
 
 def length_error(

@@ -3,12 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_inverse_root
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
+from sklearn_raacmm.network._network_posterior import NetworkPosterior
 from sklearn_raacmm.network._rbf_net import RBFNetRegressor
 
 __all__ = [
     "KERNELS",
+    "NetworkPosterior",
     "RBFNetRegressor",
     "kernel_matrix",
-    "psd_inverse_root",
 ]

@@ -81,18 +81,19 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
     root, alphas = np.sqrt(weights), np.exp(log_alpha)
     Xs = X * np.exp(-log_width)
     K, slope = KERNELS[kernel].with_slope(squared_distances(Xs, Xs))
-    slope *= root[:, None] * root
-    K *= root[:, None] * root
+    _weigh(K, root)
+    _weigh(slope, root)
     Yw = root[:, None] * Y
-    solved, log_det, trace, inverse = _inverses(K, Yw, alphas)
+    solved, log_det, trace, half = _inverses(K, Yw, alphas)
     of_noise = within / alphas
     quadratic = np.maximum((Yw * solved).sum(axis=0) + of_noise, np.finfo(float).tiny)
     value = log_det + (n_total - n) * log_alpha + n_total * np.log(quadratic)
     # Derivatives of the quadratic form: a'K'a, the weights a being the solution.
     d_quadratic = -alphas * np.square(solved).sum(axis=0) - of_noise
     d_alpha = 0.5 * (alphas * trace + n_total - n + n_total * d_quadratic / quadratic)
-    inverse *= slope
-    d_width = 0.5 * _width_gradient(inverse, Xs, Xs)
+    # Both are symmetric, and the half is in Fortran's order.
+    half *= slope.T
+    d_width = _width_gradient(half, Xs, Xs)
     d_form = -np.array([_rank_one_gradient(slope, a, Xs) for a in solved.T])
     d_width += 0.5 * n_total * (d_form / quadratic[:, None]).sum(axis=0)
     return Likelihood(
@@ -111,6 +112,13 @@ def log_likelihood(data, kernel, log_width, log_alpha):
     return -found.value - q * constant
 
 
+def _weigh(K, root):
+    """Multiply the rows and columns of a kernel matrix, in place."""
+    if np.any(root != 1.0):
+        K *= root[:, None]
+        K *= root
+
+
 def _inverses(K, Y, alphas):
     """Solve with every K + alpha_i I.
 
@@ -119,34 +127,31 @@ def _inverses(K, Y, alphas):
     solved : ndarray of shape (n, q)
     log_det, trace : ndarray of shape (q,)
         Of the matrix, and of its inverse.
-    inverse : ndarray of shape (n, n)
-        Sum of the inverses.
+    half : ndarray of shape (n, n), Fortran order
+        The sum of the inverses is the sum of this and its transpose.
     """
     n, q = Y.shape
     if alphas.min() < LEAST_RIDGE or q >= MANY_OUTPUTS:
         values, vectors = np.linalg.eigh(K)
         inverses = 1 / (np.maximum(values, 0.0)[:, None] + alphas)
         solved = vectors @ (inverses * (vectors.T @ Y))
-        inverse = (vectors * inverses.sum(axis=1)) @ vectors.T
-        return solved, -np.log(inverses).sum(axis=0), inverses.sum(axis=0), inverse
+        half = (vectors @ (0.5 * vectors * inverses.sum(axis=1)).T).T
+        return solved, -np.log(inverses).sum(axis=0), inverses.sum(axis=0), half
     solved, log_det, trace = np.empty((n, q)), np.empty(q), np.empty(q)
-    inverse = None
+    half = None
     for i, alpha in enumerate(alphas):
-        C = np.array(K, order="F")
+        C = K.T.copy(order="F")
         C[np.diag_indices(n)] += alpha
-        factor, failed = lapack.dpotrf(C, lower=1, overwrite_a=1)
+        factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
         if failed:
             raise LinAlgError("kernel matrix is not positive definite to working precision")
         log_det[i] = 2 * np.log(factor.diagonal()).sum()
         solved[:, i] = lapack.dpotrs(factor, Y[:, i], lower=1)[0]
-        one = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        one = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]  # its lower triangle
         trace[i] = np.trace(one)
-        inverse = one if inverse is None else np.add(inverse, one, out=inverse)
-    lower = np.tril(inverse, -1)
-    diagonal = inverse.diagonal().copy()
-    inverse = lower + lower.T
-    inverse[np.diag_indices(n)] = diagonal
-    return solved, log_det, trace, inverse
+        half = one if half is None else np.add(half, one, out=half)
+    half[np.diag_indices(n)] *= 0.5
+    return solved, log_det, trace, half
 
 
 class LeaveOneOut(NamedTuple):
@@ -173,13 +178,14 @@ def leave_one_out(data, kernel, log_width, log_alpha):
     X, Y, weights, within = data
     root, alphas = np.sqrt(weights), np.exp(log_alpha)
     Xs = X * np.exp(-log_width)
-    K = KERNELS[kernel].function(squared_distances(Xs, Xs)) * (root[:, None] * root)
+    K = KERNELS[kernel].function(squared_distances(Xs, Xs))
+    _weigh(K, root)
     Yw = root[:, None] * Y
     error, density = 0.0, 0.0
     for i, alpha in enumerate(alphas):
         y, one = Yw[:, i : i + 1], alphas[i : i + 1]
-        solved, _, _, inverse = _inverses(K, y, one)
-        share = inverse.diagonal()
+        solved, _, _, half = _inverses(K, y, one)
+        share = 2 * half.diagonal()
         residual = solved[:, 0] / share
         signal = ((y * solved).sum() + within[i] / alpha) / data.n_total
         variance = np.maximum(signal / share, np.finfo(float).tiny)
@@ -286,13 +292,10 @@ def _shrink(A, Y, alphas):
     solved, log_det, trace = np.empty((m, q)), np.empty(q), np.empty(q)
     summed, weighted = np.zeros((m, m)), np.zeros((m, m))
     for i, alpha in enumerate(alphas):
-        of_output = _inverses(AA, AY[:, i : i + 1], alphas[i : i + 1])
-        solved[:, i], log_det[i], trace[i], inverse = (
-            of_output[0][:, 0],
-            of_output[1][0],
-            of_output[2][0],
-            of_output[3],
-        )
+        one = slice(i, i + 1)
+        of_output, log_det[one], trace[one], half = _inverses(AA, AY[:, one], alphas[one])
+        solved[:, one] = of_output
+        inverse = half + half.T
         summed += inverse
         weighted += alpha * inverse
     return solved, log_det, trace, summed, A, weighted

@@ -9,6 +9,7 @@ only, not on the choice, and needs no more digits than a guess does.
 """
 
 import numpy as np
+from scipy.linalg import blas
 
 from sklearn_raacmm.network._kernels import largest
 
@@ -17,16 +18,18 @@ from sklearn_raacmm.network._kernels import largest
 FEWEST, MOST = 4, 64
 # Candidates that enter a pool that does not hold all, when one outside turns out to be the best.
 _ENTRANTS = 64
-# Numbers that a processor multiplies in the time in which it reads one: a pool is filled once the
-# single steps so far have taken as long as the product that makes its Gram matrix takes.
-_PRODUCTS_PER_READ = 40
+# Inner products of vectors, for a Gram matrix, in the time in which one vector is read: a pool is
+# filled once the single steps so far have taken as long as its Gram matrix takes.
+_ENTRIES_PER_READ = 20
 # Below this many steps a guess on the mean of so many guesses, looking ahead does not pay.
 _SHORT_RUN, _TRIALS = 4, 8
 # Candidates in the pool where the kernel matrix itself is worked on: with 256 runs of 25 guesses
 # were right on average (3000 rows, width a tenth), with 64 half as many.
 _FEW_CANDIDATES = 256
-# Memory of the Gram matrix, in coordinates: as much as their factor has needed while it grew.
-_MEMORY = 1.25
+# Memory of the Gram matrix, in coordinates: as much as their factor has needed while it grew. Up to
+# this many candidates it is taken in any case, 200 MB. In single precision a Gram matrix guesses
+# three choices in a row instead of sixty: it is no way to save memory.
+_MEMORY, _FREE = 1.25, 5000
 # Part of a squared length below which its running figure is not good enough for a guess.
 _FEW_DIGITS = 1e-7
 # Rows of the Gram matrix that are updated together.
@@ -99,7 +102,7 @@ class Pool:
             self.size = n if pays_for_all(n, n_select) else min(n, _FEW_CANDIDATES)
         else:
             # Some of the candidates would not do: the next best is among the others too often.
-            self.size = n if n <= _MEMORY * rank else 0
+            self.size = n if n <= max(_FREE, _MEMORY * rank) else 0
         self.members = np.empty(0, dtype=np.intp)
         self.grams = []  # of each pass; only the lower triangle is up to date
         self.pending = [[] for _ in passes]  # products not yet projected out of it
@@ -112,7 +115,7 @@ class Pool:
             self.size, self.rounds, self.grams = 0, 0, []
         if not self.grams:
             self.n_read += n + 2 * self.passes[0].U.size
-            price = self.size**2 / _PRODUCTS_PER_READ
+            price = self.size**2 / _ENTRIES_PER_READ
             if self.size < FEWEST or min(self.n_read, room * n) < price:
                 return [j]
         if not self.grams or j not in self.members:
@@ -165,7 +168,8 @@ class Pool:
         if one.whitened:
             u, v = one.candidates.columns(m)
             one.project(u, v)
-            return u @ v.T
+            # Fortran's upper triangle is our lower one.
+            return blas.dsyrk(1.0, u.T, trans=1, lower=0).T
         # Some rows at a time, for their columns are as large as the kernel matrix.
         gram = np.empty((len(m), len(m)))
         for start in range(0, len(m), _ROWS):

@@ -5,23 +5,13 @@ import warnings
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_raacmm.network._width_search import ALPHA_BOUNDS, WIDTH_BOUNDS
+from sklearn_raacmm.network._width_objective import ALPHA_BOUNDS, WIDTH_BOUNDS
 from sklearn_raacmm.utils import LARGEST, floats
 
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
 _MAX_RANGE = 1e6
 # Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
 _MAX_WIDTH = 1e7
-
-# Attributes that have one number for each output.
-PER_OUTPUT = (
-    "coef_",
-    "intercept_",
-    "linear_coef_",
-    "alpha_",
-    "noise_variance_",
-    "signal_variance_",
-)
 
 
 def leading_bits(values):
@@ -51,19 +41,6 @@ def check_length_scale(length_scale, n_features):
     return np.broadcast_to(width, n_features).copy()
 
 
-def refuse_tiny(name, array):
-    """Refuse columns of numbers so small that their squares underflow."""
-    if not array.size:
-        return
-    size = np.maximum(array.max(axis=0), -array.min(axis=0))
-    tiny = (size > 0) & (size < 1 / LARGEST**2)
-    if np.any(tiny):
-        raise ValueError(
-            f"{name} holds a column of numbers no larger than {np.min(size[tiny]):g}: numbers "
-            f"below {1 / LARGEST**2:g} are refused, as their squares underflow. Use a smaller unit."
-        )
-
-
 def warn_of_bound(features):
     """Warn of widths that were found at their lower bound."""
     if len(features):
@@ -76,11 +53,11 @@ def warn_of_bound(features):
         )
 
 
-def relevance(problem, alpha, length_scale, signal_variance):
+def relevance(problem, posterior):
     """Slope of the modelled function along every feature, per spread, as a share of their sum."""
-    varying = (problem.spread > 0) & (alpha < ALPHA_BOUNDS[1])
-    share = np.sum(signal_variance[varying] / problem.spread[varying] ** 2)
-    slope = np.sqrt(share) * problem.X.std(axis=0) / length_scale
+    varying = (problem.spread > 0) & (posterior.alpha < ALPHA_BOUNDS[1])
+    share = np.sum(posterior.signal_variance[varying] / problem.spread[varying] ** 2)
+    slope = np.sqrt(share) * problem.X.std(axis=0) / posterior.length_scale
     total = slope.sum()
     return slope / total if 0 < total < np.inf else np.zeros(len(slope))
 

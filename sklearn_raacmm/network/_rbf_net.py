@@ -1,64 +1,47 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
-from copy import copy
-from functools import partial
+from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_triangular
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 
-from sklearn_raacmm.network._candidates import Features
 from sklearn_raacmm.network._center_choice import (
     MAX_CANDIDATES,
     CenterSettings,
     choose_centers,
     choose_size,
 )
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
-from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem, dask_chunks, is_dask
-from sklearn_raacmm.network._likelihood import Data
-from sklearn_raacmm.network._nested_fits import (
-    nested_least_squares,
-    penalise,
-    stack_triangles,
-    triangle_of_block,
-)
+from sklearn_raacmm.network._kernels import KERNELS
+from sklearn_raacmm.network._large_data import is_dask
+from sklearn_raacmm.network._network_posterior import fit_path, posterior_of
 from sklearn_raacmm.network._parameters import (
-    PER_OUTPUT,
     check_alpha,
     check_length_scale,
     check_resolved,
-    leading_bits,
-    refuse_tiny,
     relevance,
-    warn_of_bound,
 )
+from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
-from sklearn_raacmm.network._training_data import merge, prepare
-from sklearn_raacmm.network._width_search import AUTO_KERNELS, SAMPLE_ROWS, search
+from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
-    check_data,
     check_features,
     check_fitted,
     check_shapes,
     check_weights,
-    chunks,
+    check_whole_number,
     fit_context,
     one_blas_thread,
+    whole_fit,
 )
 
-# Data of more rows are read in blocks, and repeated rows not merged.
-IN_MEMORY_ROWS = 100_000
-# Kernel values held at a time while predicting: they stay in a core's cache.
-_CHUNK = 2**18
 # Attributes that not every fit has.
-_SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_", "_posterior_")
+_SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_")
 
 
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -103,7 +86,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
     degree : {-1, 0, 1}, default=0
-        Degree of the unpenalised polynomial: none, a constant, or linear in the features.
+        Degree of the polynomial: none, a constant, or linear in the features. The linear part has
+        a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
+        none if `alpha` is given.
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:
@@ -143,6 +128,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     refine : bool, default=False
         After the forward pass exchange centres, one for a better one, until nothing improves. A
         given number of centres is then used better, at up to several times the cost.
+
+    warm_start : bool, default=False
+        Start a refit from the last fit, for data that have changed little: kernel, widths and
+        ridges are kept if the likelihood says that they are right for the new rows, too, and are
+        searched for anew if not; candidates are the last centres, and rows far from all of them.
 
     random_state : int, RandomState instance or None, default=None
         Draws the candidates, and the rows on which kernel, widths and ridge are found: the search
@@ -206,6 +196,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     n_iter_ : int
         Number of centres tried.
+
+    posterior_ : NetworkPosterior
+        All numbers that predictions are made of, as one value.
 
     n_features_in_ : int
         Number of features seen during fit.
@@ -275,6 +268,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "loss": [StrOptions({"squared", "tukey"})],
         "selection": [StrOptions({"ols", "newrb"})],
         "refine": ["boolean"],
+        "warm_start": ["boolean"],
         "random_state": ["random_state"],
     }
 
@@ -293,6 +287,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         loss="squared",
         selection="ols",
         refine=False,
+        warm_start=False,
         random_state=None,
     ):
         self.n_centers = n_centers
@@ -307,10 +302,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.loss = loss
         self.selection = selection
         self.refine = refine
+        self.warm_start = warm_start
         self.random_state = random_state
 
     @fit_context(prefer_skip_nested_validation=True)
     @one_blas_thread
+    @whole_fit
     def fit(self, X, y, sample_weight=None):
         """Choose widths, ridge and centres, and fit the weights.
 
@@ -345,14 +342,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             If a limit that was not set by a parameter decided on the network: the default number of
             centres, or the rank of the factor from whose span they are chosen.
         """
-        fitted = copy(self)  # a fit that is interrupted leaves this estimator as it was
         for name in _SOMETIMES:
-            vars(fitted).pop(name, None)
-        fitted._fit_weighted(X, y, sample_weight)
+            vars(self).pop(name, None)
+        self._fit_weighted(X, y, sample_weight)
         if self.loss == "tukey":
-            fitted._reweigh(X, y, sample_weight)
-        self.__dict__ = fitted.__dict__
-        return self
+            self._reweigh(X, y, sample_weight)
 
     def _reweigh(self, X, y, sample_weight):
         """Fit again with weights by the residuals, until these have settled."""
@@ -368,130 +362,41 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 break
             self._fit_weighted(X, y, given * factor)
         if np.any(factor < 1):
-            self.noise_variance_ = self.noise_variance_ / NORMAL_SQUARE
+            noise = self.posterior_.noise_variance / NORMAL_SQUARE
+            self.posterior_ = replace(self.posterior_, noise_variance=noise)
         self.row_weight_ = factor
 
     def _fit_weighted(self, X, y, sample_weight):
         """Fit by least squares with given weights."""
         rng = check_random_state(self.random_state)
-        problem = self._problem(X, y, sample_weight, rng)
+        tail = self.degree, isinstance(self.alpha, str)
+        problem = read_problem(
+            self, X, y, sample_weight, tail, self.max_candidates or MAX_CANDIDATES, rng
+        )
         width = check_length_scale(self.length_scale, self.n_features_in_)
         check_resolved(width, problem.X, self.alpha)
-
-        kernel, length_scale, alpha = self._tune(problem, width, rng)
-        shift = problem.X.mean(axis=0)
-        settings = CenterSettings(
-            kernel,
-            None if self.n_centers == "auto" else self.n_centers,
-            self.criterion,
-            self.tol,
-            self.max_centers,
-            self.max_candidates,
-            self.selection,
-            self.refine,
+        alpha = check_alpha(self.alpha, len(problem.spread))
+        isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
+        last = last_network(self, problem) if self.warm_start else None
+        functions, alpha, log_likelihood = tune(
+            problem, self.kernel, width, alpha, isotropic, rng, last
         )
-        order, stop_reason = choose_centers(problem, alpha, shift, length_scale, settings, rng)
-        Z = (problem.X[order] - shift) / length_scale
-        root = psd_root(kernel_matrix(Z, Z, kernel))
-        columns = Features(Z, shift, length_scale, kernel)
-        p = problem.n_tail
-        R = problem.reduce(partial(triangle_of_block, columns), stack_triangles, p + len(order))
-        path = nested_least_squares(R, p, root, alpha, problem.within)
+        if log_likelihood is not None:
+            self.log_marginal_likelihood_value_ = log_likelihood
+        settings = CenterSettings.of(self)
+        order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
+        path = fit_path(problem, order, alpha, functions)
         k, scores, reached = choose_size(problem, alpha, path, settings)
-
-        vars(self).pop("_posterior_", None)
-        self.kernel_, self.length_scale_, self.criterion_path_ = kernel, length_scale, scores
+        self.posterior_ = posterior_of(problem, path, order[:k], alpha, functions)
+        self.criterion_path_, self.n_iter_ = scores, len(order)
         self.stop_reason_ = "criterion" if reached else stop_reason
-        self.n_iter_ = len(order)
-        self.centers_ = problem.X[order[:k]]
         self.center_indices_ = problem.first[order[:k]]
         varying = problem.spread > 0
         share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
         self.error_reduction_ = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
-        solution = path.coefficients(k)
-        polynomial = problem.tail_map.T @ solution[:p]
-        self.coef_, self.intercept_, self.linear_coef_ = (
-            solution[p:].T,
-            polynomial[0],
-            polynomial[1:].T,
-        )
-        # The likelihood's estimates; without a ridge the residual and the targets' own variance.
-        ridged = alpha > 0
-        plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
-        noise = np.where(ridged, path.objective[k] / max(problem.n_total - p, 1), plain)
-        known = problem.n_total > p  # one observation says nothing of its error
-        noise = noise if known else np.full(len(noise), np.inf)
-        signal = noise / np.where(ridged, alpha, 1.0)
-        self.noise_variance_ = noise
-        self.signal_variance_ = np.where(ridged & known, signal, problem.spread**2)
-        self.relevance_ = relevance(problem, alpha, length_scale, self.signal_variance_)
-        self.alpha_ = alpha * problem.unit
-        self._weight_unit, self._tail_map = problem.unit, problem.tail_map
-        # One triangle, packed, from which those of all outputs follow.
-        size = min(len(path.rows), p + k)
-        self._rows = path.rows[:size, : p + k][np.triu_indices(size, m=p + k)]
-        if self._flat:
-            for name in PER_OUTPUT:
-                setattr(self, name, getattr(self, name)[0])
+        self.relevance_ = relevance(problem, self.posterior_)
 
-    def _problem(self, X, y, sample_weight, rng):
-        """The data, checked: in memory, or in blocks where they are many or elsewhere."""
-        held = max(
-            MAX_CANDIDATES if self.max_candidates is None else self.max_candidates, SAMPLE_ROWS
-        )
-        if is_dask(X):
-            chunks = dask_chunks(X, y, sample_weight)
-            if len(chunks) > IN_MEMORY_ROWS:
-                self.n_features_in_ = X.shape[1]
-                self._flat = y.ndim == 1
-                return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
-            X, y = X.compute(), np.asarray(y)
-            sample_weight = None if sample_weight is None else np.asarray(sample_weight)
-        X, y = check_data(self, X, y)
-        refuse_tiny("X", X)
-        refuse_tiny("y", y)
-        weights = check_weights(sample_weight, X)
-        self._flat = y.ndim == 1
-        Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
-        if len(X) <= IN_MEMORY_ROWS:
-            return prepare(merge(X, Y, weights), self.degree)
-        chunks = ArrayChunks(X, Y, weights)
-        return chunked_problem(chunks, X.shape[1], self.degree, held, rng.randint(2**31))
-
-    def _tune(self, problem, width, rng):
-        """Kernel, widths and every output's ridge in the problem's units, found where not given."""
-        alpha = check_alpha(self.alpha, len(problem.spread))
-        alphas = np.ones(len(problem.spread)) if alpha is None else alpha / problem.unit
-        # Given widths are those of one kernel.
-        kernels = (self.kernel,) if self.kernel != "auto" else AUTO_KERNELS
-        if width is not None:
-            kernels = kernels[:1]
-            if alpha is not None:
-                return kernels[0], width, alphas
-        sample = problem.sample
-        view, rows = sample.view(), sample.block(slice(None))
-        weights = np.square(sample.root[:, 0])
-        data = Data(sample.X, view.of(rows)[1] / sample.root, weights, view.within)
-        tuned = search(
-            data,
-            kernels,
-            length_scale=width,
-            isotropic=isinstance(self.length_scale, str) and self.length_scale == "isotropic",
-            alpha=None if alpha is None else alpha[view.outputs] / sample.unit,
-            random_state=rng,
-        )
-        if alpha is None:
-            alphas[view.outputs] = leading_bits(tuned.alpha * sample.unit / problem.unit)
-        units = tuned.n_observations * np.log(view.scale).sum()
-        self.log_marginal_likelihood_value_ = float(tuned.log_likelihood - units)
-        if width is None:
-            warn_of_bound(tuned.at_bound)
-            unit = sample.X.std(axis=0)
-            unit[unit == 0] = 1.0
-            width = unit * leading_bits(tuned.length_scale / unit)
-        return tuned.kernel, width, alphas
-
-    def predict(self, X, return_std=False, with_noise=True):
+    def predict(self, X, return_std=False, return_cov=False, with_noise=True):
         """Predict targets.
 
         Parameters
@@ -504,8 +409,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             whose posterior mean the network approximates. It grows to the signal's own standard
             deviation away from the data.
 
+        return_cov : bool, default=False
+            Also return the covariance of the predictions at these rows. Not with `return_std`.
+
         with_noise : bool, default=True
-            Whether that standard deviation is of a new observation, or of the mean.
+            Whether that standard deviation or covariance is of new observations, or of the mean.
 
         Returns
         -------
@@ -515,83 +423,165 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         y_std : ndarray of the same shape
             Standard deviation, where asked for.
 
+        y_cov : ndarray of shape (n_samples, n_samples) or (n_samples, n_samples, n_outputs)
+            Covariance, where asked for.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If X has another number of features than in fit, or holds NaN or infinity; if both the
+            standard deviation and the covariance are asked for.
+        """
+        if return_std and return_cov:
+            raise ValueError("Ask for one of return_std and return_cov, not for both.")
+        X = self._checked_rows(X)
+        mean, std = self.posterior_.predict(X, return_std, with_noise)
+        mean = self._shaped(mean)
+        if return_cov:
+            return mean, self._shaped(self.posterior_.covariance(X, with_noise))
+        return (mean, self._shaped(std)) if return_std else mean
+
+    def sample_y(self, X, n_samples=1, random_state=0, with_noise=True):
+        """Draw targets from the posterior of the Gaussian process that the network approximates.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_features)
+            Rows, at which values are drawn jointly: in time cubic in their number.
+
+        n_samples : int, default=1
+            Number of draws.
+
+        random_state : int, RandomState instance or None, default=0
+            Of the draws.
+
+        with_noise : bool, default=True
+            Whether to draw new observations, or values of the function.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_samples) or (n_rows, n_outputs, n_samples)
+            Outputs are drawn independently of each other.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If X has another number of features than in fit, or holds NaN or infinity; if the noise
+            variance is infinite, as it is after a fit to one observation.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_raacmm import RBFNetRegressor
+        >>> X = np.linspace(0, 6, 50)[:, None]
+        >>> model = RBFNetRegressor().fit(X, np.sin(X[:, 0]))
+        >>> model.sample_y([[1.0], [2.0]], n_samples=3).shape
+        (2, 3)
+        """
+        X = self._checked_rows(X)
+        n_samples = check_whole_number("n_samples", n_samples, 1)
+        draws = self.posterior_.sample(X, n_samples, check_random_state(random_state), with_noise)
+        return draws[:, 0] if self._flat else draws
+
+    def predict_gradient(self, X, return_variance=False):
+        """Derivatives of the prediction by the features, in closed form.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Rows.
+
+        return_variance : bool, default=False
+            Also return the derivatives of the predictive variance. The noise does not depend on
+            the features, so that it is the same for an observation and for the mean.
+
+        Returns
+        -------
+        gradient : ndarray of shape (n_samples, n_features) or (n_samples, n_outputs, n_features)
+            Of the mean, in units of y per unit of X.
+
+        variance_gradient : ndarray of the same shape
+            Of the variance, where asked for.
+
         Raises
         ------
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
             If X has another number of features than in fit, or holds NaN or infinity.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_raacmm import RBFNetRegressor
+        >>> X = np.linspace(0, 6, 50)[:, None]
+        >>> model = RBFNetRegressor().fit(X, np.sin(X[:, 0]))
+        >>> bool(abs(model.predict_gradient([[1.0]])[0, 0] - np.cos(1.0)) < 0.01)
+        True
         """
-        check_fitted(self, "coef_")
-        X = check_features(self, X, dtype=np.float64, reset=False)
-        n, k = len(X), len(self.centers_)
-        shift = self.centers_.mean(axis=0) if k else 0.0
-        centers = (self.centers_ - shift) / self.length_scale_
-        coef = np.atleast_2d(self.coef_).T
-        mean = np.tile(np.atleast_1d(self.intercept_), (n, 1))
-        if np.any(self.linear_coef_):
-            mean += X @ np.atleast_2d(self.linear_coef_).T
-        variance = np.zeros((n, mean.shape[1]))
-        posterior = self._posterior(centers) if return_std else None
-        for part in chunks(n, _CHUNK // max(k, 1)):
-            K = kernel_matrix((X[part] - shift) / self.length_scale_, centers, self.kernel_)
-            mean[part] += K @ coef
-            if return_std:
-                variance[part] = self._variance(X[part], K, posterior, with_noise)
-        flat = np.ndim(self.intercept_) == 0
-        if flat:
-            mean, variance = mean[:, 0], variance[:, 0]
-        return (mean, np.sqrt(variance)) if return_std else mean
+        X = self._checked_rows(X)
+        of_mean, of_variance = self.posterior_.gradient(X, return_variance)
+        if self._flat:
+            of_mean = of_mean[:, 0]
+            of_variance = of_variance[:, 0] if return_variance else None
+        return (of_mean, of_variance) if return_variance else of_mean
 
-    def _posterior(self, centers):
-        """What variances are made of, kept from one call to the next but not in a file."""
-        if "_posterior_" not in self.__dict__:
-            p = len(self._tail_map)
-            K = kernel_matrix(centers, centers, self.kernel_)
-            root, outside = psd_root(K), psd_inverse_root(K)
-            rows = self._design_triangle()
-            alphas = np.atleast_1d(self.alpha_) / self._weight_unit
-            triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(alphas)}
-            self._posterior_ = outside, [triangles[a] for a in alphas]
-        return self._posterior_
+    def _checked_rows(self, X):
+        check_fitted(self, "posterior_")
+        return check_features(self, X, dtype=np.float64, reset=False)
 
-    def _design_triangle(self):
-        """Triangular factor of the columns at the training rows, polynomial first."""
-        n = len(self._tail_map) + len(self.centers_)
-        # Packed, and trapezoidal where there were fewer rows than columns.
-        size = next(m for m in range(n + 1) if m * n - m * (m - 1) // 2 == len(self._rows))
-        rows = np.zeros((size, n))
-        rows[np.triu_indices(size, m=n)] = self._rows
-        return rows
+    def _shaped(self, values):
+        """Values whose last axis is the outputs, without it where y had none."""
+        return values[..., 0] if self._flat else values
 
-    def __getstate__(self):
-        state = super().__getstate__().copy()
-        state.pop("_posterior_", None)
-        return state
+    # The fitted numbers in readable form; all of them are those of `posterior_`.
+
+    def _of_outputs(self, values):
+        """Values of each output, the last axis, as y had them: first, or without an axis."""
+        return values[..., 0] if self._flat else values.T
+
+    @property
+    def kernel_(self):
+        return self.posterior_.kernel
+
+    @property
+    def length_scale_(self):
+        return self.posterior_.length_scale
+
+    @property
+    def centers_(self):
+        return self.posterior_.centers
+
+    @property
+    def coef_(self):
+        return self._of_outputs(self.posterior_.coef)
+
+    @property
+    def intercept_(self):
+        return self._of_outputs(self.posterior_.polynomial[0])
+
+    @property
+    def linear_coef_(self):
+        return self._of_outputs(self.posterior_.polynomial[1:])
+
+    @property
+    def alpha_(self):
+        return self._of_outputs(self.posterior_.alpha * self.posterior_.weight_unit)
+
+    @property
+    def noise_variance_(self):
+        return self._of_outputs(self.posterior_.noise_variance)
+
+    @property
+    def signal_variance_(self):
+        return self._of_outputs(self.posterior_.signal_variance)
 
     def __setstate__(self, state):
         super().__setstate__(state)
-        if "centers_" not in vars(self):
-            return
-        q = () if np.ndim(self.intercept_) == 0 else ("outputs",)
-        shapes = {"centers_": ("k", "d"), "length_scale_": ("d",), "center_indices_": ("k",)}
-        shapes |= {"coef_": (*q, "k"), "intercept_": q, "linear_coef_": (*q, "d")}
-        shapes |= {"noise_variance_": q, "signal_variance_": q, "_tail_map": ("p", "d1")}
-        sizes = {"d": self.n_features_in_, "d1": self.n_features_in_ + 1}
-        check_shapes(type(self).__name__, vars(self), shapes, sizes, ("length_scale_",))
-
-    def _variance(self, X, K, posterior, with_noise):
-        """Variance of the posterior: of the weights, and of what lies outside the centres' span."""
-        prior_root, triangles = posterior
-        tail = np.column_stack([np.ones(len(X)), X]) @ self._tail_map.T
-        rows = np.hstack([tail, K]).T
-        outside = np.maximum(1 - np.square(K @ prior_root.T).sum(axis=1), 0.0)
-        noise, signal = np.atleast_1d(self.noise_variance_), np.atleast_1d(self.signal_variance_)
-        variance = np.outer(outside, signal)
-        of_weights = {}
-        for i, R in enumerate(triangles):
-            if id(R) not in of_weights:
-                solved = solve_triangular(R, rows, trans="T", check_finite=False)
-                of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
-            variance[:, i] += noise[i] * of_weights[id(R)]
-        return variance
+        if "posterior_" in vars(self):
+            sizes = {"k": len(self.posterior_.centers)}
+            check_shapes(type(self).__name__, vars(self), {"center_indices_": ("k",)}, sizes)

@@ -12,7 +12,13 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
+from sklearn_raacmm.residuals._plausible import (
+    refuse_large,
+    refuse_points,
+    warn_of_another_frame,
+)
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
+from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
 
 __all__ = [
@@ -22,9 +28,14 @@ __all__ = [
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
     "direction_of",
+    "elbow_angle",
     "pose_columns",
     "position_residuals",
+    "refuse_large",
+    "refuse_points",
+    "shoulder_wrist_distance",
     "std_to_cartesian",
     "to_cartesian",
     "to_cylindrical",
+    "warn_of_another_frame",
 ]

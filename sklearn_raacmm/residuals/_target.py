@@ -21,12 +21,17 @@ from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
 
-from sklearn_raacmm.arm import Arm, one_warning
+from sklearn_raacmm.arm import Arm, one_warning, reach_mm
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     std_to_cartesian,
     to_cartesian,
     to_cylindrical,
+)
+from sklearn_raacmm.residuals._plausible import (
+    refuse_large,
+    refuse_points,
+    warn_of_another_frame,
 )
 from sklearn_raacmm.utils import (
     HasMethods,
@@ -45,6 +50,8 @@ from sklearn_raacmm.utils import (
 
 # A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
 NORM_TOLERANCE = 1e-5
+# For warnings of fit, which three decorators wrap.
+_CALLER = 6
 
 
 class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
@@ -174,7 +181,13 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         ValueError
             If `y` has the wrong number of columns, or NaN or infinity; if the last two columns
             of `X` are not a direction where they should be; if the azimuth is not one finite
-            number per row.
+            number per row; if `y` are the probe's points, or too large for residuals in mm.
+
+        Warns
+        -----
+        UserWarning
+            If a motion of the arm's base explains nearly all of `y`: the reference is then most
+            likely in another frame.
         """
         for name, value in (("X", X), ("y", y)):
             refuse_disguised(name, value)
@@ -195,6 +208,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             )
         features, direction = self._split(X)
         if self._rotates:
+            self._check_residuals(X, y)
             y = to_cylindrical(y, direction)
         if get_config()["enable_metadata_routing"]:
             fit_params = process_routing(self, "fit", **fit_params).regressor.fit
@@ -284,6 +298,16 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
                 )
             return X, (np.cos(azimuth), np.sin(azimuth))
         return X, None
+
+    def _check_residuals(self, X, y):
+        """Refuse what is no residual, by the arm where the azimuth is that of an arm."""
+        known = ()
+        if getattr(self.azimuth, "__func__", None) is Arm.azimuth:
+            arm = self.azimuth.__self__
+            known = arm.forward(X), reach_mm(arm)
+            refuse_points(y, *known)
+        refuse_large(y, *known[1:])
+        warn_of_another_frame(y, *known, stacklevel=_CALLER)
 
     def _get_regressor(self):
         if self.regressor is not None:

@@ -14,6 +14,7 @@ from sklearn_raacmm.utils._checks import (
     check_whole_number,
     floats,
     is_plain,
+    listed,
     refuse_disguised,
     refuse_huge,
     refuse_masked,
@@ -32,6 +33,7 @@ from sklearn_raacmm.utils._groups import (
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
+from sklearn_raacmm.utils._rigid import align, nearest_rotation
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
@@ -55,6 +57,7 @@ __all__ = [
     "Interval",
     "StrOptions",
     "VersionedEstimator",
+    "align",
     "centred",
     "check_data",
     "check_feature_names",
@@ -79,6 +82,8 @@ __all__ = [
     "group_weights",
     "html_table",
     "is_plain",
+    "listed",
+    "nearest_rotation",
     "one_blas_thread",
     "refuse_disguised",
     "refuse_huge",

@@ -101,7 +101,7 @@ def test_fit_jacobian_against_differences(kind):
         problem = Problem(rng.permutation(np.repeat([0, 1, 2], 4)), None, [(0, 2, 300.0, 2.0)])
     x = pack(NOMINAL["panda"])
     sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [7, 7, 7, 7, 3])
-    fit = Fit(arm, angles, problem, x, sd, "linear")
+    fit = Fit(arm, angles, problem, x, sd, "squared")
     fit.sigma, fit.weights = 3.0, rng.uniform(0.5, 1, 12)
     x = fit.x + 1e-3 * rng.normal(size=len(fit.x))
     mask = np.ones(len(x), bool)
@@ -240,7 +240,7 @@ def test_standard_deviations_are_those_of_repeated_tests():
     for _ in range(25):
         noise = rng.normal(0, 0.05, (len(angles), 3))
         moved = angles + (np.linalg.pinv(jac) @ noise[:, :, None])[:, :, 0]
-        result = calibrate(nominal, moved, groups, loss="linear")
+        result = calibrate(nominal, moved, groups, loss="squared")
         identified = ~np.isin(result.names, result.unidentified)
         known = identified & (result.standard_deviations < 0.05)
         z.append(((result.values - result.nominal) / result.standard_deviations)[known])
@@ -258,7 +258,7 @@ def test_outliers_are_named_and_hardly_count(loss):
     spoilt = angles.copy()
     spoilt[bad, 1] += [4e-3, -6e-3, 5e-3]  # a few mm
     result = calibrate(NOMINAL["aacmm6"], spoilt, groups, loss=loss)
-    plain = calibrate(NOMINAL["aacmm6"], spoilt, groups, loss="linear")
+    plain = calibrate(NOMINAL["aacmm6"], spoilt, groups, loss="squared")
     assert set(bad) <= set(result.outliers)
     assert len(result.outliers) <= 5
     assert result.outliers[0] in bad

@@ -200,7 +200,7 @@ def test_fit_jacobian_with_orientations_against_differences():
         None, points, [], tools=codes, stations=codes[::-1].copy(), turns=turns.as_matrix()
     )
     nominal = np.r_[pack(ARM), ARM.probe]
-    fit = Fit(ARM, angles, problem, nominal, np.ones(30), "linear")
+    fit = Fit(ARM, angles, problem, nominal, np.ones(30), "squared")
     fit.sigma, fit.sigma_turn = 1.0, 1.0
     x = fit.x + 1e-5 * np.random.default_rng(0).normal(size=len(fit.x))
     mask = np.ones(len(x), bool)

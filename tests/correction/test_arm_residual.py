@@ -238,10 +238,10 @@ def test_parameters_are_left_alone(cones):
     assert not hasattr(model.network, "centers_")
 
 
-@pytest.mark.parametrize("features", ["all", "pose"])
-def test_degrees_are_warned_of_once_and_where_they_come_from(cones, features):
+@pytest.mark.parametrize("joints", ["all", "pose"])
+def test_degrees_are_warned_of_once_and_where_they_come_from(cones, joints):
     theta, y, groups, _ = cones
-    model = small(use="harmonics+network", features=features, fade=0.5)
+    model = small(use="harmonics+network", joints=joints, fade=0.5)
     degrees = np.rad2deg(theta)
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")

@@ -214,6 +214,17 @@ def test_on_the_ur10_another_day(ur10, ur10_b):
     assert now < 0.2
 
 
+def test_an_arm_without_errors_stays_as_it_is():
+    """Noise of rounding alone left covariances that were not positive definite."""
+    test = make_single_point(6, 10, machine="none", random_state=3)
+    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False)
+    model.fit(test.data, test.target, groups=test.groups)
+    few = test.groups < 4
+    new = test.data[few], test.target[few]
+    updated = update_correction(model, *new, groups=test.groups[few])
+    assert np.abs(updated.predict(test.data)).max() < 1e-9
+
+
 def test_intervals_hold_after_an_update(model):
     """At poses far from the new ones, too: 95 % of true residuals in 1.96 deviations."""
     inside = []

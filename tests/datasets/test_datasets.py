@@ -287,7 +287,36 @@ def test_drift_is_the_warming_that_the_thermometer_shows():
     assert set(steady.temperature) == {21.0}
 
 
-@pytest.mark.parametrize("source", [{"play_arcsec": 10}, {"softening_arcsec": 5}, {"drift_k": 3}])
+def test_a_payload_bends_as_a_weight_at_the_probe():
+    """Castigliano: how far it sinks is the slope of the bending energy by the force."""
+    sizes = {"joint_compliance_urad_per_nm": 20, "counterbalance": 0.5}
+    machine, newton = SimulatedArm(ArmErrors.only(**sizes)), np.array([0.0, 8.0])
+    out = np.tile(STRAIGHT_OUT, (2, 1))
+    bent = machine.deviations(out, payload_n=newton)["payload"]
+    assert not bent[0].any()
+    shoulder, beyond_elbow = 750.742 + 500.557 + 97.811, 500.557 + 97.811  # mm
+    drop = 20e-6 * 8e-3 * (0.5 * shoulder**2 + beyond_elbow**2 + 97.811**2)
+    assert bent[1, 2] == pytest.approx(-drop, rel=2e-3)
+    # The cantilevers of both tubes, each with a load F at the end of what it carries.
+    machine = SimulatedArm(ArmErrors.only(sag_um=(100, 20)))
+    ei = [(15.6 * L / 8 + load / 3) * L**3 / sag for L, load, sag in (
+        (0.750742, 9.8 + 15.6 * 0.500557 + 5.9, 100e-6), (0.500557, 5.9, 20e-6))]  # fmt: skip
+    parts = [_cantilever(L, 0, 8.0, one) for L, one in zip((0.750742, 0.500557), ei, strict=True)]
+    drop = sum(1e3 * sag + slope * arm for (sag, slope), arm in zip(
+        parts, (beyond_elbow, 97.811), strict=True))  # fmt: skip
+    bent = machine.deviations(out, payload_n=8.0)["payload"]
+    assert bent[:, 2] == pytest.approx(-drop, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        {"play_arcsec": 10},
+        {"softening_arcsec": 5},
+        {"drift_k": 3},
+        {"payload_n": 9, "joint_compliance_urad_per_nm": 30},
+    ],
+)
 def test_a_perfect_model_knows_the_new_sources(source):
     """Their own errors are larger than what is left once they are known."""
     test = make_single_point(4, 10, machine=ArmErrors.only(**source))
@@ -500,6 +529,8 @@ def test_sizes_are_checked(field, value):
         (lambda: make_gauge(3000), "between 0 and 2159 mm"),
         (lambda: make_gauge([]), "between 0 and"),
         (lambda: make_single_point(machine="perfect"), "'eccentricity', 'gravity'.* got 'perfect'"),
+        (lambda: make_single_point(machine=3), "'machine' parameter of make_single_point"),
+        (lambda: make_gauge(as_frame="yes"), "'as_frame' parameter of make_gauge"),
         (lambda: ArmErrors(counterbalance=1.2), r"\[0, 1\], got 1.2"),
         (lambda: ArmErrors(seating_um=-1), "got -1"),
         (lambda: SimulatedArm("none").find_poses([2000, 0, 0], 5), "0 poses reach .* 151%"),

@@ -270,6 +270,12 @@ def test_ur10(serve, tmp_path, data_folder, ur10):
     np.testing.assert_array_equal(test.tracker_points, ur10.points)
     np.testing.assert_array_equal(test.groups, ur10.groups)
     np.testing.assert_array_equal(test.temperature, ur10.temperature)
+    assert test.directions.shape == test.data.shape
+    assert test.time[0] == np.datetime64("2020-07-14T16:39:04")
+    assert np.count_nonzero(np.diff(test.time) < np.timedelta64(0, "s")) == 9
+    for row in (1, 5000, 11000):  # rows that were measured one after the other
+        turned = np.angle(np.exp(1j * (ur10.angles[row] - ur10.angles[row - 1])))
+        np.testing.assert_array_equal(test.directions[row], np.sign(turned))
     # The true points, points - target, are the tracker's moved as a rigid body.
     some = np.arange(0, len(test.data), 500)
     true = (test.points - test.target)[some]

@@ -20,6 +20,7 @@ from sklearn_raacmm.display import (
     RepeatabilityDisplay,
     ResidualDisplay,
 )
+from sklearn_raacmm.metrics import repeatability_interval
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -54,9 +55,13 @@ def two_s(points):
     return 2 * np.sqrt(np.sum(delta**2) / (len(points) - 1))
 
 
-def drawn(ax):
-    """Ordinates of the lines of an axes by the name in the legend."""
-    return {line.get_label().split(":")[0]: line.get_ydata() for line in ax.get_lines()}
+def drawn(ax, unit="mm"):
+    """Ordinates of the lines of an axes by the name in the legend, mm."""
+    factor = {"mm": 1.0, "µm": 1e-3}[unit]
+    return {
+        line.get_label().split(":")[0]: factor * np.asarray(line.get_ydata())
+        for line in ax.get_lines()
+    }
 
 
 def test_repeatability_draws_2s_of_every_position(cone, model):
@@ -68,7 +73,8 @@ def test_repeatability_draws_2s_of_every_position(cone, model):
         perfect=cone.simulation.perfect_correction,
         name="linear",
     )
-    lines = drawn(display.ax_)
+    lines = drawn(display.ax_, display.unit_)
+    assert display.unit_ == ("µm" if max(display.before.max(), display.after.max()) < 0.1 else "mm")
     after = cone.points - model.predict(cone.data)
     for name, points in {
         "before": cone.points,
@@ -86,6 +92,30 @@ def test_repeatability_draws_2s_of_every_position(cone, model):
     np.testing.assert_allclose(again.after, display.after, rtol=1e-6)
     assert again.floor is None
     assert list(drawn(again.ax_)) == ["before", "after"]
+    # Places have no order: no line joins them.
+    assert all(line.get_linestyle() == "None" for line in again.ax_.get_lines())
+
+
+def test_repeatability_has_intervals(cone):
+    settings = {"groups": cone.groups, "statistic": "mean"}
+    display = RepeatabilityDisplay.from_predictions(cone.points, cone.target, **settings)
+    expected = repeatability_interval(
+        cone.points, cone.groups, statistic="mean", aggregate=None, random_state=0
+    )
+    np.testing.assert_allclose(display.before_interval, expected)
+    factor = {"mm": 1, "µm": 1000}[display.unit_]
+    for lines, shown in zip(
+        display.ax_.collections, (display.before_interval, display.after_interval), strict=True
+    ):
+        drawn = [line[:, 1] for line in lines.get_segments()]
+        np.testing.assert_allclose(drawn, factor * shown)
+    without = RepeatabilityDisplay.from_predictions(
+        cone.points, cone.target, interval=None, **settings
+    )
+    assert without.before_interval is None
+    assert len(without.ax_.collections) == 0
+    with pytest.raises(ValueError, match=r"between 0 and 1, got 95"):
+        RepeatabilityDisplay.from_predictions(cone.points, cone.target, interval=95, **settings)
 
 
 def test_repeatability_names_positions_in_their_order(cone):
@@ -99,7 +129,7 @@ def test_repeatability_names_positions_in_their_order(cone):
     far = cone.points[names == "far"]
     largest = np.linalg.norm(far - far.mean(axis=0), axis=1).max()
     assert display.before[0] == pytest.approx(largest)
-    assert "largest deviation (mm)" in display.ax_.get_ylabel()
+    assert f"largest deviation ({display.unit_})" in display.ax_.get_ylabel()
 
 
 def test_length_errors_each_length_on_its_axes(gauge, model):
@@ -121,8 +151,9 @@ def test_length_errors_each_length_on_its_axes(gauge, model):
                 if length == size:
                     a, b = (points[gauge.groups == end].mean(axis=0) for end in pair)
                     errors.append(np.linalg.norm(b - a) - size)
-            np.testing.assert_allclose(drawn(ax)[name], errors, atol=1e-9)
-        assert np.abs(drawn(ax)["noise floor"]).max() < 0.02
+            shown = drawn(ax, display.unit_)
+            np.testing.assert_allclose(shown[name], errors, atol=1e-9)
+        assert np.abs(shown["noise floor"]).max() < 0.02
     # One length for all.
     some = gauge.lengths == 500
     one = LengthErrorDisplay.from_predictions(
@@ -177,7 +208,11 @@ def test_residuals_turn_with_the_arm(cone, model):
     # Rows are components, columns angles.
     x, y = display.axes_[2, 0].get_lines()[0].get_data()
     np.testing.assert_allclose(x, np.rad2deg(cone.data[:, 2]))
-    np.testing.assert_allclose(y, cone.target[:, 2])
+    np.testing.assert_allclose(y, cone.target[:, 2] * {"mm": 1, "µm": 1000}[display.unit_])
+    # Nine of ten dots lie in the band, whose lines are drawn last.
+    low, high = (line.get_ydata() for line in display.axes_[2, 0].get_lines()[2:4])
+    assert low.shape == high.shape == (1,)  # 24 poses: one bin
+    assert np.mean((low[0] < y) & (y < high[0])) == pytest.approx(0.9, abs=0.07)
     assert display.axes_[2, 2].get_xlabel() == "theta_dis (deg)"
 
 
@@ -276,6 +311,18 @@ def test_given_axes_are_used(plt, cone, gauge, model):
     again = one.plot(after_kwargs={"color": "red"})
     assert again.ax_.get_lines()[1].get_color() == "red"
     assert again.ax_ is not axes[0, 0]
+
+
+def test_one_unit_in_a_figure():
+    """Micrometres where all is below a tenth of a millimetre."""
+    values = {"before": np.array([0.08, 0.05]), "after": np.array([0.02, 0.01])}
+    small = RepeatabilityDisplay(**values).plot()
+    assert small.ax_.get_ylabel() == "repeatability, 2S (µm)"
+    assert small.ax_.get_legend().get_texts()[0].get_text() == "before: 65.0 µm"
+    np.testing.assert_allclose(small.ax_.get_lines()[1].get_ydata(), [20, 10])
+    large = RepeatabilityDisplay(**values | {"before": np.array([0.2, 0.05])}).plot()
+    assert large.ax_.get_legend().get_texts()[1].get_text() == "after: 0.0150 mm"
+    large.figure_.canvas.draw()
 
 
 def test_a_perfect_arm_is_drawn_without_warnings():

@@ -101,14 +101,25 @@ def test_degrees_names_and_one_output(data):
         assert again.predict(Z).ndim == 1
 
 
+def test_a_parameter_is_not_written_as_fitted(models, data):
+    """The pattern of a stage may have been fitted by itself: its numbers are not the model's."""
+    model = copy.deepcopy(models["guarded"])
+    model.harmonics = models["linear"]
+    text = to_json(model)
+    assert len(text) == len(to_json(models["guarded"]))
+    again = from_json(text)
+    assert not hasattr(again.harmonics, "linear_model_")
+    np.testing.assert_array_equal(again.predict(data.data), model.predict(data.data))
+
+
 def test_numbers_are_exact_and_text_is_text(models):
     text = to_json(models["pipeline"])
     assert "NaN" not in text
     content = json.loads(text)["model"]
     (_, target) = content["state"]["steps"][1]["tuple"]
     steps = target["state"]["regressor_"]["state"]["steps"]
-    coef = steps[1]["tuple"][1]["state"]["coef_"]
-    expected = models["pipeline"][-1].regressor_[-1].coef_
+    coef = steps[1]["tuple"][1]["state"]["posterior_"]["state"]["coef"]
+    expected = models["pipeline"][-1].regressor_[-1].posterior_.coef
     assert coef["shape"] == list(expected.shape)
     assert coef["array"] == expected.ravel().tolist()
 
@@ -121,9 +132,15 @@ def changed(text, change):
     return json.dumps(head)
 
 
+def numbers_of(node, name):
+    """Where an array of a network stands: among its own attributes or in its posterior."""
+    own = node["state"]["posterior_"]["state"]
+    return (own if name in own else node["state"])[name]
+
+
 def drop_a_row(name):
     def change(node):
-        entry = node["state"][name]
+        entry = numbers_of(node, name)
         entry["shape"][0] -= 1
         size = int(np.prod(entry["shape"]))
         entry["array"] = entry["array"][:size]
@@ -133,7 +150,7 @@ def drop_a_row(name):
 
 def put(name, value):
     def change(node):
-        node["state"][name]["array"][0] = value
+        numbers_of(node, name)["array"][0] = value
 
     return change
 
@@ -141,19 +158,21 @@ def put(name, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (drop_a_row("centers_"), r"coef_ of RBFNetRegressor|center_indices_"),
-        (drop_a_row("coef_"), r"of RBFNetRegressor has shape"),
-        (drop_a_row("length_scale_"), r"length_scale_ of RBFNetRegressor has shape \(5,\)"),
-        (put("coef_", "NaN"), "coef_ of RBFNetRegressor holds NaN or infinity"),
-        (put("centers_", "Infinity"), "centers_ of RBFNetRegressor holds NaN or infinity"),
-        (put("coef_", None), "something that is no number"),
-        (lambda node: node["state"].pop("intercept_"), "intercept_"),
+        (drop_a_row("center_indices_"), r"center_indices_ of RBFNetRegressor has shape"),
+        (drop_a_row("centers"), r"coef of NetworkPosterior has shape"),
+        (drop_a_row("coef"), r"of NetworkPosterior has shape"),
+        (drop_a_row("length_scale"), r"length_scale of NetworkPosterior has shape \(5,\)"),
+        (put("coef", "NaN"), "coef of NetworkPosterior holds NaN or infinity"),
+        (put("centers", "Infinity"), "centers of NetworkPosterior holds NaN or infinity"),
+        (put("coef", None), "something that is no number"),
+        (drop_a_row("polynomial"), r"tail_map of NetworkPosterior has shape"),
+        (lambda node: node["state"]["posterior_"]["state"].pop("noise_variance"), "is missing"),
         (lambda node: node["state"].pop("kernel"), "RBFNetRegressor has no kernel"),
         (lambda node: node.update(estimator="Popen"), "'Popen' is none of PoseFeatures"),
         (lambda node: node.update(estimator=["x"]), "is none of"),
         (lambda node: node.clear(), "None is none of"),
-        (lambda node: node["state"]["coef_"].update(shape=[2, 2]), "cannot reshape"),
-        (lambda node: node["state"]["coef_"].update(dtype="O"), "'O'"),
+        (lambda node: numbers_of(node, "coef").update(shape=[2, 2]), "cannot reshape"),
+        (lambda node: numbers_of(node, "coef").update(dtype="O"), "'O'"),
     ],
 )
 def test_damaged_files_are_refused(data, change, message):
@@ -161,6 +180,45 @@ def test_damaged_files_are_refused(data, change, message):
     with pytest.raises(ValueError, match=message) as error:
         from_json(changed(text, change))
     assert "\n" not in str(error.value)
+
+
+def fading(node):
+    return node["state"]["fadings_"][0]["state"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda node: fading(node).update(factor=-2.0), "factor of Fading must be a finite"),
+        (lambda node: fading(node).update(size_mm="0.1"), "size_mm of Fading must be"),
+        (lambda node: fading(node).update(known_mm=None), "known_mm of Fading must be"),
+        (lambda node: fading(node).update(size_mm={"number": "NaN"}), "got nan"),
+        (lambda node: fading(node).pop("factor"), "factor"),
+        (lambda node: fading(node).update(half=1.0), "half"),
+        (lambda node: node["state"]["fadings_"].pop(), "how each of its stages fades"),
+        (lambda node: node["state"].update(fadings_=[1, 2]), "how each of its stages fades"),
+        (lambda node: node["state"].pop("fadings_"), "how each of its stages fades"),
+        (lambda node: node["state"].update(use_="all"), "use_ of ArmResidualRegressor must be one"),
+        (lambda node: node["state"].update(linear_model_=None), "linear_model_ .* is no LinearMod"),
+        (lambda node: node["state"].update(network_=None), "network_ .* is no RBFNetRegressor"),
+        (lambda node: node["state"].update(cap_mm_="1"), "cap_mm_ of ArmResidualRegressor must be"),
+        (lambda node: node["state"].update(cap_mm_={"number": "NaN"}), "cap_mm_ .* got nan"),
+        (lambda node: node["state"].update(angle_unit="turns"), "'angle_unit' parameter"),
+        (lambda node: node["state"].update(joints=["all"]), "'joints' parameter"),
+    ],
+)
+def test_damaged_stages_are_refused(models, change, message):
+    text = to_json(models["guarded"])
+    with pytest.raises(ValueError, match=message) as error:
+        from_json(changed(text, change))
+    assert "holds no model that can be built" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_linear_model_without_its_fading_is_refused(models):
+    text = to_json(models["linear"])
+    with pytest.raises(ValueError, match="how each of its stages fades"):
+        from_json(changed(text, lambda node: node["state"].pop("fading_")))
 
 
 def test_a_changed_digit_is_noticed(models, tmp_path):
@@ -197,15 +255,15 @@ def test_what_cannot_be_written(data):
         to_json(model)
 
 
-@pytest.mark.parametrize("attribute", ["centers_", "coef_", "length_scale_"])
+@pytest.mark.parametrize("attribute", ["centers", "coef", "length_scale"])
 def test_other_files_of_a_network_that_lost_a_row(data, tmp_path, attribute):
     model = network().fit(data.data, data.target)
-    setattr(model, attribute, getattr(model, attribute)[:-1])
+    vars(model.posterior_)[attribute] = getattr(model.posterior_, attribute)[:-1]
     joblib.dump(model, tmp_path / "model")
-    with pytest.raises(ValueError, match=r"The file is damaged: .* of RBFNetRegressor has shape"):
+    with pytest.raises(ValueError, match=r"The file is damaged: .* of NetworkPosterior has shape"):
         joblib.load(tmp_path / "model")
     skops = pytest.importorskip("skops.io", reason="needs the extra skops")
-    with pytest.raises(ValueError, match=r"The file is damaged: .* of RBFNetRegressor has shape"):
+    with pytest.raises(ValueError, match=r"The file is damaged: .* of NetworkPosterior has shape"):
         skops.loads(skops.dumps(model), trusted=TRUSTED_TYPES)
 
 

@@ -401,3 +401,37 @@ MASKED = np.ma.masked_equal(OK_ROWS, 5)
 def test_bad_input_is_refused_with_the_numbers(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_blocks_of_any_direction_by_construction():
+    """Two faces of a turned block: its length, whatever the points' places on the faces."""
+    rng = np.random.default_rng(0)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    noise = 0.002
+    points, groups, pairs = [], [], []
+    for block, length in enumerate((25.0, 100.0, 100.0)):
+        for face, height in enumerate((0.0, length)):
+            flat = np.column_stack([rng.uniform(-15, 15, (40, 2)), np.full(40, height)])
+            points.append((flat + rng.normal(scale=noise, size=flat.shape)) @ rotation.T + 300)
+            groups += [f"{block}, {face}"] * 40
+        pairs.append((f"{block}, 0", f"{block}, 1"))
+    points = np.vstack(points)
+    found = metrics.block_lengths(points, groups, pairs)
+    # The means of 40 points each, and a tilt of about noise / 15 over their distance aside.
+    np.testing.assert_allclose(found, [25, 100, 100], atol=6 * noise / np.sqrt(40))
+    reverse = [pair[::-1] for pair in pairs]
+    np.testing.assert_allclose(metrics.block_lengths(points, groups, reverse), found)
+    # Errors across the normal do not count: from mean to mean they would.
+    moved = points.copy()
+    moved[np.array(groups) == "1, 1"] += 40.0 * rotation[:, 0]
+    np.testing.assert_allclose(metrics.block_lengths(moved, groups, pairs), found, atol=noise)
+    assert metrics.gauge_lengths(moved, groups, pairs)[1] > found[1] + 1
+
+
+def test_faces_in_one_line_are_refused():
+    line = np.outer(np.arange(4.0), [1, 0, 0])
+    points, groups = np.vstack([line, line + np.array([0, 0, 50])]), ["a"] * 4 + ["b"] * 4
+    with pytest.raises(ValueError, match="faces a and b do not determine a plane"):
+        metrics.block_lengths(points, groups, [("a", "b")])
+    with pytest.raises(ValueError, match="do not determine a plane"):
+        metrics.block_lengths(points[[0, 4]], ["a", "b"], [("a", "b")])

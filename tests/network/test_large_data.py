@@ -7,14 +7,14 @@ import pytest
 from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _rbf_net
+from sklearn_raacmm.network import _read_data
 from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem
 from sklearn_raacmm.network._training_data import merge, prepare
 
 
 @pytest.fixture
 def few_in_memory(monkeypatch):
-    monkeypatch.setattr(_rbf_net, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 1000)
 
 
 def data(n=12_000, seed=0):
@@ -58,7 +58,7 @@ def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, mon
     settings["random_state"] = 0
     whole = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     # All rows are candidates here too, but seen through sums over blocks.
-    monkeypatch.setattr(_rbf_net, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 1000)
     monkeypatch.setattr("sklearn_raacmm.network._center_choice.MAX_CANDIDATES", 3949)
     blocks = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     np.testing.assert_array_equal(blocks.center_indices_, whole.center_indices_)

@@ -39,7 +39,7 @@ def one_by_one(monkeypatch, groups, n_select, **options):
 @pytest.fixture
 def rounds(monkeypatch):
     """Look ahead from the first step on, and note what is guessed."""
-    monkeypatch.setattr(_lookahead, "_PRODUCTS_PER_READ", 1e9)
+    monkeypatch.setattr(_lookahead, "_ENTRIES_PER_READ", 1e9)
     monkeypatch.setattr(_lookahead, "_TRIALS", 1000)  # and do not give up
     guess, seen = _lookahead.Pool.guess, []
 
@@ -100,7 +100,7 @@ def test_wrong_guesses_cost_time_only(monkeypatch, rounds):
 
 
 def test_gives_up_where_guesses_are_wrong(monkeypatch):
-    monkeypatch.setattr(_lookahead, "_PRODUCTS_PER_READ", 1e9)
+    monkeypatch.setattr(_lookahead, "_ENTRIES_PER_READ", 1e9)
     walks = []
 
     def nothing_new(self, j, length):
@@ -112,8 +112,9 @@ def test_gives_up_where_guesses_are_wrong(monkeypatch):
     assert len(walks) == _lookahead._TRIALS
 
 
-@pytest.mark.parametrize(("rank", "expected"), [(100, 120), (96, 120), (95, 0)])
-def test_memory_decides_on_the_pool(rank, expected):
+@pytest.mark.parametrize(("rank", "free", "expected"), [(96, 0, 120), (95, 0, 0), (95, 120, 120)])
+def test_memory_decides_on_the_pool(monkeypatch, rank, free, expected):
+    monkeypatch.setattr(_lookahead, "_FREE", free)
     one = SimpleNamespace(norms=np.ones(120), whitened=True)
     one.candidates = SimpleNamespace(rank=rank)
     assert _lookahead.Pool([one], None, 60).size == expected

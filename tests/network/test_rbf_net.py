@@ -433,7 +433,11 @@ def test_more_centres_than_candidates_takes_all_and_says_so():
 def test_one_observation_says_nothing_of_its_error(repeats):
     X, y = np.repeat([[1.0, 2.0]], repeats, axis=0), np.full(repeats, 3.0)
     for with_noise in (True, False):
-        mean, std = RBFNetRegressor().fit(X, y).predict([[5.0, 5.0]], True, with_noise)
+        mean, std = (
+            RBFNetRegressor()
+            .fit(X, y)
+            .predict([[5.0, 5.0]], return_std=True, with_noise=with_noise)
+        )
         assert mean == pytest.approx(3.0)
         assert std[0] == np.inf
 

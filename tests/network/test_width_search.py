@@ -9,7 +9,8 @@ from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _width_search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
-from sklearn_raacmm.network._width_search import Task, robust_spread, search
+from sklearn_raacmm.network._width_objective import Task
+from sklearn_raacmm.network._width_search import robust_spread, search
 
 
 def data_of(X, y):
@@ -157,7 +158,32 @@ def test_robust_spread_is_the_standard_deviation_where_nothing_is_far_out():
 
 
 def test_a_width_at_its_bound_is_said(monkeypatch):
+    monkeypatch.setattr("sklearn_raacmm.network._width_objective.WIDTH_BOUNDS", (0.8, 1e3))
     monkeypatch.setattr(_width_search, "WIDTH_BOUNDS", (0.8, 1e3))
     X = np.sort(np.random.default_rng(0).uniform(-1, 1, (200, 1)), axis=0)
     with pytest.warns(ConvergenceWarning, match="width of feature 0 ended at its lower bound"):
         RBFNetRegressor(random_state=0).fit(X, np.sin(8 * X[:, 0]))
+
+
+def test_units_of_steps_save_evaluations(monkeypatch):
+    # Widths of waves and of straight lines, and the ridge: curvatures differ by a factor of sixty.
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-np.pi, np.pi, (400, 3))
+    Y = np.column_stack(
+        [np.sin(X[:, 0]) + np.cos(2 * X[:, 1]) * X[:, 2], np.cos(X[:, 0] - X[:, 1])]
+    )
+    data = data_of(X, Y + 0.1 * rng.standard_normal(Y.shape))
+    task = Task(data, X.std(axis=0), None, False, None)
+    few, many = np.arange(0, 400, 3), np.arange(400)
+    calls, objective = [], task.objective
+    monkeypatch.setattr(task, "objective", lambda *args: calls.append(1) or objective(*args))
+    start = task.minimise(task.start(0.5, 0.1), few, "gaussian", 60).theta
+    units = task.step_units(start, few, "gaussian")
+    assert units.max() > 3 * units.min()
+    found, numbers = [], []
+    for of_steps in (1.0, units):
+        calls.clear()
+        found.append(task.minimise(start, many, "gaussian", 60, units=of_steps).value)
+        numbers.append(len(calls))
+    assert numbers[1] < numbers[0]
+    assert found[1] < found[0] + 0.02

@@ -1,0 +1,129 @@
+"""Columns of X after the joint angles: temperatures, directions, forces and tools."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+
+import numpy as np
+
+from sklearn_raacmm.utils import show
+
+# What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
+_KINDS = {
+    "temperature": ("", "joint"),
+    "direction": ("joint",),
+    "payload": ("",),
+    "force": ("axis",),
+    "tool": ("",),
+}
+_FORMS = (
+    '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "payload", '
+    '"force x", "force y", "force z", "tool"'
+)
+
+
+def parsed(name, n_joints):
+    """Kind of an extra column, and which joint (from 0) or axis (0 to 2) it is of; -1: of all.
+
+    Raises
+    ------
+    ValueError
+        If the name is none of those that are known, or names a joint that is not there.
+    """
+    words = name.split() if isinstance(name, str) else []
+    kind, rest = (words[0], words[1:]) if words else ("", [])
+    forms = _KINDS.get(kind, ())
+    if not rest and "" in forms:
+        return kind, -1
+    if len(rest) == 1 and "axis" in forms and rest[0] in ("x", "y", "z"):
+        return kind, "xyz".index(rest[0])
+    if len(rest) == 1 and "joint" in forms and rest[0].isdecimal():
+        if not 1 <= int(rest[0]) <= n_joints:
+            raise ValueError(f"extra names {name!r}, but the arm has joints 1 to {n_joints}.")
+        return kind, int(rest[0]) - 1
+    raise ValueError(f"extra must hold names of columns, {_FORMS}; got {show(name)}.")
+
+
+def check_extra(extra, n_joints):
+    """Names of the extra columns as a tuple: each is known, and none stands there twice."""
+    if isinstance(extra, str):
+        raise ValueError(f"extra must be a list of names, one for each column, got {extra!r}.")
+    names = tuple(extra)
+    found = [parsed(name, n_joints) for name in names]
+    for i, one in enumerate(found):
+        if one in found[:i]:
+            raise ValueError(f"extra names {names[i]!r} twice.")
+    return names
+
+
+def with_references(extra, values, weights):
+    """Names of the extra columns with what the training data say of them.
+
+    Parameters
+    ----------
+    extra : tuple of str
+    values : ndarray of shape (n, n_extra)
+    weights : ndarray of shape (n,)
+
+    Returns
+    -------
+    tuple of (str, tuple of float)
+        The numbers are the weighted mean, from which the model counts; of a tool, the numbers of
+        all tools. Rows of weight 0 do not count.
+    """
+    used = weights > 0
+    return tuple(
+        (
+            name,
+            tuple(np.unique(column[used]).tolist())
+            if name == "tool"
+            else (float(np.average(column[used], weights=weights[used])),),
+        )
+        for name, column in zip(extra, values.T, strict=True)
+    )
+
+
+def warn_of_constants(extra, values, weights, stacklevel):
+    """Warn of extra columns from which nothing can be learnt."""
+    for name, column in zip(extra, values[weights > 0].T, strict=True):
+        if np.ptp(column) == 0:
+            warnings.warn(
+                f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
+                "of it, and predictions will not depend on it.",
+                UserWarning,
+                stacklevel=stacklevel,
+            )
+
+
+def check_tools(extra, values):
+    """Refuse tools that the training data did not have.
+
+    Parameters
+    ----------
+    extra : tuple of (str, tuple of float)
+        As `with_references` has made it.
+    values : ndarray of shape (n, n_extra)
+    """
+    for (name, known), column in zip(extra, values.T, strict=True):
+        new = np.setdiff1d(column, known) if name == "tool" else ()
+        if len(new):
+            raise ValueError(
+                f"X has tool {new[0]:g}, of which the model knows nothing: it was fitted with "
+                f"{', '.join(f'{tool:g}' for tool in known)}."
+            )
+
+
+def force_on_probe(extra, values):
+    """Force on the probe in the base frame, less that of the training mean, (n, 3).
+
+    A payload is a weight: it pulls along -z.
+    """
+    force = np.zeros((len(values), 3))
+    for (name, reference), column in zip(extra, values.T, strict=True):
+        kind, axis = parsed(name, 0) if name.startswith(("force", "payload")) else ("", -1)
+        if kind == "force":
+            force[:, axis] += column - reference[0]
+        elif kind == "payload":
+            force[:, 2] -= column - reference[0]
+    return force

@@ -1,0 +1,273 @@
+"""Extra columns: what they do to the probe, what they are worth, and what is refused."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    JointHarmonicRegressor,
+    next_poses,
+    update_correction,
+)
+from sklearn_raacmm.arm._kinematics import reach_mm
+from sklearn_raacmm.datasets import ArmErrors, make_single_point
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns, term_names
+from sklearn_raacmm.export import describe, from_json, to_json
+
+ARMS = {
+    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
+    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
+}
+NONE = np.empty((0, 2), int)
+
+
+def draw_angles(arm, n, seed=0):
+    return np.random.default_rng(seed).uniform(-2, 2, (n, arm.n_joints))
+
+
+def columns_of(arm, theta, values, extra):
+    """Columns of an extra, one for each name."""
+    terms = Terms(NONE, False, False, False, extra)
+    columns = term_columns(arm, np.column_stack([theta, values]), terms)
+    names = term_names(arm, terms)[0]
+    assert len(set(names)) == len(names) == columns.shape[2]
+    return dict(zip(names, np.moveaxis(columns, 2, 0), strict=True))
+
+
+# -- columns --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_an_arm_that_grows_as_a_whole_stays_similar(arm):
+    """All lengths by 4.8 ppm per K move every point along its radius; those below 1 mm stay."""
+    arm = arm.replace(a=np.where(np.abs(arm.a) > 1, arm.a, 0), d=np.where(arm.d > 1, arm.d, 0))
+    theta, kelvin = draw_angles(arm, 20), np.linspace(-3, 5, 20)
+    columns = columns_of(arm, theta, kelvin + 20, (("temperature", (20.0,)),))
+    lengths = [c for name, c in columns.items() if not name.startswith("theta_offset")]
+    grown = ARCSEC * kelvin[:, None] * arm.forward(theta)
+    assert_allclose(sum(lengths), grown, atol=1e-9)
+    assert len(lengths) == np.count_nonzero(np.r_[arm.a, arm.d, arm.probe])
+    assert len(columns) == len(lengths) + arm.n_joints
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_temperature_near_one_joint_moves_that_joint_and_its_link(arm):
+    theta, kelvin = draw_angles(arm, 20), np.full(20, 2.0)
+    columns = columns_of(arm, theta, kelvin, (("temperature 3", (0.0,)),))
+    for name, column in columns.items():
+        field = name.split()[0].removesuffix("3")
+        assert name == f"{field}3 by temperature 3"
+        value = getattr(arm, field).copy()
+        value[2] += 2 * ARCSEC * (1.0 if field == "theta_offset" else value[2])
+        moved = arm.replace(**{field: value}).forward(theta) - arm.forward(theta)
+        assert_allclose(column, moved, atol=1e-7)
+    assert "theta_offset3 by temperature 3" in columns
+    last = columns_of(arm, theta, kelvin, ((f"temperature {arm.n_joints}", (0.0,)),))
+    assert "probe_z by" in " ".join(last)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_direction_turns_its_joint_either_way(arm):
+    theta, came = draw_angles(arm, 20), np.resize([1.0, -1.0, 0.0], 20)
+    (column,) = columns_of(arm, theta, came, (("direction 2", (0.5,)),)).values()
+    error = np.zeros_like(theta)
+    error[:, 1] = ARCSEC * (came - 0.5)
+    assert_allclose(column, arm.forward(theta + error) - arm.forward(theta), atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_a_force_turns_every_frame_by_its_torque(arm):
+    """The torque of a force about an axis is its work in a small turn about that axis."""
+    theta, rng = draw_angles(arm, 20), np.random.default_rng(1)
+    force = rng.normal(size=(20, 3))
+    extra = tuple((f"force {axis}", (0.25,)) for axis in "xyz")
+    frames, probe = arm.frames(theta), arm.forward(theta)
+    columns = columns_of(arm, theta, force + 0.25, extra)
+    for name, column in columns.items():
+        frame, axis = int(name.split()[3]), "xyz".index(name[-1])
+        origin, along = frames[:, frame, :, 3], frames[:, frame, :, axis]
+        moved = Rotation.from_rotvec(1e-6 * along).apply(probe - origin) + origin - probe
+        torque = (moved * force).sum(axis=1) / 1e-6 / reach_mm(arm)
+        turn = Rotation.from_rotvec(ARCSEC * torque[:, None] * along)
+        assert_allclose(column, turn.apply(probe - origin) + origin - probe, atol=1e-6)
+    assert len(columns) == 3 * (arm.n_joints + 1)
+    # A payload is a weight: it pulls along -z, as the loads of gravity do.
+    payload = columns_of(arm, theta, -force[:, 2] + 3, (("payload", (3.0,)),))
+    only_z = columns_of(arm, theta, force[:, 2], (("force z", (0.0,)),))
+    for name in only_z:
+        assert_allclose(payload[name], only_z[name], atol=1e-12)
+    gravity = Terms(NONE, True, False, False)
+    loads = dict(zip(term_names(arm, gravity)[0], term_columns(arm, theta, gravity).T, strict=True))
+    one = columns_of(arm, theta, np.ones(20), (("payload", (0.0,)),))
+    expected = loads["load at probe bends frame 2 about y"].T
+    assert_allclose(one["force bends frame 2 about y"], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_every_tool_has_a_probe_of_its_own(arm):
+    theta, tool = draw_angles(arm, 20), np.resize([2.0, 7.0], 20)
+    columns = columns_of(arm, theta, tool, (("tool", (2.0, 7.0)),))
+    assert list(columns)[:4] == [f"probe_{axis} of tool 2" for axis in "xyz"] + [
+        "probe_x of tool 7"
+    ]
+    step = ARCSEC * reach_mm(arm)
+    moved = arm.replace(probe=arm.probe + np.array([0, step, 0])).forward(theta) - arm.forward(
+        theta
+    )
+    assert_allclose(columns["probe_y of tool 7"], moved * (tool == 7)[:, None], atol=1e-9)
+
+
+# -- what they are worth --------------------------------------------------------------------------
+
+# What the arm has, the extra columns, and how much of the deviation is left at most.
+CAUSES = {
+    "direction": ({"play_arcsec": 6.0}, [f"direction {j}" for j in range(1, 7)], 0.85),
+    "temperature": ({"drift_k": 8.0}, ["temperature"], 0.7),
+    "payload": ({"payload_n": 20.0}, ["payload"], 0.35),
+}
+
+
+def left_at_unseen_positions(test, values, extra):
+    """Mean distance to the truth at positions left out, with and without the extra columns."""
+    y, train = test.points - test.simulation.true_points, test.groups % 2 == 0
+    left = []
+    for names, X in ((extra, np.column_stack([test.data, values])), ([], test.data)):
+        model = JointHarmonicRegressor(test.arm, max_order=3, extra=names)
+        model.fit(X[train], y[train], groups=test.groups[train])
+        left.append(np.linalg.norm(y[~train] - model.predict(X[~train]), axis=1).mean())
+    return left
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_a_cause_is_found_and_noise_costs_nothing(name):
+    sizes, extra, share = CAUSES[name]
+    test = make_single_point(16, 10, machine=ArmErrors(**sizes), random_state=1)
+    values = test.directions if name == "direction" else test[name]
+    with_it, without = left_at_unseen_positions(test, values, extra)
+    assert with_it < share * without
+    # The same arm without that cause, and numbers that have nothing to do with it.
+    test = make_single_point(16, 10, machine=ArmErrors(), random_state=1)
+    noise = np.random.default_rng(0).permutation(values)
+    with_it, without = left_at_unseen_positions(test, noise, extra)
+    assert with_it < 1.01 * without
+
+
+def test_a_second_tool_is_found_in_a_single_point_test():
+    arm = ARMS["standard"]
+    theta, rng = draw_angles(arm, 240), np.random.default_rng(0)
+    groups, tool = np.arange(240) % 8, rng.integers(1, 3, 240)
+    offset = np.array([0.03, -0.05, 0.02])
+    y = (arm.replace(probe=arm.probe + offset).forward(theta) - arm.forward(theta)) * (tool == 2)[
+        :, None
+    ] + rng.normal(scale=0.003, size=(240, 3))
+    X = np.column_stack([theta, tool])
+    model = JointHarmonicRegressor(arm, max_order=2, extra=["tool"], offsets=True)
+    model.fit(X, y, groups=groups)
+    of_tool = model.terms_["family"] == "tool"
+    found = model.terms_["value"][of_tool].reshape(2, 3) * ARCSEC * reach_mm(arm)
+    assert_allclose(found[1] - found[0], offset, atol=0.003)
+
+
+# -- as an estimator ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lagging():
+    """Simulated: joint 2 lags by 10 arc seconds, and a temperature that does nothing."""
+    arm, rng = ARMS["standard"], np.random.default_rng(0)
+    theta = draw_angles(arm, 160)
+    came = rng.choice([-1.0, 1.0], 160)
+    error = np.zeros_like(theta)
+    error[:, 1] = 10 * ARCSEC * came
+    y = arm.forward(theta + error) - arm.forward(theta) + rng.normal(scale=0.003, size=(160, 3))
+    return arm, np.column_stack([theta, came, rng.normal(20, 1, 160)]), y, np.arange(160) % 8
+
+
+SMALL = {"max_order": 2, "gravity": False, "wobble": False}
+EXTRA = ["direction 2", "temperature"]
+
+
+def test_through_pipelines_and_searches(lagging):
+    arm, X, y, groups = lagging
+    model = JointHarmonicRegressor(arm, extra=EXTRA, **SMALL)
+    pipe = make_pipeline(FunctionTransformer(), clone(model))
+    scores = cross_val_score(pipe, X, y, cv=GroupKFold(4), groups=groups)
+    assert scores.min() > 0.9
+    search = GridSearchCV(
+        model, {"extra": [["direction 3", "temperature"], EXTRA]}, cv=GroupKFold(4)
+    )
+    search.fit(X, y, groups=groups)
+    assert search.best_params_ == {"extra": EXTRA}
+    best = search.best_estimator_
+    assert best.n_features_in_ == 8
+    assert best.terms_["family"].tolist().count("direction") == 1
+    lag = best.terms_[best.terms_["name"] == "joint 2 lags"]
+    assert abs(lag["value"][0] - 10) < 4 * lag["sd"][0] < 2
+    assert best.prior_sd_["temperature"] < 0.2
+    again = from_json(to_json(best))
+    assert_array_equal(again.predict(X), best.predict(X))
+    # Whatever the direction, the lengths of standard deviations and of the fading are there.
+    assert best.distance_std(X[:5], X[5:10]).shape == best.fading(X[:5]).shape == (5,)
+    assert len(next_poses(best, X, 2)[0]) == 2
+
+
+def test_the_guarded_model_hands_extra_columns_to_its_first_stage(lagging):
+    arm, X, y, groups = lagging
+    first = JointHarmonicRegressor(extra=EXTRA, **SMALL)
+    model = ArmResidualRegressor(arm, harmonics=first, use="harmonics", n_folds=3)
+    model.fit(X, y, groups=groups)
+    alone = JointHarmonicRegressor(arm, extra=EXTRA, **SMALL).fit(X, y, groups=groups)
+    assert_array_equal(model.linear_model_.coef, alone.coef_)
+    assert np.abs(y - model.predict(X)).mean() < 0.2 * np.abs(y).mean()
+    other = X.copy()
+    other[:, 6] *= -1
+    assert np.abs(model.predict(other) - model.predict(X)).max() > 0.02
+
+
+def test_a_column_of_temperatures_in_degrees_stays_what_it_is(lagging):
+    arm, X, y, _ = lagging
+    rad = JointHarmonicRegressor(arm, extra=EXTRA, **SMALL).fit(X, y)
+    degrees = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
+    deg = JointHarmonicRegressor(arm, extra=EXTRA, angle_unit="deg", **SMALL).fit(degrees, y)
+    assert_allclose(deg.predict(degrees), rad.predict(X), atol=1e-9)
+
+
+def test_what_is_refused(lagging):
+    arm, X, y, _ = lagging
+    for extra, message in [
+        ("temperature", "'extra' parameter"),
+        (["humidity", "tool"], r"extra must hold names of columns, .*got 'humidity'"),
+        (["direction", "tool"], "got 'direction'"),
+        (["direction 7", "tool"], "'direction 7', but the arm has joints 1 to 6"),
+        (["force w", "tool"], "got 'force w'"),
+        ([3, "tool"], "got 3"),
+        (["tool", "tool"], "names 'tool' twice"),
+        (["tool"], r"X has 8 columns, but 7 are needed: the angles of 6 joints, then 'tool'"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            JointHarmonicRegressor(arm, extra=extra, **SMALL).fit(X, y)
+    tools = np.column_stack([X[:, :6], np.arange(160) % 2])
+    model = JointHarmonicRegressor(arm, extra=["tool"], **SMALL).fit(tools, y)
+    tools[3, 6] = 5
+    with pytest.raises(ValueError, match=r"tool 5, of which the model knows nothing.*with 0, 1"):
+        model.predict(tools)
+    with pytest.raises(ValueError, match="expecting 7 features"):
+        model.predict(X[:, :6])
+    card = describe(model, tools[:3], y[:3])
+    assert card["training"]["rows"] == 3
+    with pytest.raises(ValueError, match=r"extra columns \(tool\) cannot be updated"):
+        update_correction(model, tools[:3], y[:3])
+    constant = np.column_stack([X[:, :6], np.full(160, 20.0)])
+    model.set_params(extra=["temperature"])
+    with pytest.warns(UserWarning, match="'temperature' is 20 in all rows") as seen:
+        model.fit(constant, y)
+    assert seen[0].filename == __file__
+    warm = constant + np.r_[np.zeros(6), 10.0]
+    assert_allclose(model.predict(warm), model.predict(constant), atol=1e-9)

@@ -1,0 +1,98 @@
+"""Checks of what the linear model is fitted on: offsets that are not used, ranges, no residuals."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, position_residuals
+from sklearn_raacmm.error_model._fit_checks import _check_offsets
+
+ARM = Arm.from_name("aacmm6")
+RNG = np.random.default_rng(0)
+ANGLES = RNG.uniform(-2, 2, (300, 6))
+GROUPS = np.arange(300) // 10
+NOISE = 0.05 * RNG.normal(size=(300, 3))
+
+
+def model(**options):
+    return JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False, **options)
+
+
+@pytest.mark.parametrize(("n_positions", "n_left"), [(60, 4), (100, 3)])
+def test_deviations_from_means_of_more_rows_are_warned_of(n_positions, n_left):
+    """Of ten rows at each position few are left: that all ten have mean 0 hardly shows."""
+    rng = np.random.default_rng(0)
+    groups = np.arange(10 * n_positions) // 10
+    y = position_residuals(0.05 * rng.normal(size=(len(groups), 3)), groups)
+    rows = np.arange(len(groups)) % 10 < n_left
+    angles, y, groups = rng.uniform(-2, 2, (np.sum(rows), 6)), y[rows], groups[rows]
+    with pytest.warns(UserWarning, match=r"mean residuals are 0\.[78]\d* times as large"):
+        assert not model().fit(angles, y, groups=groups).offsets_
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for offsets in (True, False):  # said by the user
+            assert model(offsets=offsets).fit(angles, y, groups=groups).offsets_ is offsets
+
+
+def test_residuals_against_a_reference_are_not_warned_of():
+    """Independent rows are the hardest case: neighbours that err alike have larger means."""
+    found = 0
+    for seed in range(500):
+        rng = np.random.default_rng(seed)
+        n, n_rows = rng.integers(30, 80), rng.integers(2, 12)
+        groups = np.arange(n_rows * n) % n
+        y = rng.normal(size=(n_rows * n, 3))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            assert _check_offsets("auto", y, np.ones(len(y)), groups) is None
+        found += len(caught)
+    assert found <= 2  # of a chance of one in a thousand
+
+
+@pytest.mark.parametrize("scale", [0.2, 10.0])
+def test_small_weights_do_not_decide_on_offsets(scale):
+    weights = np.full(300, scale)
+    for y, offsets in ((NOISE, False), (position_residuals(NOISE, GROUPS), True)):
+        found = model().fit(ANGLES, y, groups=GROUPS, sample_weight=weights)
+        assert found.offsets_ is offsets
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-200])
+def test_noise_is_not_made_from_nothing(size):
+    found = model().fit(ANGLES[:40], size * NOISE[:40])
+    assert found.noise_sd_ < 1e-10
+    mean, std = found.predict(ANGLES, return_std=True)
+    assert np.abs(mean).max() < 1e-25
+    assert np.all(np.isfinite(std))
+    assert std.max() < 1e-8
+
+
+@pytest.mark.parametrize("prior_sd", [1e-170, 0, 1e155, -1.0])
+def test_priors_out_of_range_get_a_sentence(prior_sd):
+    with pytest.raises(ValueError, match=r"prior_sd.*in the range"):
+        model(prior_sd=prior_sd).fit(ANGLES, NOISE)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("prior_sd", -1.0), ("max_order", "all"), ("loss", "huber"), ("fade", -1), ("gravity", 2)],
+)
+def test_options_of_a_first_stage_are_checked_too(name, value):
+    both = ArmResidualRegressor(ARM, harmonics=JointHarmonicRegressor(**{name: value}))
+    with pytest.raises(ValueError, match=f"'{name}' parameter of JointHarmonicRegressor"):
+        both.fit(ANGLES, NOISE)
+
+
+@pytest.mark.parametrize("scale", [1 / 300, 1e-200, 1e4, 1e6])
+def test_weights_that_are_no_repeats_are_told(scale):
+    """With inverse variances nothing would be noise; too large ones ended in a LinAlgError."""
+    weights = scale * np.arange(1.0, 41)
+    for estimator in (
+        JointHarmonicRegressor(ARM, max_order=10),
+        ArmResidualRegressor(ARM, harmonics=model(), use="harmonics"),
+    ):
+        with pytest.warns(UserWarning, match=r"the 40 rows are worth .* rows"):
+            estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=weights)
+    with pytest.raises(ValueError, match=r"sample_weight holds 4e\+10, but a weight"):
+        estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=1e9 * np.arange(1.0, 41))

@@ -1,0 +1,151 @@
+"""ONNX of the arm's own error model: columns, fading and stages as predict has them."""
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import to_onnx
+
+onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_single_point(n_positions=8, n_poses=15, random_state=0)
+
+
+def run(converted, X):
+    session = onnxruntime.InferenceSession(
+        converted.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
+    return session.run(None, {session.get_inputs()[0].name: X})[0]
+
+
+def harmonics(arm=None, **params):
+    return JointHarmonicRegressor(arm, **{"max_order": 3, **params})
+
+
+def network(**params):
+    return RBFNetRegressor(**{"n_centers": 20, "length_scale": 1.5, "alpha": 0.03, **params})
+
+
+def everywhere(n_joints, n=60):
+    rng = np.random.default_rng(0)
+    near = rng.uniform(-np.pi, np.pi, (n, n_joints))
+    return np.concatenate([near, near + 2 * np.pi, rng.uniform(-12, 12, (n, n_joints))])
+
+
+def agree(model, X, **params):
+    """To a share of the terms' size: coefficients may nearly cancel far from the poses."""
+    linear = model.linear_model_
+    terms = np.abs(linear.columns(X)) @ np.abs(linear.coef)
+    expected = model.predict(X)
+    got = run(to_onnx(model, **params), X)
+    atol = 1e-12 + 1e-13 * terms.max(initial=0)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=atol)
+    return expected
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "panda"])
+@pytest.mark.parametrize("families", ["gravity", "kinematics", "wobble", "", "all"])
+@pytest.mark.parametrize("fade", [0, "auto"])
+def test_joint_harmonics(name, families, fade):
+    arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3, probe=(3, -8, 120))
+    X = np.random.default_rng(0).uniform(-2, 2, (100, arm.n_joints))
+    y = np.stack([np.sin(X[:, 1]), np.cos(2 * X[:, 2]), np.sin(X[:, 3])], axis=1) * 0.05
+    named = ("gravity", "kinematics", "wobble")
+    of = {family: families == "all" or family in families for family in named}
+    model = harmonics(arm, fade=fade, **of).fit(X, y)
+    assert (model.fading_.factor > 0) == (fade == "auto")
+    expected = agree(model, np.concatenate([X[:20], everywhere(arm.n_joints)]))
+    assert np.ptp(expected, axis=0).min() > 1e-3
+    one = run(to_onnx(model), X[:1])
+    np.testing.assert_allclose(one, model.predict(X[:1]), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"joints": "pose", "use": "harmonics+network", "fade": 1.0},
+        {"joints": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
+        {"joints": "all", "use": "harmonics+network", "fade": 0.0},
+        {"use": "harmonics", "fade": 2.0},
+        {"use": "none"},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("degree", [-1, 1])
+def test_arm_residuals(data, params, degree):
+    first = harmonics(gravity=False, max_order=2)
+    second = network(degree=degree)
+    model = ArmResidualRegressor(data.arm, harmonics=first, network=second, **params)
+    model.fit(data.data, data.target)
+    X = np.concatenate([data.data, everywhere(6)])
+    agree(model, X)
+    # float32 in and out; the model itself in float64.
+    single = X.astype(np.float32)
+    got = run(to_onnx(model, dtype="float"), single)
+    assert got.dtype == np.float32
+    np.testing.assert_allclose(got, model.predict(single.astype(float)), rtol=1e-6, atol=1e-8)
+
+
+def test_fading_and_cap_are_seen(data):
+    """What the test above would not notice, if no pose were faded or cut."""
+    first = harmonics(gravity=False, max_order=2)
+    model = ArmResidualRegressor(
+        data.arm, harmonics=first, network=network(degree=-1), use="harmonics+network", fade=1.0,
+        cap=0.5,
+    ).fit(data.data, data.target)  # fmt: skip
+    X = np.concatenate([data.data, everywhere(6)])
+    length = np.linalg.norm(run(to_onnx(model), X), axis=1)
+    assert 5 < np.count_nonzero(np.abs(length - model.cap_mm_) < 1e-12) < len(X)
+    assert model.fading(X).min() < 0.5 < 0.9 < model.fading(X).max()
+
+
+def test_a_model_of_zero_terms(data):
+    none = {"gravity": False, "kinematics": False, "wobble": False, "max_order": 2}
+    y = 1e-3 * np.random.default_rng(0).normal(size=data.target.shape)
+    model = harmonics(data.arm, **none).fit(data.data, y)
+    assert len(model.coef_) == 0
+    assert not run(to_onnx(model), data.data).any()
+
+
+def test_in_the_frame_of_the_azimuth(data):
+    inner = harmonics(data.arm, gravity=False, wobble=False)
+    model = CylindricalResidualTarget(inner, azimuth=data.arm.azimuth).fit(data.data, data.target)
+    got = run(to_onnx(model), data.data)
+    np.testing.assert_allclose(got, model.predict(data.data), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("target_opset", [13, 22])
+def test_opsets(data, target_opset):
+    model = harmonics(data.arm).fit(data.data, data.target)
+    converted = to_onnx(model, target_opset=target_opset)
+    assert converted.opset_import[0].version <= target_opset
+    assert {node.domain for node in converted.graph.node} == {""}  # ai.onnx
+    np.testing.assert_allclose(run(converted, data.data), model.predict(data.data), atol=1e-12)
+
+
+def test_what_predict_refuses_is_nan(data):
+    first = harmonics(gravity=False, max_order=2)
+    both = ArmResidualRegressor(
+        data.arm, harmonics=first, network=network(degree=-1), use="harmonics+network", cap=0.9
+    )
+    for model in (clone(first), both, clone(both).set_params(use="none")):
+        model.fit(data.data, data.target)
+        X = np.tile(data.data[:1], (19, 1))
+        for i, bad in enumerate([np.nan, np.inf, -np.inf]):
+            X[1 + np.arange(6) + 6 * i, np.arange(6)] = bad
+        got = run(to_onnx(model), X)
+        assert np.isfinite(got[0]).all()
+        assert np.isnan(got[1:]).all()

@@ -1,0 +1,218 @@
+"""Models that were updated, registered or take degrees: every way out of Python."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    JointHarmonicRegressor,
+    RBFNetRegressor,
+    update_correction,
+)
+from sklearn_raacmm.error_model import Terms, term_columns
+from sklearn_raacmm.export import describe, export_c, from_json, load_c, to_json, to_onnx
+
+ARM = Arm.from_name("aacmm6")
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
+STRICT += ["-Wdouble-promotion", "-Wfloat-conversion"]
+pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
+
+
+def residuals(angles, arcsec):
+    """Of an arm whose encoder 3 is eccentric."""
+    error = np.zeros_like(angles)
+    error[:, 2] = np.deg2rad(arcsec / 3600) * np.cos(angles[:, 2])
+    return np.einsum("nij,nj->ni", ARM.jacobian(angles), error)
+
+
+def harmonics(**params):
+    return JointHarmonicRegressor(ARM, max_order=2, gravity=False, wobble=False, **params)
+
+
+def both(first=None, **params):
+    net = RBFNetRegressor(10, length_scale=1.5, alpha=0.05, degree=-1)
+    first = harmonics() if first is None else first
+    return ArmResidualRegressor(
+        ARM, harmonics=first, network=net, joints="pose", use="harmonics+network", **params
+    )
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (200, 6))
+    return X, residuals(X, 20) + rng.normal(scale=0.01, size=(len(X), 3))
+
+
+@pytest.fixture(scope="module")
+def new():
+    rng = np.random.default_rng(1)
+    X = rng.uniform(-2, 2, (40, 6))
+    return X, residuals(X, 40) + rng.normal(scale=0.01, size=(len(X), 3))
+
+
+def ways_out(model, folder):
+    """Each way of a model out of Python, as a function of rows."""
+    yield "JSON", from_json(to_json(model)).predict
+    if any(map(shutil.which, ("cc", "gcc", "clang"))):
+        yield "C", load_c(model, cache_dir=folder / "cache").correct
+    try:
+        import onnxruntime
+        import skl2onnx  # noqa: F401
+    except ImportError:
+        return
+    text = to_onnx(model).SerializeToString()
+    session = onnxruntime.InferenceSession(text, providers=["CPUExecutionProvider"])
+    yield "ONNX", lambda X: session.run(None, {"X": X})[0]
+
+
+def agree(model, X, folder):
+    expected = model.predict(X)
+    assert np.ptp(expected, axis=0).min() > 1e-3
+    ways = dict(ways_out(model, folder))
+    for way, correct in ways.items():
+        np.testing.assert_allclose(correct(X), expected, rtol=0, atol=2e-12, err_msg=way)
+
+
+@pytest.mark.parametrize("make", [harmonics, both])
+def test_degrees(data, tmp_path, make):
+    X, y = data
+    in_degrees = np.rad2deg(X)
+    model = make(angle_unit="deg").fit(in_degrees, y)
+    agree(model, np.rad2deg(np.concatenate([X[:20], 3 * X[20:40]])), tmp_path)
+    header = export_c(model, tmp_path / "arm.c")[1].read_text()
+    assert '#define ARM_INPUT_UNIT "deg"' in header
+    assert "Joint angles in degrees" in header
+    assert describe(model)["input"] == "6 joint angles in deg"
+
+
+@pytest.mark.parametrize("make", [harmonics, both])
+def test_updated(data, new, tmp_path, make):
+    model = make().fit(*data)
+    updated = update_correction(model, *new, date="2026-01-02")
+    updated = update_correction(updated, *new, date="2026-02-03")
+    gap = np.abs(updated.predict(new[0]) - model.predict(new[0])).max()
+    assert gap > 0.01  # mm: it is another model
+    agree(updated, np.concatenate([new[0], 2 * new[0]]), tmp_path)
+    again = from_json(to_json(updated))
+    assert again.updates_ == updated.updates_
+
+
+EXTRA = ("temperature", "force x", "tool", "payload", "direction 2", "temperature 3")
+
+
+@pytest.fixture(scope="module")
+def with_extra(data):
+    """Angles with what was written down beside them, and residuals that depend on all of it."""
+    X, y = data
+    rng = np.random.default_rng(2)
+    values = [
+        rng.normal(20, 3, len(X)), rng.normal(0, 2, len(X)), rng.choice([1.0, 2.0, 5.0], len(X)),
+        rng.uniform(0, 4, len(X)), rng.choice([-1.0, 1.0], len(X)), rng.normal(30, 5, len(X)),
+    ]  # fmt: skip
+    X = np.column_stack([X, *values])
+    terms = Terms(np.empty((0, 2), int), False, False, False, with_references(EXTRA, X[:, 6:]))
+    columns = term_columns(ARM, X, terms)
+    return X, y + columns @ rng.normal(0, 5, columns.shape[2])
+
+
+def with_references(names, values):
+    """What a model keeps of extra columns: the numbers of all tools, or the mean."""
+    columns = zip(names, values.T, strict=True)
+    return tuple((n, tuple(np.unique(v)) if n == "tool" else (v.mean(),)) for n, v in columns)
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_extra_columns(with_extra, tmp_path, guarded):
+    X, y = with_extra
+    model = harmonics(extra=EXTRA)
+    model = both(first=model).fit(X, y) if guarded else model.fit(X, y)
+    assert len(model.linear_model_.terms.extra) == 6
+    rng = np.random.default_rng(3)
+    new = np.column_stack([rng.uniform(-3, 3, (40, 6)), rng.permuted(X[:40, 6:], axis=0)])
+    new = np.concatenate([X[:20], new])
+    agree(model, new, tmp_path)
+    # Each of them matters.
+    for i in range(6, 12):
+        other = new.copy()
+        other[:, i] = np.roll(other[:, i], 1)
+        assert np.abs(model.predict(other) - model.predict(new)).max() > 1e-4
+    # A tool of which the model knows nothing: predict raises, and the others give NaN.
+    new[:, 8] = 3.0
+    with pytest.raises(ValueError, match="tool 3, of which the model knows nothing"):
+        model.predict(new)
+    ways = dict(ways_out(model, tmp_path))
+    for way in set(ways) - {"JSON"}:
+        assert np.isnan(ways[way](new)).all(), way
+
+
+@pytest.mark.parametrize("dtype", ["double", "float"])
+def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
+    X, y = with_extra
+    model = harmonics(extra=EXTRA, angle_unit="deg")
+    X = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
+    model.fit(X, y)
+    card = describe(model, X, y)
+    assert card["input"].startswith("6 joint angles in deg, then temperature, then force x")
+    low, high = card["training"]["range_of_payload"]
+    assert 0 <= low < 0.5 < 3.5 < high <= 4
+    assert len(card["training"]["largest_joint_angles_deg"]) == 6
+    header = export_c(model, tmp_path / "arm.c", dtype=dtype, card=card, poses=X)[1].read_text()
+    assert "then temperature, force x, tool, payload, direction 2, temperature 3" in header
+    assert "#define ARM_N_INPUTS 12\n" in header
+    assert "6 joints, standard DH" in header
+    compiler = shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("neither gcc nor clang is on PATH")
+    command = [compiler, "-std=c99", *STRICT, "-o", "t", "arm_test.c", "arm.c", "-lm"]
+    assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
+    assert subprocess.run(["./t"], cwd=tmp_path, check=False).returncode == 0
+
+
+def test_a_registered_arm(data, tmp_path):
+    """Another base and tool: the same model on the arm that the registration found."""
+    model = both().fit(*data)
+    arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]), probe=(0.2, -0.1, 5.0))
+    model.linear_model_ = replace(model.linear_model_, arm=arm)
+    agree(model, data[0][:30], tmp_path)
+
+
+def test_the_card_of_an_updated_model(data, new):
+    X, y = new
+    updated = update_correction(harmonics().fit(*data), X, y, date="2026-01-02")
+    groups = np.arange(len(X)) // 5
+    card = describe(updated, X, y, groups)
+    (entry,) = card["updates"]
+    assert (entry["date"], entry["n_poses"]) == ("2026-01-02", 40)
+    text = str(card)
+    assert "## updates\n\n- date: 2026-01-02; n poses: 40; tau: " in text
+    # No copy fitted anew: the errors are those of this model.
+    left = np.linalg.norm(y - updated.predict(X), axis=1)
+    np.testing.assert_allclose(card["error"]["mean_after_mm"], left.mean(), rtol=1e-12)
+    assert card["error"]["after_is_measured_at"].endswith("the model was updated after its fit")
+    fresh = describe(harmonics().fit(X, y), X, y, groups, n_folds=2)
+    assert "updates" not in fresh
+    assert fresh["error"]["after_is_measured_at"].startswith("positions not seen")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
+    for make, damage in (
+        (harmonics, lambda model: model.linear_model_.coef),
+        (both, lambda model: model.network_.posterior_.coef),
+    ):
+        model = make().fit(*data)
+        damage(model).flat[3] = bad
+        with pytest.raises(ValueError, match=r"not a finite double|holds NaN or infinity"):
+            export_c(model, tmp_path / "arm.c")
+        with pytest.raises(ValueError, match=r"holds NaN or infinity"):
+            to_json(model, tmp_path / "arm.json")
+        pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+        with pytest.raises(ValueError, match="holds a number that is not finite"):
+            to_onnx(model, tmp_path / "arm.onnx")
+    assert not list(tmp_path.iterdir())

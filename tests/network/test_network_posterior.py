@@ -1,0 +1,125 @@
+"""Covariances, draws and gradients of the network, against its process and differences."""
+
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network import KERNELS
+
+RNG = np.random.default_rng(3)
+X = RNG.uniform(-2, 2, (60, 2)) * [1, 50]
+Y = np.column_stack([np.sin(2 * X[:, 0]) + 0.02 * X[:, 1], 1e3 * np.cos(X[:, 0])])
+Y += RNG.standard_normal(Y.shape) * [0.1, 30]
+T = np.random.default_rng(4).uniform(-2.5, 2.5, (20, 2)) * [1, 50]
+
+
+def test_covariance_and_draws_are_those_of_the_gaussian_process():
+    alpha, width, y = 0.03, np.array([0.3, 10.0]), Y[:, 0]
+    model = RBFNetRegressor(60, length_scale=width, alpha=alpha, degree=-1).fit(X, y)
+    signal = model.signal_variance_
+    kernel = ConstantKernel(signal) * RBF(width) + WhiteKernel(signal * alpha)
+    process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, y)
+    mean, covariance = model.predict(T, return_cov=True)
+    mean_ref, covariance_ref = process.predict(T, return_cov=True)
+    np.testing.assert_allclose(mean, mean_ref, atol=1e-6)
+    np.testing.assert_allclose(covariance, covariance_ref, atol=1e-6 * signal)
+    _, of_mean = model.predict(T, return_cov=True, with_noise=False)
+    np.testing.assert_allclose(
+        covariance - of_mean, signal * alpha * np.eye(20), atol=1e-12 * signal
+    )
+    draws = model.sample_y(T[:5], 4000, random_state=0)
+    assert draws.shape == process.sample_y(T[:5], 4000).shape
+    # Means to four standard errors; covariances, whose error is their size over the root of 2000.
+    error = np.sqrt(covariance[:5, :5].diagonal() / 4000)
+    assert np.all(np.abs(draws.mean(axis=1) - mean[:5]) < 4 * error)
+    np.testing.assert_allclose(
+        np.cov(draws), covariance[:5, :5], atol=0.1 * covariance.diagonal()[:5].max()
+    )
+    np.testing.assert_array_equal(draws, model.sample_y(T[:5], 4000, random_state=0))
+    assert not np.array_equal(draws, model.sample_y(T[:5], 4000, random_state=1))
+
+
+@pytest.mark.parametrize("degree", [-1, 0, 1])
+def test_covariance_has_the_standard_deviation_on_its_diagonal(degree):
+    model = RBFNetRegressor(7, length_scale=[0.7, 60], alpha=0.1, degree=degree).fit(X, Y)
+    for with_noise in (True, False):
+        _, std = model.predict(T, return_std=True, with_noise=with_noise)
+        _, covariance = model.predict(T, return_cov=True, with_noise=with_noise)
+        assert covariance.shape == (20, 20, 2)
+        variance = np.einsum("iio->io", covariance)
+        np.testing.assert_allclose(variance, std**2, rtol=1e-9)
+        for one in np.moveaxis(covariance, 2, 0):
+            assert np.linalg.eigvalsh(one).min() > -1e-9 * one.max()
+    assert model.sample_y(T, 3).shape == (20, 2, 3)
+    with pytest.raises(ValueError, match="one of return_std and return_cov"):
+        model.predict(T, return_std=True, return_cov=True)
+    with pytest.raises(ValueError, match="n_samples must be a whole number"):
+        model.sample_y(T, 0)
+
+
+def test_a_constant_has_a_covariance_and_no_slope():
+    model = RBFNetRegressor().fit([[0.0], [1.0], [2.0]], [5.0, 5.0, 5.0])
+    assert len(model.centers_) == 0
+    np.testing.assert_array_equal(model.predict_gradient([[0.5], [9.0]]), [[0.0], [0.0]])
+    assert model.sample_y([[0.5]]).shape == (1, 1)
+    one = RBFNetRegressor().fit([[0.0]], [5.0])
+    with pytest.raises(ValueError, match="noise variance is infinite"):
+        one.sample_y([[0.5]])
+
+
+@pytest.mark.parametrize("kernel", list(KERNELS))
+@pytest.mark.parametrize("degree", [-1, 0, 1])
+@pytest.mark.parametrize("y", [Y, Y[:, 0]], ids=["two outputs", "one output"])
+def test_gradients_are_those_of_differences(kernel, degree, y):
+    width = [0.7, 60.0]
+    model = RBFNetRegressor(25, kernel=kernel, length_scale=width, alpha=[0.1] * y.ndim)
+    model.set_params(alpha=[0.1, 0.01] if y.ndim == 2 else 0.1, degree=degree).fit(X, y)
+    gradient, of_variance = model.predict_gradient(T, return_variance=True)
+    assert gradient.shape == of_variance.shape == (20, *y.shape[1:], 2)
+    np.testing.assert_array_equal(model.predict_gradient(T), gradient)
+    for j, step in enumerate([1e-5, 5e-4]):
+        there, back = T.copy(), T.copy()
+        there[:, j] += step
+        back[:, j] -= step
+        (m1, s1), (m0, s0) = (model.predict(t, return_std=True) for t in (there, back))
+        slope, slope_of_variance = (m1 - m0) / (2 * step), (s1**2 - s0**2) / (2 * step)
+        scale = np.abs(slope).max(axis=0)
+        np.testing.assert_allclose(gradient[..., j] / scale, slope / scale, atol=1e-6)
+        scale = np.abs(slope_of_variance).max(axis=0)
+        np.testing.assert_allclose(
+            of_variance[..., j] / scale, slope_of_variance / scale, atol=1e-5
+        )
+
+
+def test_gradients_keep_their_digits():
+    # Against forty digits: the mean from weights and centres, the variance of all rows' process.
+    few, width, alpha = X[:12], [0.7, 60.0], 0.02
+    model = RBFNetRegressor(12, length_scale=width, alpha=alpha, degree=-1).fit(few, Y[:12, 0])
+    found, of_variance = model.predict_gradient(T[:4], return_variance=True)
+    with mp.workdps(40):
+        scaled = [[mpf(float(v)) / mpf(w) for v, w in zip(x, width, strict=True)] for x in few]
+
+        def k(a, b):
+            return mp.exp(-sum((u - v) ** 2 for u, v in zip(a, b, strict=True)) / 2)
+
+        n = len(few)
+        C = mp.matrix(n, n)
+        for i in range(n):
+            for j in range(n):
+                C[i, j] = k(scaled[i], scaled[j]) + (mpf(alpha) if i == j else 0)
+        inverse = C**-1
+        weights = inverse * mp.matrix([mpf(float(v)) for v in Y[:12, 0]])
+        signal = mpf(float(model.signal_variance_))
+        for i, x in enumerate(T[:4]):
+            t = [mpf(float(v)) / mpf(w) for v, w in zip(x, width, strict=True)]
+            values = mp.matrix([k(t, c) for c in scaled])
+            solved = inverse * values
+            for j in range(2):
+                slopes = [-(t[j] - c[j]) / mpf(width[j]) * k(t, c) for c in scaled]
+                mean = sum(w * s for w, s in zip(weights, slopes, strict=True))
+                variance = -2 * signal * sum(a * s for a, s in zip(solved, slopes, strict=True))
+                assert abs(found[i, j] - mean) < 1e-9 * np.abs(found).max()
+                assert abs(of_variance[i, j] - variance) < 1e-9 * np.abs(of_variance).max()

@@ -1,0 +1,111 @@
+"""What is no residual is refused, and what is one in another frame is warned of, in every door."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sklearn.pipeline import make_pipeline
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    JointHarmonicRegressor,
+    PoseFeatures,
+)
+
+ARM = Arm.from_name("aacmm6")
+ANGLES = np.random.default_rng(0).uniform(-2, 2, (60, 6))
+RESIDUALS = 0.05 * np.cos(ANGLES[:, :3])
+POINTS = ARM.forward(ANGLES)
+TRACKER = Rotation.from_rotvec([0.4, -0.7, 1.1])
+SHIFT = np.array([2500.0, -900.0, 400.0])
+
+LINEAR = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
+DOORS = {
+    "linear model": LINEAR,
+    "both stages": ArmResidualRegressor(ARM, harmonics=LINEAR, use="harmonics"),
+    "on angles": CylindricalResidualTarget(azimuth=ARM.azimuth),
+    "in a pipeline": make_pipeline(
+        PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget()
+    ),
+}
+KNOW_THE_ARM = [name for name in DOORS if name != "in a pipeline"]
+
+
+def measured(turn, shift):
+    """Differences between the arm's points and references that are in a frame of their own."""
+    return POINTS - (turn.apply(POINTS - RESIDUALS) + shift)
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize(
+    "y",
+    [
+        POINTS,
+        POINTS - RESIDUALS,
+        TRACKER.apply(POINTS) + SHIFT,
+        measured(TRACKER, SHIFT),
+        measured(Rotation.from_rotvec([0, 0, 0.35]), 0.0),
+        1e3 * RESIDUALS + 200,  # micrometres from somewhere
+    ],
+    ids=["points", "references", "tracker", "differences", "turned", "too large"],
+)
+def test_points_and_differences_between_frames_are_refused(door, y):
+    with pytest.raises(ValueError, match=r"y are (points, not|no) residuals.*\d mm"):
+        DOORS[door].fit(ANGLES, y)
+
+
+@pytest.mark.parametrize("door", KNOW_THE_ARM)
+def test_small_motions_of_the_base_are_warned_of(door):
+    y = measured(Rotation.from_rotvec([0, 0.006, 0.007]), [1.0, 2.0, 0.0])
+    with pytest.warns(UserWarning, match=r"a turn by 0\.0092 rad and a shift by .* leave 0\.0"):
+        DOORS[door].fit(ANGLES, y)
+
+
+def test_without_the_arm_a_shift_is_warned_of():
+    with pytest.warns(UserWarning, match=r"base: a shift by 5.* mm .* leave 0\.0"):
+        DOORS["in a pipeline"].fit(ANGLES, np.add(RESIDUALS, [5.0, 0, 0]))
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("rows", [1, 3, 6, 60])
+@pytest.mark.parametrize("size", [0.0, 1e-3, 1.0, 100.0])
+def test_residuals_of_any_size_and_number_are_taken(door, rows, size):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        DOORS[door].fit(ANGLES[:rows], size * RESIDUALS[:rows])
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_an_error_that_is_the_same_all_over_a_small_region_is_one(door):
+    near = ANGLES[:1] + 0.01 * ANGLES
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        DOORS[door].fit(near, 0.05 * np.cos(near[:, :3]) + 0.3)
+
+
+def test_deviations_from_one_position_are_residuals():
+    """The points of one position are its deviations, but for a shift."""
+    near = ANGLES[:1] + 1e-5 * ANGLES
+    y = ARM.forward(near)
+    LINEAR.fit(near, y - y.mean(axis=0), groups=np.zeros(len(y)))
+
+
+def test_offsets_may_be_of_any_size():
+    """References in a drawing's frame: what is left within positions are residuals."""
+    groups = np.arange(60) % 6
+    offsets = 300.0 * np.random.default_rng(1).normal(size=(6, 3))
+    model = JointHarmonicRegressor(ARM, max_order=1, gravity=False, offsets=True)
+    model.fit(ANGLES, RESIDUALS + offsets[groups], groups=groups)
+    with pytest.raises(ValueError, match="y are no residuals"):
+        model.fit(ANGLES, POINTS[::-1], groups=groups)
+
+
+def test_slipped_rows_are_left_to_the_loss():
+    """A tenth of the rows far off: half of all residuals say what they are."""
+    y = RESIDUALS.copy()
+    y[::10] += 900.0
+    model = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
+    assert np.all(model.fit(ANGLES, y).pose_weight_[::10] == 0)
