@@ -11,8 +11,8 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
-from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
+from sklearn_raacmm.error_model._linear_fit import LinearOptions
+from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.utils import (
     Interval,
@@ -106,8 +106,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 2, or 1 below 150 poses with a reference each. Where positions have offsets, t
-        is three times the deviation that 99 % of the training poses stay below; elsewhere 0.
+        all. "auto": 1, or 2 where positions have offsets. There t is ten times the deviation that
+        99 % of the training poses stay below; elsewhere 0.
 
     Attributes
     ----------
@@ -115,11 +115,15 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The fitted numbers as one value: columns, coefficients and their covariance. The attributes
         below show what is in it.
 
+    orientation_model_ : LinearModel or None
+        That of points and orientations together, where orientations were given to `fit`.
+
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
         and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
-        raises the log evidence beside all others.
+        raises the log evidence beside all others. Parts of a smooth function are among them; theirs
+        is about 0 each.
 
     terms_ : structured ndarray of shape (n_terms,)
         The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
@@ -169,7 +173,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     Coefficients have normal priors of mean zero, one variance a family, found with the noise by
     maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
     least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
-    the rise is more than the logarithm of the number of candidates. The model has no memory of the
+    the rise is more than the logarithm of the number of candidates. Where the data ask for it, all
+    orders up to 48 that are not chosen are there, too, with one small variance that falls with the
+    order (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its
+    angle, of which little is known where there are no poses. The model has no memory of the
     number of poses but their normal equations.
 
     Offsets are exact fixed effects: means over the position are taken out of the columns, too. A
@@ -305,8 +312,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             How far the orientation that the arm shows is turned from the measured one: rotation
             vectors in rad, in the arm's base frame, as
             :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
-            probe and turn the last link, so that both are fitted together, each weighed by the
-            noise that it shows.
+            probe and turn the last link: a second model is fitted to both, each weighed by the
+            noise that it shows. Points are predicted by it, too, if it is clearly better for them
+            at positions left out.
 
         Returns
         -------
@@ -337,15 +345,12 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         X, y, weights, codes, _ = data
         options = LinearOptions.of(self)
         turns = check_turns(orientation_residuals, len(y), codes)
-        model, pose_weight = fit_linear_model(arm, *data, options, turns)
-        robust = weights * pose_weight
         positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
-        both = y if turns is None else np.hstack([y, model.turn_mm * turns])
-        left_out = leave_out(model, options, X, both, robust, codes, positions)
-        model = with_honest_intervals(model, left_out, X, y, weights, codes, positions)
-        std = model.predict(X, return_std=True)[1]
-        self.linear_model_, self.pose_weight_ = model, pose_weight
-        self.fading_ = find_fading(y, std, robust, codes, self.fade)
+        fitted, both = fit_points_and_turns(arm, data, options, positions, turns)
+        self.orientation_model_ = both
+        self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
+        std = fitted.model.predict(X, return_std=True)[1]
+        self.fading_ = find_fading(y, std, weights * self.pose_weight_, codes, self.fade)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -469,16 +474,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         it. It does not know what no point shows, such as the zero angle of a last joint whose axis
         goes through the probe.
         """
-        X, model = check_poses(self, X), self.linear_model_
-        mean, std = model.predict_turn(X, return_std)
-        if self.fading_.factor > 0:
-            share = self.fading_.share(model.predict(X, return_std=True)[1])
-            warn_where_unknown(share, stacklevel=2)
-            mean = share[:, None] * mean
-        if not return_std:
-            return mean
-        noise = with_noise and model.turn_mm > 0
-        return mean, np.hypot(model.std_scale * std, model.turn_noise if noise else 0.0)
+        mean, std, share = predict_turns(self, X, return_std, with_noise)
+        warn_where_unknown(share, stacklevel=2)
+        return (mean, std) if return_std else mean
 
     def fading(self, X):
         """Share of the correction that `predict` returns at each pose.
