@@ -10,6 +10,7 @@ NAMES = {
     SKLEARN: {
         "py:class": [
             "sklearn.compose.TransformedTargetRegressor",
+            "sklearn.decomposition.TruncatedSVD",
             "sklearn.gaussian_process.GaussianProcessRegressor",
             "sklearn.linear_model.LinearRegression",
             "sklearn.linear_model.OrthogonalMatchingPursuit",
@@ -19,6 +20,7 @@ NAMES = {
             "sklearn.multioutput.MultiOutputRegressor",
             "sklearn.pipeline.Pipeline",
             "sklearn.preprocessing.StandardScaler",
+            "sklearn.preprocessing.TargetEncoder",
             "sklearn.exceptions.NotFittedError",
             "sklearn.utils.Bunch",
             "sklearn.utils.metadata_routing.MetadataRequest",

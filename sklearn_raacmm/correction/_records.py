@@ -37,7 +37,7 @@ def append_record(path, record):
 
 
 def read_check_records(path):
-    """Read the records of checks that :meth:`CorrectionCheck.append_to` wrote.
+    """Read the records of checks that :meth:`~sklearn_raacmm.CorrectionCheck.append_to` wrote.
 
     Parameters
     ----------
