@@ -11,8 +11,8 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
-from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
+from sklearn_raacmm.error_model._linear_fit import LinearOptions
+from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.utils import (
     Interval,
@@ -114,6 +114,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     linear_model_ : LinearModel
         The fitted numbers as one value: columns, coefficients and their covariance. The attributes
         below show what is in it.
+
+    orientation_model_ : LinearModel or None
+        That of points and orientations together, where orientations were given to `fit`.
 
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
@@ -309,8 +312,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             How far the orientation that the arm shows is turned from the measured one: rotation
             vectors in rad, in the arm's base frame, as
             :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
-            probe and turn the last link, so that both are fitted together, each weighed by the
-            noise that it shows.
+            probe and turn the last link: a second model is fitted to both, each weighed by the
+            noise that it shows. Points are predicted by it, too, if it is clearly better for them
+            at positions left out.
 
         Returns
         -------
@@ -341,15 +345,12 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         X, y, weights, codes, _ = data
         options = LinearOptions.of(self)
         turns = check_turns(orientation_residuals, len(y), codes)
-        model, pose_weight = fit_linear_model(arm, *data, options, turns)
-        robust = weights * pose_weight
         positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
-        both = y if turns is None else np.hstack([y, model.turn_mm * turns])
-        left_out = leave_out(model, options, X, both, robust, codes, positions)
-        model = with_honest_intervals(model, left_out, X, y, weights, codes, positions)
-        std = model.predict(X, return_std=True)[1]
-        self.linear_model_, self.pose_weight_ = model, pose_weight
-        self.fading_ = find_fading(y, std, robust, codes, self.fade)
+        fitted, both = fit_points_and_turns(arm, data, options, positions, turns)
+        self.orientation_model_ = both
+        self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
+        std = fitted.model.predict(X, return_std=True)[1]
+        self.fading_ = find_fading(y, std, weights * self.pose_weight_, codes, self.fade)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -473,16 +474,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         it. It does not know what no point shows, such as the zero angle of a last joint whose axis
         goes through the probe.
         """
-        X, model = check_poses(self, X), self.linear_model_
-        mean, std = model.predict_turn(X, return_std)
-        if self.fading_.factor > 0:
-            share = self.fading_.share(model.predict(X, return_std=True)[1])
-            warn_where_unknown(share, stacklevel=2)
-            mean = share[:, None] * mean
-        if not return_std:
-            return mean
-        noise = with_noise and model.turn_mm > 0
-        return mean, np.hypot(model.std_scale * std, model.turn_noise if noise else 0.0)
+        mean, std, share = predict_turns(self, X, return_std, with_noise)
+        warn_where_unknown(share, stacklevel=2)
+        return (mean, std) if return_std else mean
 
     def fading(self, X):
         """Share of the correction that `predict` returns at each pose.

@@ -11,7 +11,7 @@ from types import MethodType
 
 import numpy as np
 import sklearn
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
@@ -110,7 +110,14 @@ def _encoded(value, path):
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {"dict": _encoded_fields(value, path)}
     if type(value).__name__ in _ESTIMATORS and type(value) is _ESTIMATORS[type(value).__name__]:
-        return {"estimator": type(value).__name__, "state": _encoded_fields(vars(value), path)}
+        # A parameter is a pattern, of which fits take copies: it is not written as fitted.
+        state = {
+            key: clone(entry)
+            if isinstance(entry, BaseEstimator) and not key.endswith("_")
+            else entry
+            for key, entry in vars(value).items()
+        }
+        return {"estimator": type(value).__name__, "state": _encoded_fields(state, path)}
     if type(value) in _VALUES.values():
         state = {field.name: getattr(value, field.name) for field in fields(value)}
         return {"value": type(value).__name__, "state": _encoded_fields(state, path)}

@@ -86,7 +86,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
     degree : {-1, 0, 1}, default=0
-        Degree of the unpenalised polynomial: none, a constant, or linear in the features.
+        Degree of the polynomial: none, a constant, or linear in the features. The linear part has
+        a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
+        none if `alpha` is given.
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:
@@ -367,8 +369,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     def _fit_weighted(self, X, y, sample_weight):
         """Fit by least squares with given weights."""
         rng = check_random_state(self.random_state)
+        tail = self.degree, isinstance(self.alpha, str)
         problem = read_problem(
-            self, X, y, sample_weight, self.degree, self.max_candidates or MAX_CANDIDATES, rng
+            self, X, y, sample_weight, tail, self.max_candidates or MAX_CANDIDATES, rng
         )
         width = check_length_scale(self.length_scale, self.n_features_in_)
         check_resolved(width, problem.X, self.alpha)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from sklearn import config_context
 from sklearn.model_selection import GroupKFold, cross_validate
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate
+from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, calibrate
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     Terms,
@@ -130,6 +130,7 @@ def test_orientations_show_what_points_do_not(measured):
     both = JointHarmonicRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
     error = turns_new - both.predict_orientation(new)
     assert rms(error) < 0.15 * rms(left)
+    assert both.linear_model_ is both.orientation_model_  # it is better for points, too
     assert (6, 2) in both.harmonics_[["joint", "order"]].tolist()
     assert rms(y_new - both.predict(new)) < points_only
     # Each is weighed by its noise, and both noises are found.
@@ -143,6 +144,19 @@ def test_orientations_show_what_points_do_not(measured):
     assert_allclose(noisy, np.hypot(std, both.linear_model_.turn_noise))
     again = from_json(to_json(both))
     assert_array_equal(again.predict_orientation(new), mean)
+
+
+def test_the_guarded_model_has_them_by_its_first_stage(measured):
+    arm, theta, y, turns, new, _, _ = measured
+    first = JointHarmonicRegressor(**SMALL)
+    for use in ("harmonics", "none"):
+        model = ArmResidualRegressor(arm, harmonics=first, use=use)
+        model.fit(theta, y, orientation_residuals=turns)
+        found, std = model.predict_orientation(new, return_std=True)
+        alone = JointHarmonicRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
+        expected, expected_std = alone.predict_orientation(new, return_std=True)
+        assert_allclose(found, expected * (use != "none"))
+        assert_allclose(std, expected_std)
 
 
 def test_points_and_orientation_have_the_same_cause():

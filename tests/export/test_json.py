@@ -101,6 +101,17 @@ def test_degrees_names_and_one_output(data):
         assert again.predict(Z).ndim == 1
 
 
+def test_a_parameter_is_not_written_as_fitted(models, data):
+    """The pattern of a stage may have been fitted by itself: its numbers are not the model's."""
+    model = copy.deepcopy(models["guarded"])
+    model.harmonics = models["linear"]
+    text = to_json(model)
+    assert len(text) == len(to_json(models["guarded"]))
+    again = from_json(text)
+    assert not hasattr(again.harmonics, "linear_model_")
+    np.testing.assert_array_equal(again.predict(data.data), model.predict(data.data))
+
+
 def test_numbers_are_exact_and_text_is_text(models):
     text = to_json(models["pipeline"])
     assert "NaN" not in text
