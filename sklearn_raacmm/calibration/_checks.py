@@ -11,7 +11,7 @@ from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
 from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
-from sklearn_raacmm.utils import encode_groups, floats, refuse_huge
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
 
 # For warnings: each is given by a function that `calibrate` calls, which two decorators wrap.
 CALLER = 5
@@ -103,14 +103,6 @@ def check_arm_angles(arm, angles, angle_unit):
     """Angles in rad within one turn, lest a warning of far angles be said again by what follows."""
     angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=CALLER + 1)
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
-
-
-def listed(name, value):
-    """Several, as a list; one text is not several letters, and an array is its rows."""
-    try:
-        return [value] if isinstance(value, str) else list(value)
-    except TypeError:
-        raise ValueError(f"{name} must be a list, got {value!r}.") from None
 
 
 def check_free(free):

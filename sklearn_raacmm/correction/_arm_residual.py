@@ -28,7 +28,6 @@ from sklearn_raacmm.error_model import (
     find_fading,
     fit_points_and_turns,
     predict_turns,
-    quantile,
     warn_where_unknown,
 )
 from sklearn_raacmm.network import RBFNetRegressor
@@ -336,12 +335,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """Longest correction, mm."""
         if self.cap is None:
             return np.inf
-        cap = quantile(np.linalg.norm(data.y, axis=1), self.cap, data.weights)
+        of_most = {"q": self.cap, "weights": data.weights, "method": "inverted_cdf"}
+        cap = np.quantile(np.linalg.norm(data.y, axis=1), **of_most)
         if data.codes is not None and n_stages:
             parts = stages.parts(data.angles, False, data.network)[:n_stages]
             own = np.linalg.norm(sum(value for value, _ in parts), axis=1)
-            cap = max(cap, _CAP_OF_OFFSETS * quantile(own, self.cap, data.weights))
-        return cap
+            cap = max(cap, _CAP_OF_OFFSETS * np.quantile(own, **of_most))
+        return float(cap)
 
     @property
     def harmonics_(self):

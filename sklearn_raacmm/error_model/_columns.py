@@ -243,6 +243,27 @@ def column_table(arm, terms):
     )
 
 
+class GivenFactors(NamedTuple):
+    """By what the extra columns of X multiply columns of the model."""
+
+    column: np.ndarray  # (n_given,) which columns
+    by: np.ndarray  # (n_given,) extra column
+    reference: np.ndarray  # (n_given,) what is taken off before; the number of a tool
+    of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
+
+
+def given_factors(arm, terms):
+    """Columns that an extra column of X multiplies, see `GivenFactors`."""
+    others = other_columns(arm, terms)
+    given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)
+    by = np.array([others[i].by for i in given], dtype=int)
+    of_tool = np.array([others[i].family == TOOL for i in given], dtype=bool)
+    reference = np.array([terms.extra[i][1][0] for i in by], dtype=float)
+    for i in np.unique(by[of_tool]):  # three columns for each tool
+        reference[of_tool & (by == i)] = np.repeat(terms.extra[i][1], 3)
+    return GivenFactors(given + 2 * len(terms.harmonics), by, reference, of_tool)
+
+
 class _Plan(NamedTuple):
     """A column table, arranged for whole arrays: all that does not depend on the pose."""
 
@@ -259,10 +280,7 @@ class _Plan(NamedTuple):
     load_frame: np.ndarray  # (n_loads,) place of the axis
     pushes: np.ndarray  # (n_pushes,) columns
     push_turn: np.ndarray  # (n_pushes,) into the vectors: what the turn does to the probe
-    given: np.ndarray  # (n_given,) columns that an extra column of X multiplies
-    given_by: np.ndarray  # (n_given,) which
-    reference: np.ndarray  # (n_given,) what is taken off before; the number of a tool
-    of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
+    given: GivenFactors
 
 
 @lru_cache(maxsize=64)
@@ -284,13 +302,7 @@ def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
         rest = n_waves
     loads = np.flatnonzero(table.kind == LOAD)
     pushes = np.flatnonzero(table.kind == PUSH)
-    others = other_columns(arm, terms)
-    given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)
-    given_by = np.array([others[i].by for i in given], dtype=int)
-    of_tool = np.array([others[i].family == TOOL for i in given], dtype=bool)
-    reference = np.array([extra[by][1][0] for by in given_by], dtype=float)
-    for by in np.unique(given_by[of_tool]):  # three columns for each tool
-        reference[of_tool & (given_by == by)] = np.repeat(extra[by][1], 3)
+    given = given_factors(arm, terms)
     return _Plan(
         which[rest:],
         table.unit[rest:],
@@ -305,10 +317,7 @@ def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
         table.frame[loads],
         pushes - rest,
         axis[pushes],
-        given + n_waves - rest,
-        given_by,
-        reference,
-        of_tool,
+        given._replace(column=given.column - rest),
     )
 
 
@@ -416,10 +425,9 @@ def _columns(arm, angles, terms, of_turns):
     if terms.extra:
         force = force_on_probe(terms.extra, values)
         factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
-        given = values[:, plan.given_by]
-        factor[:, plan.given] *= np.where(
-            plan.of_tool, given == plan.reference, given - plan.reference
-        )
+        columns, by, reference, of_tool = plan.given
+        given = values[:, by]
+        factor[:, columns] *= np.where(of_tool, given == reference, given - reference)
     np.multiply(np.take(effect, plan.which, axis=2), factor[:, None], out=out[:, :, plan.rest :])
     return out
 

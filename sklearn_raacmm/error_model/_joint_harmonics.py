@@ -106,8 +106,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 2, or 1 below 150 poses with a reference each. Where positions have offsets, t
-        is three times the deviation that 99 % of the training poses stay below; elsewhere 0.
+        all. "auto": 1, or 2 where positions have offsets. There t is ten times the deviation that
+        99 % of the training poses stay below; elsewhere 0.
 
     Attributes
     ----------
@@ -122,7 +122,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
         and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
-        raises the log evidence beside all others.
+        raises the log evidence beside all others. Parts of a smooth function are among them; theirs
+        is about 0 each.
 
     terms_ : structured ndarray of shape (n_terms,)
         The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
@@ -172,7 +173,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     Coefficients have normal priors of mean zero, one variance a family, found with the noise by
     maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
     least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
-    the rise is more than the logarithm of the number of candidates. The model has no memory of the
+    the rise is more than the logarithm of the number of candidates. Where the data ask for it, all
+    orders up to 48 that are not chosen are there, too, with one small variance that falls with the
+    order (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its
+    angle, of which little is known where there are no poses. The model has no memory of the
     number of poses but their normal equations.
 
     Offsets are exact fixed effects: means over the position are taken out of the columns, too. A
@@ -333,8 +337,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             If the angles are most likely in the other unit: larger than two turns in rad, or all
             within one turn of radians in degrees; if ``kinematics=False`` and positions have
             offsets, but no `lengths` are given; if ``offsets="auto"`` finds none although the
-            positions' means are smaller than chance makes them; if nearly all of `y` is one motion
-            of the base: the reference is then most likely in another frame.
+            positions' means are smaller than chance makes them; if the weights add up to less than
+            a tenth or more than a hundred times the number of rows; if nearly all of `y` is one
+            motion of the base: the reference is then most likely in another frame.
         """
         arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
         X, y, weights, codes, _ = data

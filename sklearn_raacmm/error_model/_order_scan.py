@@ -101,17 +101,33 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
     return sums if codes is None else _without_motions(sums, arm, terms)
 
 
-def difference(whole, part):
-    """Sums over the poses of `whole` that are not among those of `part`.
+def sums_of_the_others(parts):
+    """Sums over all parts but one, for each of them.
 
-    Where positions have offsets, `part` has to hold all poses of its positions.
+    Every product is summed up over the poses once, however many parts there are.
+
+    Parameters
+    ----------
+    parts : list of CandidateSums
+        Over disjoint poses, of the same columns; where positions have offsets, of whole positions.
+
+    Returns
+    -------
+    list of CandidateSums
     """
-    products = [a - b for a, b in zip(whole[:-1], part[:-1], strict=True)]
+    whole = [sum(products) for products in zip(*(part[:-1] for part in parts), strict=True)]
 
-    def rows_of(pairs):
-        return whole.rows(pairs) - part.rows(pairs)
+    every = _GramRows(
+        lambda pairs: sum(part.rows(pairs) for part in parts), parts[0].cross.shape[1]
+    )
+    found = []
+    for part in parts:
 
-    return CandidateSums(*products, _GramRows(rows_of, whole.cross.shape[1]))
+        def rows(pairs, likely=(), part=part):
+            return every(pairs, likely) - part.rows(pairs)
+
+        found.append(CandidateSums(*(a - b for a, b in zip(whole, part[:-1], strict=True)), rows))
+    return found
 
 
 class _GramRows:

@@ -16,11 +16,14 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model import force_on_probe
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
+# What an ArmResidualRegressor uses, by the number of its stages.
+STAGES = ("none", "harmonics", "harmonics+network")
 
 
 class Step(NamedTuple):
@@ -93,7 +96,7 @@ def arm_of(model):
     Raises
     ------
     ValueError
-        If two steps disagree, or one takes more than angles.
+        If two steps disagree.
     """
     found = []
     for path, step in leaves(model):
@@ -102,7 +105,6 @@ def arm_of(model):
         elif isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             found.append((path, *azimuth_arm(path, step.azimuth)))
         elif isinstance(getattr(step, "arm_", None), Arm):
-            _refuse_extra(path, step)
             found.append((path, step.arm_, step.angle_unit))
     for path, arm, unit in found[1:]:
         if (arm, unit) != found[0][1:]:
@@ -114,17 +116,31 @@ def arm_of(model):
     return found[0][1:] if found else (None, None)
 
 
-def _refuse_extra(path, step):
-    """What leaves Python knows joint angles only."""
-    linear = getattr(step, "linear_model_", None)
-    if linear is not None and linear.terms.extra:
-        names = ", ".join(name for name, _ in linear.terms.extra)
-        raise ValueError(f"{path} has extra columns ({names}), which cannot be exported yet.")
-
-
 def n_outputs(network):
     """Number of outputs of a fitted `RBFNetRegressor`, whatever the shape of its target."""
     return 1 if getattr(network.intercept_, "ndim", 0) == 0 else len(network.intercept_)
+
+
+def extra_of(model):
+    """Names of the columns after the angles that the arm's estimator of a chain takes."""
+    for _, step in leaves(model):
+        linear = getattr(step, "linear_model_", None)
+        if linear is not None:
+            return tuple(name for name, _ in linear.terms.extra)
+    return ()
+
+
+def force_of(extra):
+    """Force on the probe of one unit of each extra column, (3, n_extra), base frame.
+
+    Parameters
+    ----------
+    extra : tuple of (str, tuple of float)
+        As `Terms` has it.
+    """
+    mean = np.array([reference[0] for _, reference in extra])
+    one = force_on_probe(extra, mean + np.eye(len(extra)))
+    return np.round(one - force_on_probe(extra, mean[None])).T
 
 
 def fadings_of(step):
