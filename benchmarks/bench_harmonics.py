@@ -1,18 +1,21 @@
 """What each idea of a correction is worth, at positions that no stage has seen.
 
-Run ``python benchmarks/bench_harmonics.py [--rows N] [--inputs] [sets ...]``. `sets` are some of
+Run ``python benchmarks/bench_harmonics.py [--rows N] [--inputs] [--defaults] [sets ...]``. `sets`
+are some of
 
 - sim-gravity, sim-typical, sim-eccentricity: simulated arms, ten positions of 40 poses in five
   folds; gauges of 500 mm corrected by a model of all positions;
 - panda_3, panda_2: real, every placement left out once;
 - ur10-goal, ur10-space: real, five folds of goal positions, at random or of neighbours; `--rows`
   draws so many of the 11 911 poses;
+- ur10b-space: another series of that robot, 1495 clustered poses, five folds of regions;
 - corners: simulated, trained in one corner of the volume and used elsewhere;
 - grid: panda_3, every placement left out once: its distances to the others, and of its pair;
 - octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
 
 The real data are looked for in ``../shared/data`` beside the project, or in the folder that
-SKLEARN_RAACMM_DATA names. `--inputs` compares what the network is given instead.
+SKLEARN_RAACMM_DATA names. `--inputs` compares what the network is given instead; `--defaults` runs
+`JointHarmonicRegressor` and `ArmResidualRegressor` alone.
 
 Every real fold calibrates the arm on its own training rows. The settings of every method are its
 defaults, or found inside the training rows. Entries are in mm: mean deviation over test poses with
@@ -92,6 +95,12 @@ def methods(arm):
     yield "ArmResidualRegressor", ArmResidualRegressor(arm), True
 
 
+def defaults(arm):
+    """The two estimators as they come."""
+    yield "JointHarmonicRegressor", JointHarmonicRegressor(arm), True
+    yield "ArmResidualRegressor", ArmResidualRegressor(arm), True
+
+
 def methods_of_inputs(arm):
     """The same network with other inputs."""
     for joints in ("pose", "all"):
@@ -119,14 +128,25 @@ def ur10_folds(split, n_rows):
         labels, index = np.unique(goals, return_inverse=True)
         means = np.stack([points[index == i].mean(axis=0) for i in range(len(labels))])
         fold = KMeans(5, n_init=5, random_state=0).fit_predict(means)[index]
+    yield from tracked_folds(theta, points, goals, fold)
+
+
+def ur10b_folds():
+    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_joint_configurations.csv")
+    fold = KMeans(5, n_init=1, random_state=0).fit_predict(data.points)
+    regions = KMeans(60, n_init=1, random_state=0).fit_predict(data.points)  # it has no goals
+    yield from tracked_folds(data.angles, data.points, regions, fold)
+
+
+def tracked_folds(theta, points, groups, fold):
+    """Arm, angles, residuals, groups and training rows of each of five folds."""
     for k in range(5):
         train = fold != k
         result = calibrate(
             Arm.from_name("ur10", probe=(0, 0, 109)), theta[train], points=points[train]
         )
         measured = (points - result.base_translation) @ result.base_rotation
-        y = result.arm.forward(theta) - measured
-        yield result.arm, theta, y, goals, train
+        yield result.arm, theta, result.arm.forward(theta) - measured, groups, train
 
 
 def panda_folds(name):
@@ -187,7 +207,9 @@ def gauge_errors(mix, chosen):
 
 def run(name, n_rows, chosen):
     tracked = name.startswith("ur10")
-    if tracked:
+    if name == "ur10b-space":
+        folds = ur10b_folds()
+    elif tracked:
         folds = ur10_folds(name.split("-")[1], n_rows)
     else:
         folds = simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
@@ -345,20 +367,22 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=None, help="of the UR10 (default: all)")
     parser.add_argument("--inputs", action="store_true", help="compare the network's inputs")
+    parser.add_argument("--defaults", action="store_true", help="only the two arm estimators")
     mixes = ["sim-gravity", "sim-typical", "sim-eccentricity"]
     others = {"corners": corners, "grid": grid, "octants": octants}
-    sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", *others]
+    sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", "ur10b-space", *others]
     parser.add_argument("sets", nargs="*", default=sets, metavar="sets", help=", ".join(sets))
     args = parser.parse_args()
     if wrong := set(args.sets) - set(sets):
         parser.error(f"no such set: {', '.join(sorted(wrong))}; there are {', '.join(sets)}.")
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
     warnings.filterwarnings("ignore", message="With kinematics=False")
+    chosen = methods_of_inputs if args.inputs else defaults if args.defaults else methods
     for name in args.sets:
         if name in others:
             others[name]()
         else:
-            run(name, args.rows, methods_of_inputs if args.inputs else methods)
+            run(name, args.rows, chosen)
 
 
 if __name__ == "__main__":

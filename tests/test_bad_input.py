@@ -22,15 +22,20 @@ from sklearn_raacmm import (
     RBFNetRegressor,
     calibrate,
     cartesian_to_cylindrical,
+    check_correction,
+    cross_validate_correction,
     cylindrical_to_cartesian,
     datasets,
     display,
     elbow_angle,
     export,
+    learn_correction,
     metrics,
     next_poses,
     position_residuals,
+    search_table,
     shoulder_wrist_distance,
+    update_correction,
 )
 
 
@@ -160,6 +165,44 @@ def doors():
     yield "describe", ANGLES, lambda v: export.describe(fit, v)["training"]["rows"]
 
 
+def doors_to_be_refused_at():
+    """More doors, which take longer where nothing is wrong: only faults are tried there."""
+    linear = harmonics().fit(ANGLES, RESIDUALS)
+    result = calibrate(ARM, ANGLES, points=POINTS, free=["probe"])
+    yield "residuals, angles", ANGLES, lambda v: result.residuals(v, POINTS)
+    yield "residuals, points", POINTS, lambda v: result.residuals(ANGLES, v)
+    yield "fading", ANGLES, linear.fading
+    yield "distance_std", ANGLES, lambda v: linear.distance_std(ANGLES, v)
+    yield "update, X", ANGLES, lambda v: update_correction(linear, v, RESIDUALS).coef_
+    yield "update, y", RESIDUALS, lambda v: update_correction(linear, ANGLES, v).coef_
+    yield (
+        "update, sample_weight",
+        WEIGHTS,
+        lambda v: update_correction(linear, ANGLES, RESIDUALS, sample_weight=v).coef_,
+    )
+    yield "check, X", ANGLES, lambda v: check_correction(linear, v, RESIDUALS)
+    yield "check, y", RESIDUALS, lambda v: check_correction(linear, ANGLES, v)
+    yield "search_table, angles", ANGLES, lambda v: search_table(ARM, v, GROUPS) is None
+    yield "search_table, points", POINTS, lambda v: search_table(ARM, ANGLES, points=v)
+    for name, learn in (("learn", learn_correction), ("judge", cross_validate_correction)):
+        yield f"{name}, angles", ANGLES, lambda v, learn=learn: learn(ARM, v, GROUPS)
+        yield f"{name}, points", POINTS, lambda v, learn=learn: learn(ARM, ANGLES, GROUPS, v)
+    turns = np.tile(np.eye(3), (40, 1, 1))
+    yield (
+        "calibrate, orientations",
+        turns,
+        lambda v: calibrate(ARM, ANGLES, points=POINTS, orientations=v),
+    )
+    gauge = display.LengthErrorDisplay.from_predictions
+    pairs = {
+        "groups": GROUPS,
+        "pairs": [[0, 1]],
+        "lengths": metrics.gauge_lengths(POINTS, GROUPS, [[0, 1]]),
+    }
+    yield "LengthErrorDisplay", POINTS, lambda v: gauge(v, RESIDUALS, **pairs)
+    yield "its predictions", RESIDUALS, lambda v: gauge(POINTS, v, **pairs)
+
+
 def label_doors():
     """The same for labels of positions."""
     yield "JointHarmonicRegressor", lambda v: harmonics().fit(ANGLES, CENTRED, groups=v).coef_
@@ -179,6 +222,18 @@ def label_doors():
     rep = display.RepeatabilityDisplay.from_predictions
     yield "RepeatabilityDisplay", lambda v: rep(POINTS, RESIDUALS, groups=v).after
     yield "describe", lambda v: export.describe(fit, ANGLES, groups=v)["training"]["positions"]
+
+
+def label_doors_to_be_refused_at():
+    linear = harmonics().fit(ANGLES, RESIDUALS)
+    yield "update", lambda v: update_correction(linear, ANGLES, RESIDUALS, groups=v)
+    yield "check", lambda v: check_correction(linear, ANGLES, RESIDUALS, groups=v)
+    yield "search_table", lambda v: search_table(ARM, ANGLES, v)
+    yield "learn", lambda v: learn_correction(ARM, ANGLES, v)
+    yield "judge", lambda v: cross_validate_correction(ARM, ANGLES, v)
+    yield "scatter", lambda v: metrics.within_position_scatter(POINTS, RESIDUALS, groups=v)
+    yield "R2", lambda v: metrics.within_position_r2_score(POINTS, RESIDUALS, groups=v)
+    yield "axes", lambda v: metrics.axis_repeatability(POINTS, v)
 
 
 def with_second(value):
@@ -233,7 +288,7 @@ WRONG = {
     "text": (lambda x: "angles", "must hold|convert|scalar|array|1 dimension|str|samples|features"),
     "a data set": (lambda x: {"data": x}, "must be an array, got dict"),
     "sparse": (
-        lambda x: scipy.sparse.csr_array(np.atleast_2d(x)),
+        lambda x: scipy.sparse.csr_array(x.reshape(len(x), -1) if x.ndim > 2 else np.atleast_2d(x)),
         "[Ss]parse|must hold numbers|length_scale",
     ),
     "no rows": (lambda x: x[:0], SHAPE),
@@ -256,9 +311,14 @@ FINE = {
     ("length_scale", "too large"),
     # Of a model without an arm the card says no more than the number of rows.
     ("describe", "too large"),
+    # No new pose is the old model. Angles in another unit are what is searched for.
+    ("update, X", "no rows"),
+    ("search_table, angles", "too large"),
 }
 DOORS = {name: (x, function) for name, x, function in doors()}
 LABEL_DOORS = dict(label_doors())
+REFUSED_AT = {name: (x, function) for name, x, function in doors_to_be_refused_at()}
+LABELS_REFUSED_AT = dict(label_doors_to_be_refused_at())
 
 
 @pytest.fixture(autouse=True)
@@ -300,9 +360,9 @@ def test_narrow_types_are_worth_what_they_hold(door, form):
 
 
 @pytest.mark.parametrize("kind", WRONG)
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("door", [*DOORS, *REFUSED_AT])
 def test_wrong_arrays_get_a_sentence(door, kind):
-    x, function = DOORS[door]
+    x, function = (DOORS | REFUSED_AT)[door]
     spoil, sentence = WRONG[kind]
     if (door, kind) in FINE:
         assert np.all(np.isfinite(function(spoil(x))))
@@ -349,11 +409,44 @@ SAME_LABELS = {
 
 
 @pytest.mark.parametrize("kind", WRONG_LABELS)
-@pytest.mark.parametrize("door", LABEL_DOORS)
+@pytest.mark.parametrize("door", [*LABEL_DOORS, *LABELS_REFUSED_AT])
 def test_wrong_labels_get_a_sentence(door, kind):
     spoil, sentence = WRONG_LABELS[kind]
     with pytest.raises(ValueError, match=sentence):
-        LABEL_DOORS[door](spoil(GROUPS))
+        (LABEL_DOORS | LABELS_REFUSED_AT)[door](spoil(GROUPS))
+
+
+LENGTH_DOORS = {
+    "calibrate": lambda v: calibrate(ARM, ANGLES, GROUPS, lengths=v),
+    "linear model": lambda v: harmonics().fit(ANGLES, CENTRED, groups=GROUPS, lengths=v),
+    "both stages": lambda v: both().fit(ANGLES, CENTRED, groups=GROUPS, lengths=v),
+    "learn": lambda v: learn_correction(ARM, ANGLES, GROUPS, lengths=v),
+    "judge": lambda v: cross_validate_correction(ARM, ANGLES, GROUPS, lengths=v),
+}
+WRONG_LENGTHS = {
+    "no tuples": [5.0],
+    "a number": 5.0,
+    "text": "400 mm",
+    "text in a list": ["0-1: 400"],
+    "no length": [(0, 1)],
+    "too many": [(0, 1, 400.0, 0.01, 3)],
+    "NaN": [(0, 1, np.nan, 0.01)],
+    "infinite": [(0, 1, 400.0, np.inf)],
+    "negative": [(0, 1, -400.0, 0.01)],
+    "no deviation": [(0, 1, 400.0, 0.0)],
+    "words": [(0, 1, "400 mm", 0.01)],
+    "unknown position": [(0, 99, 400.0, 0.01)],
+    "one position": [(1, 1, 400.0, 0.01)],
+    "lists for labels": [([0], [1], 400.0, 0.01)],
+    "nothing": None,
+}
+
+
+@pytest.mark.parametrize("kind", WRONG_LENGTHS)
+@pytest.mark.parametrize("door", LENGTH_DOORS)
+def test_wrong_lengths_get_a_sentence(door, kind):
+    with pytest.raises((ValueError, TypeError), match="length"):
+        LENGTH_DOORS[door](WRONG_LENGTHS[kind])
 
 
 @pytest.mark.filterwarnings("ignore:The points still scatter")  # of no arm

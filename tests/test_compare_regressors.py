@@ -125,7 +125,7 @@ def test_fourier_terms_span_products_of_waves(example):
     [
         ("--folds 20", "--folds must be 2 to 10"),
         ("--output nowhere/table.csv", "no such folder"),
-        ("--models perceptron", "no model's name holds perceptron"),
+        ("--models forest", "no model's name holds forest"),
     ],
 )
 def test_refuses_before_the_work(example, capsys, arguments, message):

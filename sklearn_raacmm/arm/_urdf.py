@@ -7,12 +7,13 @@ import math
 import re
 import warnings
 import xml.etree.ElementTree as ET
+from os import PathLike
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sklearn_raacmm.utils import write_whole
+from sklearn_raacmm.utils import show, write_whole
 
 _MM_PER_M = 1000.0
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -31,6 +32,8 @@ _BRANCHES_SHOWN = 6
 
 def read_urdf(cls, source, base=None, tip=None):
     """Arm of class `cls` from a file or from text; see `Arm.from_urdf`."""
+    if not isinstance(source, str | PathLike):
+        raise TypeError(f"source must be a path or the text of a URDF file, got {show(source)}.")
     is_text = isinstance(source, str) and source.lstrip().startswith("<")
     where = "the URDF text" if is_text else str(source)
     joints, name = _joints(source if is_text else _text_of(source), where)

@@ -15,7 +15,6 @@ from sklearn_raacmm.calibration._checks import (
     check_correction,
     check_free,
     check_problem,
-    listed,
     warn_of_few_rows,
     warn_of_what_no_arm_is,
     warn_of_wrong_lengths,
@@ -25,7 +24,7 @@ from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
-from sklearn_raacmm.utils import Interval, StrOptions, one_blas_thread, validate_params
+from sklearn_raacmm.utils import Interval, StrOptions, listed, one_blas_thread, validate_params
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5

@@ -8,9 +8,10 @@ import warnings
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
+from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
-from sklearn_raacmm.utils import encode_groups, floats, refuse_huge
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
 
 # For warnings: each is given by a function that `calibrate` calls, which two decorators wrap.
 CALLER = 5
@@ -23,8 +24,6 @@ _LEAST_SD_MM = 1e-9
 _FAR = 10.0
 _SHARE_OF_REACH = 0.02
 _LEAST_REACH_MM = 20.0
-# Departure from orthonormal of a rotation matrix that was written with four digits.
-_NOT_ROTATION = 1e-3
 
 
 def check_problem(angles, groups, points, lengths, tools, stations, orientations):
@@ -40,7 +39,7 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     )
     if points is not None:
         points = _check_points(points, n, lengths)
-        turns = None if orientations is None else _check_turns(orientations, n)
+        turns = None if orientations is None else check_turns(orientations, n)
         problem = Problem(None, points, [], tools=tools, stations=stations, turns=turns)
         return problem, tool_labels, station_labels
     for name, value in (("stations", stations), ("orientations", orientations)):
@@ -79,23 +78,6 @@ def _check_points(points, n, lengths):
     return points
 
 
-def _check_turns(turns, n):
-    """Rotation matrices (n, 3, 3), or rotation objects of SciPy."""
-    turns = turns.as_matrix() if hasattr(turns, "as_matrix") else floats("orientations", turns)
-    if turns.shape != (n, 3, 3):
-        raise ValueError(
-            f"orientations must be {n} rotation matrices, shape ({n}, 3, 3), got {turns.shape}."
-        )
-    error = np.abs(np.swapaxes(turns, 1, 2) @ turns - np.eye(3)).max(axis=(1, 2))
-    bad = ~(error <= _NOT_ROTATION) | ~(np.linalg.det(turns) > 0)
-    if bad.any():
-        raise ValueError(
-            f"orientations hold {bad.sum()} matrices that are no rotations, first in row "
-            f"{np.argmax(bad)}."
-        )
-    return turns
-
-
 def check_correction(correction, angles, angle_unit):
     """Predicted residuals (n, 3) of the rows."""
     if not hasattr(correction, "predict"):
@@ -121,14 +103,6 @@ def check_arm_angles(arm, angles, angle_unit):
     """Angles in rad within one turn, lest a warning of far angles be said again by what follows."""
     angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=CALLER + 1)
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
-
-
-def listed(name, value):
-    """Several, as a list; one text is not several letters, and an array is its rows."""
-    try:
-        return [value] if isinstance(value, str) else list(value)
-    except TypeError:
-        raise ValueError(f"{name} must be a list, got {value!r}.") from None
 
 
 def check_free(free):

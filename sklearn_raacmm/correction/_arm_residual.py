@@ -24,12 +24,11 @@ from sklearn_raacmm.error_model import (
     LinearOptions,
     check_fit,
     check_poses,
+    check_turns,
     find_fading,
-    fit_linear_model,
-    leave_out,
-    quantile,
+    fit_points_and_turns,
+    predict_turns,
     warn_where_unknown,
-    with_honest_intervals,
 )
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.utils import (
@@ -102,6 +101,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     ----------
     linear_model_ : LinearModel
         The first stage as one value: columns, coefficients and their covariance.
+
+    orientation_model_ : LinearModel or None
+        That of points and orientations together, where orientations were given to `fit`.
 
     harmonics_, terms_ : structured ndarray
         The first stage's harmonics and other causes, as in :class:`JointHarmonicRegressor`.
@@ -209,7 +211,16 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
     @whole_fit
-    def fit(self, X, y, *, sample_weight=None, groups=None, lengths=()):
+    def fit(
+        self,
+        X,
+        y,
+        *,
+        sample_weight=None,
+        groups=None,
+        lengths=(),
+        orientation_residuals=None,
+    ):
         """Check the model against no correction, and fit it.
 
         Parameters
@@ -232,6 +243,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             Known distances between two positions, mm, for the first stage (see
             :meth:`JointHarmonicRegressor.fit`).
 
+        orientation_residuals : array-like of shape (n_samples, 3), default=None
+            Residuals of the orientation, rotation vectors in rad, for the first stage (see
+            :meth:`JointHarmonicRegressor.fit`).
+
         Returns
         -------
         self : object
@@ -243,18 +258,18 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             As :class:`JointHarmonicRegressor`.
         """
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
-        arm, X, y, weights, codes, lengths = check_fit(
-            self, X, y, sample_weight, groups, lengths, linear=first
+        arm, *checked = check_fit(self, X, y, sample_weight, groups, lengths, linear=first)
+        X, y, weights, codes, _ = checked
+        turns = check_turns(orientation_residuals, len(y), codes)
+        positions = np.arange(len(X)) if groups is None else encode_groups(groups)[1]
+        fitted, self.orientation_model_ = fit_points_and_turns(
+            arm, checked, LinearOptions.of(first), positions, turns, self.n_folds
         )
-        options = LinearOptions.of(first)
-        linear, pose_weight = fit_linear_model(arm, X, y, weights, codes, lengths, options)
+        linear, pose_weight, left_out = fitted
         robust = weights * pose_weight
         kept = robust > 0
         inputs = network_input(arm, X, self.joints)
         data = TrainingData(X, y, robust, codes, inputs).rows(kept)
-        positions = np.arange(len(X)) if groups is None else encode_groups(groups)[1]
-        left_out = leave_out(linear, options, X, y, robust, codes, positions, self.n_folds)
-        linear = with_honest_intervals(linear, left_out, X, y, weights, codes, positions)
         place = np.cumsum(kept) - 1  # of each row among those that are kept
         left_out = [(place[rows[kept[rows]]], rest) for rows, rest in left_out]
         few = groups is not None and len(np.unique(positions[kept])) < LEAST_POSITIONS
@@ -320,12 +335,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """Longest correction, mm."""
         if self.cap is None:
             return np.inf
-        cap = quantile(np.linalg.norm(data.y, axis=1), self.cap, data.weights)
+        of_most = {"q": self.cap, "weights": data.weights, "method": "inverted_cdf"}
+        cap = np.quantile(np.linalg.norm(data.y, axis=1), **of_most)
         if data.codes is not None and n_stages:
             parts = stages.parts(data.angles, False, data.network)[:n_stages]
             own = np.linalg.norm(sum(value for value, _ in parts), axis=1)
-            cap = max(cap, _CAP_OF_OFFSETS * quantile(own, self.cap, data.weights))
-        return cap
+            cap = max(cap, _CAP_OF_OFFSETS * np.quantile(own, **of_most))
+        return float(cap)
 
     @property
     def harmonics_(self):
@@ -381,6 +397,36 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             return mean
         variance = sum((np.square(std) for _, std in parts), np.zeros(mean.shape))
         return mean, self.linear_model_.widened(np.sqrt(variance), with_noise)
+
+    def predict_orientation(self, X, return_std=False, with_noise=False):
+        """Predict how far the last link is turned from where the arm shows it.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        return_std : bool, default=False
+            Also return standard deviations.
+
+        with_noise : bool, default=False
+            Add the noise of a measured component to them, where orientations were in the fit.
+
+        Returns
+        -------
+        turns : ndarray of shape (n_samples, 3)
+            Rotation vectors in rad, as :meth:`JointHarmonicRegressor.predict_orientation` has them,
+            by the first stage: 0 where it is not in use.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviations in rad, where asked for.
+        """
+        mean, std, share = predict_turns(self, X, return_std, with_noise)
+        if self.use_ == "none":
+            mean = np.zeros_like(mean)
+        else:
+            warn_where_unknown(share, stacklevel=2)
+        return (mean, std) if return_std else mean
 
     def fading(self, X):
         """Share of the correction that the guards leave at each pose.

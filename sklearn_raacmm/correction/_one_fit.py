@@ -15,11 +15,11 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, refuse_huge
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time.
@@ -43,7 +43,7 @@ class Data:
         angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
         angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
-        lengths = list(lengths)
+        lengths = listed("lengths", lengths)
         if points is not None:
             points = floats("points", points)
             if points.shape != (len(angles), 3):
@@ -52,12 +52,9 @@ class Data:
             if positions is None:
                 positions = _regions(points)
         labels, codes = encode_groups(positions, len(angles))
-        tied = {label for entry in lengths for label in entry[:2]}
-        unknown = sorted(map(str, tied - set(labels.tolist())))
-        if unknown:
-            raise ValueError(f"lengths name position {unknown[0]!r}, which has no rows.")
+        tied = {i for entry in lengths for i in check_length(entry, labels.tolist())[:2]}
         for code in np.flatnonzero(np.bincount(codes) == 1) if points is None else ():
-            if labels[code].item() not in tied:
+            if code not in tied:
                 raise ValueError(
                     f"position {labels[code].item()!r} has a single row, row "
                     f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"

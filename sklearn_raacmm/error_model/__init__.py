@@ -3,9 +3,18 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.error_model._columns import LOAD, SHIFT, Terms, column_table, term_columns
+from sklearn_raacmm.error_model._columns import (
+    LOAD,
+    PUSH,
+    SHIFT,
+    Terms,
+    column_table,
+    given_factors,
+    term_columns,
+)
+from sklearn_raacmm.error_model._extra import force_on_probe
 from sklearn_raacmm.error_model._fading import Fading, find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit_checks import check_fit
+from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
 from sklearn_raacmm.error_model._left_out import (
     LEAST_POSITIONS,
@@ -13,14 +22,16 @@ from sklearn_raacmm.error_model._left_out import (
     leave_out,
     with_honest_intervals,
 )
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._orders import likely_gear_ratios
+from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 
 __all__ = [
     "LEAST_POSITIONS",
     "LOAD",
+    "PUSH",
     "SHIFT",
     "Fading",
     "JointHarmonicRegressor",
@@ -29,13 +40,17 @@ __all__ = [
     "Terms",
     "check_fit",
     "check_poses",
+    "check_turns",
     "column_table",
     "find_fading",
     "fit_linear_model",
+    "fit_points_and_turns",
+    "force_on_probe",
+    "given_factors",
     "interval_scales",
     "leave_out",
     "likely_gear_ratios",
-    "quantile",
+    "predict_turns",
     "term_columns",
     "warn_where_unknown",
     "with_honest_intervals",

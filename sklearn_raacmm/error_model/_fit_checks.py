@@ -18,18 +18,26 @@ from sklearn_raacmm.utils import (
     check_data,
     check_weights,
     encode_groups,
+    floats,
     group_means,
     group_weights,
+    listed,
+    refuse_huge,
 )
 
 # For warnings: each check is called by `check_fit`, that by fit, which three decorators wrap.
 _CALLER = 7
+# Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
+# those of weights that add up to 1 are too few, those of inverse variances too many.
+_MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
 # Mean residuals of positions, as a share of what the scatter within positions explains, below which
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
 _CENTRED = 0.5
+# A residual of the orientation that is larger, in rad, is no small error of an arm.
+_LARGEST_TURN = 0.5
 # A share between that and 1 is worth a warning where independent rows have one as small in fewer
 # fits than one of a thousand. Against a reference it is above 1, as neighbours err alike.
 _BY_CHANCE = 1e-3
@@ -64,12 +72,30 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
     check_extra(linear.extra, arm.n_joints)
     X = in_rad(X, arm.n_joints, estimator.angle_unit, _CALLER)
     y = _check_vectors(y, arm)
-    weights = check_weights(sample_weight, X)
+    weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights, _CALLER)
     codes = _check_offsets(linear.offsets, y, weights, groups)
     points = points_of(arm, X[:, : arm.n_joints])
     _check_residuals(y, points, weights, codes, reach_mm(arm))
     return arm, X, y, weights, codes, _check_lengths(lengths, codes, groups, linear.kinematics)
+
+
+def _check_repeats(weights):
+    """Weights (n,), which are numbers of repeats."""
+    if weights.max() > _MOST_REPEATS:
+        raise ValueError(
+            f"sample_weight holds {weights.max():.4g}, but a weight is worth that many repeats of "
+            f"its row: more than {_MOST_REPEATS:g} are refused."
+        )
+    n = np.count_nonzero(weights)
+    if not _LEAST_WORTH * n <= weights.sum() <= _LARGEST_WORTH * n:
+        warnings.warn(
+            f"By their sample_weight the {n} rows are worth {weights.sum():.3g} rows: too little "
+            "or too much will be learnt. A weight counts repeats: give weights of about 1.",
+            UserWarning,
+            stacklevel=_CALLER,
+        )
+    return weights
 
 
 def _check_vectors(y, arm):
@@ -101,7 +127,7 @@ def _check_residuals(y, points, weights, codes, reach):
 
 def _check_lengths(lengths, codes, groups, kinematics):
     """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
-    lengths = list(lengths)
+    lengths = listed("lengths", lengths)
     if not lengths:
         if codes is not None and not kinematics:
             warnings.warn(
@@ -173,3 +199,28 @@ def _share_of_means(y, codes, weights):
     share = between.mean() / within
     by_chance = float(fdtr(3 * used.sum(), 3 * n_free, share))
     return share, float(np.median(between)) / within, by_chance
+
+
+def check_turns(turns, n_rows, codes):
+    """Residuals of the orientation (n, 3) in rad, or None where there are none."""
+    if turns is None:
+        return None
+    turns = floats("orientation_residuals", turns)
+    if turns.shape != (n_rows, 3):
+        raise ValueError(
+            f"orientation_residuals must be {n_rows} rotation vectors in rad, shape ({n_rows}, 3), "
+            f"got {turns.shape}."
+        )
+    refuse_huge("orientation_residuals", turns)
+    largest = np.linalg.norm(turns, axis=1).max()
+    if largest > _LARGEST_TURN:
+        raise ValueError(
+            f"orientation_residuals reach {largest:.3g} rad: they must be small errors, what the "
+            "calibrated arm shows against what was measured."
+        )
+    if codes is not None:
+        raise ValueError(
+            "orientation_residuals are for residuals against a reference: here positions have "
+            "unknown offsets."
+        )
+    return turns

@@ -73,8 +73,8 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
           centre of the probe, through the arm's kinematics;
         - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
-        - ``double <name>_trust(const double joint_angles[N])``, of an :class:`ArmResidualRegressor`
-          that fades: the share of the correction that is left, of its stages the smallest;
+        - ``double <name>_trust(const double joint_angles[N])``, of a model that fades: the share of
+          the correction that is left, of its stages the smallest;
         - ``const char *<name>_fingerprint(void)``.
 
         The first four return 0; 1 where less than half of a stage is left; 2 where the result is
@@ -83,8 +83,9 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
         ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
         and ``_DATA_FINGERPRINT``.
 
-        Joint angles are in the unit that `model` takes. A model without an arm, or without three
-        outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
+        Joint angles are in the unit that `model` takes; extra columns, such as a temperature, come
+        after them, and a tool that was not in the fit gives NaN. A model without an arm, or without
+        three outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
 
     dtype : {"double", "float"}, default="double"
         Precision of everything, the functions' arguments included. In single precision a
@@ -213,7 +214,7 @@ def load_c(model, *, std=False, compiler=None, cache_dir=None):
     ::
 
         compiled = load_c(model)
-        compiled.correct(joint_angles)  # one row: 1 to 2 microseconds
+        compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")

@@ -161,8 +161,9 @@ class _ForwardPass:
         """Whether a candidate that matters, or may matter, is known to too few digits."""
         if not self.whitened:
             return False
-        share = self.norms / np.maximum(self.fresh, SMALLEST)
-        stale = np.flatnonzero((share < DOUBTFUL) & (self.fresh > self.floor))
+        known = self.fresh > self.floor
+        share = np.divide(self.norms, self.fresh, out=np.ones_like(self.norms), where=known)
+        stale = np.flatnonzero(share < DOUBTFUL)
         return bool(np.any((scores[stale] > 0.1 * best) | (share[stale] < LOST)))
 
     def correct(self, j, u, squared_norm):

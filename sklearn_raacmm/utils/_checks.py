@@ -149,6 +149,14 @@ def check_option(name, value, options):
         raise ValueError(f"{name}={value!r} is not one of {', '.join(map(repr, options))}.")
 
 
+def listed(name, value):
+    """Several, as a list; one text is not several letters, and an array is its rows."""
+    try:
+        return [value] if isinstance(value, str) else list(value)
+    except TypeError:
+        raise ValueError(f"{name} must be a list, got {value!r}.") from None
+
+
 def check_whole_number(name, value, low, high=None):
     """Refuse what is not a whole number from `low` to `high`, without an upper bound if None."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)

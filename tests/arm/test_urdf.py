@@ -262,3 +262,9 @@ def test_arms_from_lengths():
         ValueError, match=r"layout must be one of \['2-2-2', '2-2-3'\], got '3-2-2'"
     ):
         Arm.from_lengths("3-2-2", 1, 1, 1, 1)
+
+
+@pytest.mark.parametrize("source", [None, 3, b"<robot/>", ["arm.urdf"], {}])
+def test_what_is_no_path_and_no_text_gets_a_sentence(source):
+    with pytest.raises(TypeError, match="source must be a path or the text of a URDF file, got"):
+        Arm.from_urdf(source)

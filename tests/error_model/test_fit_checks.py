@@ -50,7 +50,7 @@ def test_residuals_against_a_reference_are_not_warned_of():
     assert found <= 2  # of a chance of one in a thousand
 
 
-@pytest.mark.parametrize("scale", [1e-3, 10.0])
+@pytest.mark.parametrize("scale", [0.2, 10.0])
 def test_small_weights_do_not_decide_on_offsets(scale):
     weights = np.full(300, scale)
     for y, offsets in ((NOISE, False), (position_residuals(NOISE, GROUPS), True)):
@@ -82,3 +82,17 @@ def test_options_of_a_first_stage_are_checked_too(name, value):
     both = ArmResidualRegressor(ARM, harmonics=JointHarmonicRegressor(**{name: value}))
     with pytest.raises(ValueError, match=f"'{name}' parameter of JointHarmonicRegressor"):
         both.fit(ANGLES, NOISE)
+
+
+@pytest.mark.parametrize("scale", [1 / 300, 1e-200, 1e4, 1e6])
+def test_weights_that_are_no_repeats_are_told(scale):
+    """With inverse variances nothing would be noise; too large ones ended in a LinAlgError."""
+    weights = scale * np.arange(1.0, 41)
+    for estimator in (
+        JointHarmonicRegressor(ARM, max_order=10),
+        ArmResidualRegressor(ARM, harmonics=model(), use="harmonics"),
+    ):
+        with pytest.warns(UserWarning, match=r"the 40 rows are worth .* rows"):
+            estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=weights)
+    with pytest.raises(ValueError, match=r"sample_weight holds 4e\+10, but a weight"):
+        estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=1e9 * np.arange(1.0, 41))

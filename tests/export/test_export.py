@@ -186,6 +186,7 @@ def test_every_kernel_and_tail(build, data, kernel, degree):
         MinMaxScaler((-1, 2)),
         MinMaxScaler(clip=True),
         MaxAbsScaler(),
+        MaxAbsScaler(clip=True),
         RobustScaler(),
         RobustScaler(with_centering=False, with_scaling=False),
         make_pipeline(StandardScaler(), "passthrough", MinMaxScaler()),

@@ -9,7 +9,7 @@ from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _width_search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
-from sklearn_raacmm.network._width_objective import Task
+from sklearn_raacmm.network._width_objective import LOOSE_KAPPA, Task
 from sklearn_raacmm.network._width_search import robust_spread, search
 
 
@@ -187,3 +187,23 @@ def test_units_of_steps_save_evaluations(monkeypatch):
         numbers.append(len(calls))
     assert numbers[1] < numbers[0]
     assert found[1] < found[0] + 0.02
+
+
+def test_two_starts_of_different_width_and_the_better_end(monkeypatch):
+    """A ripple on a trend: each is a peak of the likelihood, and the starts meet both."""
+    x = np.random.default_rng(0).uniform(-2, 2, (120, 1))
+    data = data_of(x, np.sin(25 * x[:, 0]) + 3 * x[:, 0])
+    minimise, starts, ends = Task.minimise, [], []
+
+    def watched(task, theta, rows, kernel, steps, **options):
+        end = minimise(task, theta, rows, kernel, steps, **options)
+        if options.get("kappa") == LOOSE_KAPPA:
+            starts.append(float(theta[0]))
+        elif task.n_widths:
+            ends.append(end.value)
+        return end
+
+    monkeypatch.setattr(Task, "minimise", watched)
+    found = search(data, ("gaussian",), random_state=np.random.RandomState(0))
+    assert len(set(starts)) == len(starts) == 2
+    assert found.objective * 120 == pytest.approx(min(ends))

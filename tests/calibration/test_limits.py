@@ -1,0 +1,70 @@
+"""Limits of the warnings of a calibration: one side of each is quiet, the other is not."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.calibration._calibrate import _parameters
+from sklearn_raacmm.calibration._checks import warn_of_what_no_arm_is, warn_of_wrong_lengths
+
+ARM = Arm.from_name("aacmm6")
+REACH = reach_mm(ARM)
+METRES = ARM.replace(a=ARM.a / 1000, d=ARM.d / 1000, probe=ARM.probe / 1000)
+
+
+def told(function, *args):
+    """Sentences of the warnings that a function gives."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        function(*args)
+    return " ".join(str(warning.message) for warning in caught)
+
+
+def of_fit(arm=ARM, moved=0.0, before=1.0, after=0.5):
+    """What is said of a fit that moved d3 by so many of its prior's standard deviations."""
+    names, nominal = _parameters(arm, None)
+    prior = np.full(len(names), 0.3)
+    values = nominal.copy()
+    values[names.index("d3")] += moved * 0.3
+    return told(warn_of_what_no_arm_is, arm, names, nominal, values, prior, before, after)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({}, ""),
+        ({"moved": 9.9}, ""),
+        ({"moved": -9.9}, ""),
+        ({"moved": 10.1}, "d3 is 753"),
+        ({"moved": -10.1}, "d3 is 747"),
+        ({"before": 1e9, "after": 0.0199 * REACH}, ""),
+        ({"before": 1e9, "after": 0.0201 * REACH}, "still scatter"),
+        ({"before": 1.0, "after": 1.99}, ""),
+        ({"before": 1.0, "after": 2.01}, "still scatter"),
+        ({"before": 0.0, "after": 0.9e-6 * REACH}, ""),  # rounding
+        ({"before": 0.0, "after": 1.1e-6 * REACH}, "still scatter"),
+        ({"arm": METRES, "after": 1e-9}, "in metres, not millimetres"),
+        ({"arm": METRES.replace(d=METRES.d + 3.5), "after": 1e-9}, ""),
+    ],
+)
+def test_what_no_arm_is(changes, sentence):
+    if "arm" in changes:
+        assert (reach_mm(changes["arm"]) < 20) == bool(sentence)
+    found = of_fit(**changes)
+    assert (sentence in found) if sentence else not found
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(
+    ("sd", "sigma", "limit"), [(0.01, 0.001, 0.05), (0.001, 0.02, 0.1)], ids=["length", "points"]
+)
+def test_a_length_disagrees_beyond_five_standard_deviations(sd, sigma, limit, sign):
+    """Of the length as it was given, or of the points, whichever knows less."""
+    lengths = [("A", "B", 400.0, sd)]
+    assert not told(warn_of_wrong_lengths, lengths, [sign * 0.99 * limit], sigma)
+    sentence = told(warn_of_wrong_lengths, lengths, [sign * 1.01 * limit], sigma)
+    assert "1 of 1 known lengths disagree" in sentence
+    assert "A to B is" in sentence
