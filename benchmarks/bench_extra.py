@@ -21,7 +21,6 @@ JOINTS = range(1, 7)
 CASES = {
     "direction": ({"play_arcsec": 6.0}, [f"direction {j}" for j in JOINTS]),
     "temperature": ({"drift_k": 8.0}, ["temperature"]),
-    "temperature of each joint": ({"drift_k": 8.0}, [f"temperature {j}" for j in JOINTS]),
     "payload": ({"payload_n": 20.0}, ["payload"]),
     "tool": ({}, ["tool"]),
 }

@@ -73,22 +73,24 @@ def write_inventories(folder):
 
 
 class GalleryOrder:
-    """Order of the gallery: arms first, then how the method works, then the network by itself."""
+    """Order of the gallery: the main job, real arms, how the method works, then the network."""
 
     FIRST = (
-        "plot_simulated_arm",
+        "plot_learn_correction",
         "plot_own_csv",
-        "plot_arm_poses",
+        "plot_simulated_arm",
         "plot_real_arm",
         "plot_real_tracker",
+        "plot_how_many_poses",
+        "plot_after_the_lab",
+        "plot_live_arm",
+        "plot_arm_poses",
         "plot_compare_regressors",
         "plot_paper_figures",
         "plot_periodicity",
-        "plot_ols_path",
-        "plot_how_many_poses",
-        "plot_grid_search",
-        "plot_live_arm",
         "plot_rbf_network",
+        "plot_ols_path",
+        "plot_grid_search",
         "plot_newrb",
     )
 

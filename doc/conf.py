@@ -10,6 +10,7 @@ from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 
 DOC = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOC))
+from _results import substitutions  # noqa: E402
 from _sphinx import write_inventories  # noqa: E402
 
 project = "sklearn_raacmm"
@@ -37,19 +38,22 @@ suppress_warnings = ["toc.empty_glob", "config.cache"]
 autosummary_generate = True
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
-myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist", "substitution"]
+myst_substitutions = substitutions()  # measured numbers and tables, from results.json
 myst_heading_anchors = 3
 copybutton_exclude = ".linenos, .gp, .go"
 intersphinx_mapping = write_inventories(Path(tempfile.gettempdir()) / "sklearn_raacmm-inventories")
 # What scikit-learn's metadata routing writes into docstrings of ours.
 nitpick_ignore_regex = [("py:.*", r"metadata_routing"), ("std:.*", r"metadata_routing|sphx_glr_.*")]
 
+# "On this page" has methods by their own names, which fit beside the page.
+toc_object_entries_show_parents = "hide"
 html_theme = "pydata_sphinx_theme"
 html_title = "sklearn_raacmm"
 html_show_sourcelink = False
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]
-html_sidebars = {page: [] for page in ("index", "get_started", "benchmarks")}
+html_sidebars = {page: [] for page in ("index", "install", "get_started")}
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,

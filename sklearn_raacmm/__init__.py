@@ -16,6 +16,7 @@ from sklearn_raacmm.correction import (
     cross_validate_correction,
     learn_correction,
     next_poses,
+    read_check_records,
     search_table,
     update_correction,
 )
@@ -53,6 +54,7 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "position_residuals",
+    "read_check_records",
     "search_table",
     "shoulder_wrist_distance",
     "update_correction",

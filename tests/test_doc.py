@@ -79,7 +79,12 @@ def test_the_readme_leads_somewhere_from_a_package_index(address, monkeypatch):
     interface = types.ModuleType("interface")
     interface.MetadataHookInterface = object
     monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", interface)
-    for_the_index = runpy.run_path(str(DOC.parent / "hatch_build.py"))["for_the_index"]
+    build = runpy.run_path(str(DOC.parent / "hatch_build.py"))
+    for_the_index = build["for_the_index"]
+    urls = build["project_urls"](address)
+    assert all(url.startswith("https://") for url in urls.values())
+    assert ("Source" in urls) == (address is not None)
+    assert all((DOC.parent / file).exists() for file in build["FILES"].values())
     text = (DOC.parent / "README.md").read_text(encoding="utf-8")
     shown = for_the_index(text, address)
     links = re.findall(r"\]\(([^)#]+)\)", shown)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._figures import picture_of
+from sklearn_raacmm.app._figures import chart_of, picture_of
 from sklearn_raacmm.app._files import (
     in_rad,
     load_arm,
@@ -22,10 +22,11 @@ from sklearn_raacmm.app._files import (
 from sklearn_raacmm.app._report import judge_limit, write_report
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import learn_correction
+from sklearn_raacmm.correction import check_correction, learn_correction, read_check_records
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program.
@@ -118,6 +119,7 @@ def check(options):
     )
     for label, one, other in zip(np.unique(table.positions), before, after, strict=True):
         print(f"{label}: 2S {one:.4f} -> {other:.4f} mm")
+    _name_the_suspect(saved, measured, table, options)
     expected = highest_mean(saved.facts["positions"]["after"], len(after))
     change = f"mean 2S {before.mean():.3f} -> {after.mean():.3f} mm"
     if after.mean() >= before.mean():
@@ -132,6 +134,31 @@ def check(options):
         return NO_HELP
     print(f"It holds: {change}; expected below {expected:.3f} mm.")
     return OK
+
+
+def _name_the_suspect(saved, measured, table, options):
+    """Say what the model's posterior makes of today's poses, and keep the record."""
+    linear = getattr(saved.model, "linear_model_", None)
+    if linear is None or getattr(saved.model, "use_", "") == "none":
+        if options.record:
+            raise TableError("--record needs a model of causes; this correction has none in use.")
+        return
+    angles, positions = in_rad(table), table.positions
+    found = check_correction(
+        saved.model, angles, position_residuals(measured, positions), groups=positions,
+        false_alarm_rate=_FALSE_ALARM,
+    )  # fmt: skip
+    if not found.holds:
+        print(f"Suspect: {found.suspect} (p = {found.p_value:.2g}). {found.advice}")
+    for row in found.slipped:
+        print(f"slipped: row {table.rows[row]} ({positions[row]}), measure it again")
+    if options.record:
+        found.append_to(options.record)
+        print(f"Appended to {options.record}")
+    if options.chart:
+        records = read_check_records(options.record) if options.record else [found.record]
+        write_whole({options.chart: chart_of(records)})
+        print(f"Written to {options.chart}")
 
 
 def highest_mean(learnt, n):

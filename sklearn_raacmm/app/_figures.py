@@ -8,6 +8,8 @@ import re
 
 import numpy as np
 
+from sklearn_raacmm.display import ControlChartDisplay
+
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
 _BEFORE, _AFTER = "#c2571a", "#2a78c2"
@@ -153,6 +155,32 @@ def _lengths(figure, scores):
     ax.axhline(0, color=_INK, linewidth=0.8)
     ax.set(xlabel="calibrated length, mm", ylabel="error, µm")
     ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
+
+
+def chart_of(records):
+    """Control chart of checks, as SVG.
+
+    Parameters
+    ----------
+    records : list of dict
+        Of :func:`check_correction`.
+
+    Returns
+    -------
+    str
+        A whole SVG file.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError("Charts need matplotlib: pip install matplotlib.") from None
+    file = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "chart", "font.size": 9}):
+        figure = Figure(figsize=(7, 5), layout="constrained")
+        ControlChartDisplay(records=records).plot(figure.subplots(2, 1, sharex=True))
+        figure.savefig(file, format="svg", metadata={"Date": None})
+    return file.getvalue()
 
 
 def picture_of(arm):

@@ -80,6 +80,8 @@ def _parser():
     check = _word(words, "check", "ask whether a correction still holds today")
     check.add_argument("table", help="a small single-point test of today")
     _add_model(check)
+    check.add_argument("--record", metavar="CSV", help="file to append the line of this check to")
+    check.add_argument("--chart", metavar="SVG", help="control chart of the record to write")
     _add_columns(check)
 
     export = _word(words, "export", "write a correction for other software")

@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
+from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
@@ -23,8 +24,6 @@ _LEAST_SD_MM = 1e-9
 _FAR = 10.0
 _SHARE_OF_REACH = 0.02
 _LEAST_REACH_MM = 20.0
-# Departure from orthonormal of a rotation matrix that was written with four digits.
-_NOT_ROTATION = 1e-3
 
 
 def check_problem(angles, groups, points, lengths, tools, stations, orientations):
@@ -40,7 +39,7 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     )
     if points is not None:
         points = _check_points(points, n, lengths)
-        turns = None if orientations is None else _check_turns(orientations, n)
+        turns = None if orientations is None else check_turns(orientations, n)
         problem = Problem(None, points, [], tools=tools, stations=stations, turns=turns)
         return problem, tool_labels, station_labels
     for name, value in (("stations", stations), ("orientations", orientations)):
@@ -77,24 +76,6 @@ def _check_points(points, n, lengths):
     if lengths:
         raise ValueError("lengths are between groups; measured points have no use for them.")
     return points
-
-
-def _check_turns(turns, n):
-    """Rotation matrices (n, 3, 3), or rotation objects of SciPy."""
-    turns = turns.as_matrix() if hasattr(turns, "as_matrix") else floats("orientations", turns)
-    refuse_huge("orientations", turns)
-    if turns.shape != (n, 3, 3):
-        raise ValueError(
-            f"orientations must be {n} rotation matrices, shape ({n}, 3, 3), got {turns.shape}."
-        )
-    error = np.abs(np.swapaxes(turns, 1, 2) @ turns - np.eye(3)).max(axis=(1, 2))
-    bad = ~(error <= _NOT_ROTATION) | ~(np.linalg.det(turns) > 0)
-    if bad.any():
-        raise ValueError(
-            f"orientations hold {bad.sum()} matrices that are no rotations, first in row "
-            f"{np.argmax(bad)}."
-        )
-    return turns
 
 
 def check_correction(correction, angles, angle_unit):

@@ -7,7 +7,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm import dh_theta, frame_columns
-from sklearn_raacmm.utils import nearest_rotation
+from sklearn_raacmm.utils import floats, nearest_rotation, refuse_huge
+
+# Departure from orthonormal of a rotation matrix that was written with four digits.
+_NOT_ROTATION = 1e-3
 
 
 def flange_turns(arm, angles):
@@ -34,3 +37,21 @@ def mean_turn(turns):
 def turn_vectors(turns):
     """Rotation vectors (n, 3) in rad of rotation matrices."""
     return Rotation.from_matrix(turns).as_rotvec()
+
+
+def check_turns(turns, n):
+    """Rotation matrices (n, 3, 3), or rotation objects of SciPy."""
+    turns = turns.as_matrix() if hasattr(turns, "as_matrix") else floats("orientations", turns)
+    refuse_huge("orientations", turns)
+    if turns.shape != (n, 3, 3):
+        raise ValueError(
+            f"orientations must be {n} rotation matrices, shape ({n}, 3, 3), got {turns.shape}."
+        )
+    error = np.abs(np.swapaxes(turns, 1, 2) @ turns - np.eye(3)).max(axis=(1, 2))
+    bad = ~(error <= _NOT_ROTATION) | ~(np.linalg.det(turns) > 0)
+    if bad.any():
+        raise ValueError(
+            f"orientations hold {bad.sum()} matrices that are no rotations, first in row "
+            f"{np.argmax(bad)}."
+        )
+    return turns

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.calibration._orientation import check_turns, turn_vectors
 from sklearn_raacmm.calibration._problem import encode_labels
 from sklearn_raacmm.utils import centred, check_points, encode_groups
 
@@ -198,6 +199,41 @@ class CalibrationResult:
             rotation, translation = base
             shown[rows] -= (points[rows] - translation) @ rotation
         return shown
+
+    def orientation_residuals(self, angles, orientations, *, angle_unit="rad"):
+        """Residuals of the orientation of rows, old or new, in the arm's base frame.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        orientations : array-like of shape (n_samples, 3, 3) or Rotation
+            Measured orientations of the target, as :func:`calibrate` was given them.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3)
+            Rotation vectors in rad: from the measured orientation to that which the calibrated arm
+            shows, for :meth:`JointHarmonicRegressor.fit`.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit, a matrix is no rotation, or the calibration was not given
+            orientations, or has several tools or stations.
+        """
+        if self.target_rotation is None or max(len(self.arms), len(self.bases)) > 1:
+            raise ValueError(
+                "orientation_residuals need a calibration with orientations, of one tool and one "
+                "station."
+            )
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        measured = check_turns(orientations, len(angles))
+        shown = self.base_rotation @ self.arm.frames(angles)[:, -1, :, :3] @ self.target_rotation
+        turns = turn_vectors(shown @ np.swapaxes(measured, 1, 2))  # in the tracker's frame
+        return turns @ self.base_rotation
 
     @staticmethod
     def _parts(name, labels, known, single, n):

@@ -8,6 +8,7 @@ from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
+from sklearn_raacmm.correction._records import read_check_records
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
 from sklearn_raacmm.correction._table_search import TableChange, search_table
 from sklearn_raacmm.correction._update import update_correction
@@ -23,6 +24,7 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "predict_with_std",
+    "read_check_records",
     "search_table",
     "update_correction",
 ]

@@ -27,7 +27,6 @@ from sklearn_raacmm.error_model import (
     find_fading,
     fit_linear_model,
     leave_out,
-    quantile,
     warn_where_unknown,
     with_honest_intervals,
 )
@@ -320,12 +319,13 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """Longest correction, mm."""
         if self.cap is None:
             return np.inf
-        cap = quantile(np.linalg.norm(data.y, axis=1), self.cap, data.weights)
+        of_most = {"q": self.cap, "weights": data.weights, "method": "inverted_cdf"}
+        cap = np.quantile(np.linalg.norm(data.y, axis=1), **of_most)
         if data.codes is not None and n_stages:
             parts = stages.parts(data.angles, False, data.network)[:n_stages]
             own = np.linalg.norm(sum(value for value, _ in parts), axis=1)
-            cap = max(cap, _CAP_OF_OFFSETS * quantile(own, self.cap, data.weights))
-        return cap
+            cap = max(cap, _CAP_OF_OFFSETS * np.quantile(own, **of_most))
+        return float(cap)
 
     @property
     def harmonics_(self):

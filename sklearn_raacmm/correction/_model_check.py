@@ -4,16 +4,27 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi, chi2
 
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.calibration import check_length
+from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.correction._update import check_new_poses, linear_model_of, place_columns
-from sklearn_raacmm.utils import Interval, one_blas_thread, validate_params
+from sklearn_raacmm.error_model import LinearModel
+from sklearn_raacmm.utils import (
+    Interval,
+    encode_groups,
+    group_means,
+    one_blas_thread,
+    validate_params,
+)
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
 _ORDERS = (1, 2)
@@ -54,8 +65,8 @@ class CorrectionCheck:
         Rows that lie too far off to count, at most a tenth of all: measure them again.
     record : dict
         One line for a control chart: `date`, `n_poses`, `mean_mm` and `range_mm` of the corrected
-        distances with the limits `mean_limits_mm` and `range_limits_mm` that a correction which
-        holds leaves at the same rate, `p_value`, `suspect`.
+        distances with the limits `mean_low_mm`, `mean_high_mm`, `range_low_mm` and `range_high_mm`
+        that a correction which holds leaves at the same rate, `p_value`, `suspect`.
     """
 
     holds: bool
@@ -66,10 +77,33 @@ class CorrectionCheck:
     slipped: tuple
     record: dict = field(repr=False)
 
+    def append_to(self, path):
+        """Append the record to a file, which is made where there is none.
+
+        Parameters
+        ----------
+        path : str or path-like
+            A CSV file if its name ends in .csv, else one JSON object in each line.
+
+        See Also
+        --------
+        read_check_records : Reads such a file.
+        sklearn_raacmm.display.ControlChartDisplay : Draws it.
+
+        Examples
+        --------
+        >>> check.append_to("checks_of_arm_7.csv")  # doctest: +SKIP
+        """
+        append_record(path, self.record)
+
 
 @one_blas_thread
 @validate_params(
-    {"false_alarm_rate": [Interval(Real, 0, 0.5, closed="neither")], "refitted": ["array-like"]},
+    {
+        "false_alarm_rate": [Interval(Real, 0, 0.5, closed="neither")],
+        "refitted": ["array-like"],
+        "arm": [Arm, None],
+    },
     prefer_skip_nested_validation=True,
 )
 def check_correction(
@@ -78,6 +112,8 @@ def check_correction(
     y,
     *,
     groups=None,
+    lengths=(),
+    arm=None,
     sample_weight=None,
     refitted=(),
     false_alarm_rate=0.01,
@@ -99,6 +135,13 @@ def check_correction(
 
     groups : array-like of shape (n_samples,), default=None
         Label of the position of each sample, where each position has an unknown offset.
+
+    lengths : iterable of (label, label, length, standard deviation), default=()
+        Known distances between two positions of `groups`, mm, such as of a gauge with poses at both
+        ends: tuples or the rows of an array. They show a change of scale, as by temperature.
+
+    arm : Arm, default=None
+        The arm with today's probe, which `lengths` are computed with; None: the model's.
 
     sample_weight : array-like of shape (n_samples,), default=None
         Weights.
@@ -131,11 +174,13 @@ def check_correction(
     Notes
     -----
     If the correction holds, ``y - predict(X)`` is normal with the covariance ``A S A' + s^2 I`` of
-    the model's posterior and noise. One test is of its size against that; one of each cause, a
-    score test of what that cause would do to these poses: the offset and the two lowest harmonics
-    of each joint, the probe, a common scale. The smallest p-value times the number of tests is
-    compared with the rate, so that the rate is an upper bound (Bonferroni). It supposes that the
-    model is complete: where it is not, poses in new regions raise alarms of their own.
+    the model's posterior and noise, both widened as positions that were left out of the fit ask for
+    (`std_scale` and `noise_scale` of its linear model). A known length has one of the same form.
+    One test is of the size of all against that; one of each cause, a score test of what that cause
+    would do to these poses: the offset and the two lowest harmonics of each joint, the probe, a
+    common scale. The smallest p-value times the number of tests is compared with the rate, so that
+    the rate is an upper bound (Bonferroni). Poses in regions that the model has not seen may raise
+    alarms of their own.
 
     What cannot be seen is not tested: a single-point test without known lengths has no scale, and
     joint 1 nothing but its harmonics.
@@ -157,33 +202,46 @@ def check_correction(
     'offset of joint 2'
     """
     linear = linear_model_of(model, "checked")
+    # Never narrower than the posterior: tests of squares bear no tails that are longer than normal
+    # ones, which a factor below 1 makes up for in intervals.
+    linear = replace(
+        linear,
+        half=max(linear.std_scale, 1.0) * linear.half,
+        noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
+    )
+    labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
+    lengths = _check_lengths(lengths, labels)
     angles, y, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
-    left = y - copy(model).set_params(angle_unit="rad").predict(angles)
+    joints = angles[:, : linear.arm.n_joints]
+    shown = (linear.arm if arm is None else arm).forward(joints) if lengths else angles[:, :3]
+    correction = copy(model).set_params(angle_unit="rad").predict(angles)
+    left = y - correction
     kept = weights > 0
     slipped = _slipped(linear, angles, left, codes, kept)
     kept &= ~slipped
-    angles, left, weights = angles[kept], left[kept], weights[kept]
-    if codes is not None:
-        codes = np.unique(codes[kept], return_inverse=True)[1].ravel()
-    nuisance = _nuisance(linear.arm, angles, codes, refitted)
-    freedom = 3 * len(left) - np.linalg.matrix_rank(nuisance) if nuisance.size else 3 * len(left)
+    poses = _Poses(
+        linear, angles[kept], left[kept], (shown - correction)[kept], weights[kept],
+        None if codes is None else codes[kept], lengths,
+    )  # fmt: skip
+    nuisance = poses.nuisance(refitted)
+    n_rows = len(nuisance)
+    freedom = n_rows - np.linalg.matrix_rank(nuisance) if nuisance.size else n_rows
     if freedom < 3:
         raise ValueError(
-            f"{len(left)} poses have {3 * len(left)} coordinates for "
-            f"{3 * len(left) - freedom} freedoms of positions, base and probe: nothing is left to "
-            "check the correction with."
+            f"{len(poses.left)} poses have {n_rows} coordinates for {n_rows - freedom} freedoms of "
+            "positions, base and probe: nothing is left to check the correction with."
         )
-    root = _root_of_covariance(linear, angles, weights)
+    root = poses.root_of_covariance()
     whiten = _Whitened(root, nuisance)
-    residual = whiten(left.ravel())
-    tests = _tests(_causes(linear.arm, angles), whiten, residual, freedom)
+    tests = _tests(poses.causes(), whiten, whiten(poses.residual()), freedom)
     p_value = min(float(tests["p_value"].min()) * len(tests), 1.0)
     holds = p_value >= false_alarm_rate
     suspect = "nothing" if holds else _suspect(tests, freedom)
+    n = 3 * len(poses.left)
     record = {
         "date": calendar.today().isoformat() if date is None else str(date),
-        "n_poses": len(left),
-        **_chart(left, codes, weights, root, nuisance, false_alarm_rate),
+        "n_poses": len(poses.left),
+        **_chart(poses.left, root[:n, :n], nuisance[:n], false_alarm_rate),
         "p_value": p_value,
         "suspect": suspect,
     }
@@ -192,12 +250,110 @@ def check_correction(
     return CorrectionCheck(holds, p_value, suspect, _ADVICE[kind], tests, rows, record)
 
 
-def _root_of_covariance(linear, angles, weights):
-    """Lower root of the covariance of what a correction that holds leaves, (3 n, 3 n)."""
-    half = (linear.columns(angles) @ linear.half).reshape(3 * len(angles), -1)
-    covariance = half @ half.T
-    covariance[np.diag_indices(len(covariance))] += linear.noise_variance / np.repeat(weights, 3)
-    return cholesky(covariance, lower=True, check_finite=False)
+def _check_lengths(lengths, labels):
+    """Known lengths as (position, position, mm, mm), positions by their number."""
+    lengths = list(lengths)
+    if lengths and labels is None:
+        raise ValueError("lengths are between positions: give groups, the position of each pose.")
+    return [check_length(entry, labels) for entry in lengths]
+
+
+class _Poses(NamedTuple):
+    """Poses of today: rows of coordinates, three for each pose, and one for each known length."""
+
+    linear: LinearModel
+    angles: np.ndarray  # (n, n_joints)
+    left: np.ndarray  # (n, 3) residuals less the correction, mm
+    corrected: np.ndarray  # (n, 3) points, mm
+    weights: np.ndarray  # (n,)
+    codes: np.ndarray | None  # (n,) position of each pose
+    lengths: list  # of (position, position, mm, mm)
+
+    def rows(self, columns):
+        """Columns (n, 3, k) at the poses as rows of coordinates and lengths, (m, k)."""
+        flat = columns.reshape(3 * len(columns), -1)
+        if not self.lengths:
+            return flat
+        first, second, line = self._lines()
+        difference = self._means(columns)[second] - self._means(columns)[first]
+        return np.concatenate([flat, np.einsum("lc,lck->lk", line, difference)])
+
+    def _means(self, values):
+        present = np.unique(self.codes)  # all of a position's poses may have slipped
+        out = np.full((self.codes.max() + 1, *values.shape[1:]), np.nan)
+        dense = np.searchsorted(present, self.codes)
+        out[present] = group_means(values, dense, self.weights)
+        return out
+
+    def _ends(self):
+        """Lengths of which both ends are there."""
+        present = set(self.codes.tolist())
+        return [entry for entry in self.lengths if {entry[0], entry[1]} <= present]
+
+    def _lines(self):
+        first, second = (np.array([entry[i] for entry in self._ends()], dtype=int) for i in (0, 1))
+        line = self._means(self.corrected)
+        line = line[second] - line[first]
+        return first, second, line / np.linalg.norm(line, axis=1, keepdims=True)
+
+    def residual(self):
+        """What is left of coordinates and lengths, (m,), mm."""
+        if not self.lengths:
+            return self.left.ravel()
+        means = self._means(self.corrected)
+        errors = [np.linalg.norm(means[j] - means[i]) - known for i, j, known, _ in self._ends()]
+        return np.r_[self.left.ravel(), errors]
+
+    def root_of_covariance(self):
+        """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
+        half = self.rows(self.linear.columns(self.angles)) @ self.linear.half
+        noise = self.linear.noise_variance
+        variance = noise / np.repeat(self.weights, 3)
+        if self.lengths:
+            total = np.bincount(self.codes, self.weights)
+            of_lengths = [
+                noise * (1 / total[i] + 1 / total[j]) + sd**2 for i, j, _, sd in self._ends()
+            ]
+            variance = np.r_[variance, of_lengths]
+        covariance = half @ half.T
+        covariance[np.diag_indices(len(covariance))] += variance
+        return cholesky(covariance, lower=True, check_finite=False)
+
+    def nuisance(self, refitted):
+        """Columns (m, k) of what is not known of these poses, so that it shows no change."""
+        refitted = set(refitted)
+        if not refitted <= {"base", "probe"}:
+            raise ValueError(f'refitted must name "base" or "probe", got {sorted(refitted)!r}.')
+        place = place_columns(self.linear.arm, self.angles, with_base=True)
+        parts = [np.empty((len(self.residual()), 0))]
+        if "probe" in refitted:
+            parts.append(self.rows(place[:, :, :3]))
+        if "base" in refitted:
+            parts.append(self.rows(place[:, :, 3:]))
+        if self.codes is not None:
+            # The offset of a position is that of its residuals, not of where it is.
+            offsets = (self.codes[:, None] == np.unique(self.codes)).astype(float)
+            offsets = np.kron(offsets, np.eye(3))
+            parts.append(np.pad(offsets, ((0, len(parts[0]) - len(offsets)), (0, 0))))
+        return np.concatenate(parts, axis=1)
+
+    def causes(self):
+        """What each cause would do to the poses: (m, k) columns by name."""
+        arm, angles = self.linear.arm, self.angles
+        jacobian = arm.jacobian(angles)
+        causes = {"probe": self.rows(place_columns(arm, angles, with_base=False))}
+        points = arm.forward(angles)
+        if self.codes is not None:  # a position is one point: what it shows about it is no scale
+            points = self._means(points)[self.codes]
+        causes["scale"] = self.rows(points[:, :, None])
+        for j in range(arm.n_joints):
+            causes[f"offset of joint {j + 1}"] = self.rows(jacobian[:, :, [j]])
+            phase = angles[:, [j]] * np.array(_ORDERS)
+            waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+            causes[f"harmonics of joint {j + 1}"] = self.rows(
+                jacobian[:, :, j, None] * waves[:, None]
+            )
+        return causes
 
 
 def _slipped(linear, angles, left, codes, kept):
@@ -215,24 +371,6 @@ def _slipped(linear, angles, left, codes, kept):
     return far if far.sum() <= _MOST_SLIPS * kept.sum() else np.zeros(len(left), bool)
 
 
-def _nuisance(arm, angles, codes, refitted):
-    """Columns (3 n, k) of what is not known of these poses, so that it shows no change."""
-    refitted = set(refitted)
-    if not refitted <= {"base", "probe"}:
-        raise ValueError(f'refitted must name "base" or "probe", got {sorted(refitted)!r}.')
-    n = len(angles)
-    place = place_columns(arm, angles, with_base=True).reshape(3 * n, 9)
-    parts = [np.empty((3 * n, 0))]
-    if "probe" in refitted:
-        parts.append(place[:, :3])
-    if "base" in refitted:
-        parts.append(place[:, 3:])
-    if codes is not None:
-        offsets = (codes[:, None] == np.arange(codes.max() + 1)).astype(float)
-        parts.append(np.kron(offsets, np.eye(3)))
-    return np.concatenate(parts, axis=1)
-
-
 class _Whitened:
     """Divide by a root of the covariance, and take out the nuisances."""
 
@@ -245,20 +383,6 @@ class _Whitened:
     def __call__(self, values):
         values = solve_triangular(self.root, values, lower=True, check_finite=False)
         return values - self.basis @ (self.basis.T @ values)
-
-
-def _causes(arm, angles):
-    """What each cause would do to the poses: (3 n, k) columns by name."""
-    n, jacobian = len(angles), arm.jacobian(angles)
-    causes = {"probe": place_columns(arm, angles, with_base=False).reshape(3 * n, 3)}
-    causes["scale"] = arm.forward(angles).reshape(3 * n, 1)
-    for j in range(arm.n_joints):
-        causes[f"offset of joint {j + 1}"] = jacobian[:, :, j].reshape(3 * n, 1)
-        phase = angles[:, [j]] * np.array(_ORDERS)
-        waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
-        columns = jacobian[:, :, j, None] * waves[:, None]
-        causes[f"harmonics of joint {j + 1}"] = columns.reshape(3 * n, -1)
-    return causes
 
 
 def _tests(causes, whiten, residual, freedom):
@@ -292,7 +416,7 @@ def _suspect(tests, freedom):
     return str(causes["cause"][best])
 
 
-def _chart(left, codes, weights, root, nuisance, rate):
+def _chart(left, root, nuisance, rate):
     """Mean and range of the distances, and their limits where the correction holds."""
     basis = np.linalg.qr(nuisance)[0] if nuisance.size else nuisance
 
@@ -302,11 +426,13 @@ def _chart(left, codes, weights, root, nuisance, rate):
         return distance.mean(axis=0), distance.max(axis=0) - distance.min(axis=0)
 
     draws = root @ np.random.default_rng(0).normal(size=(len(root), _DRAWS))
-    limits = [np.quantile(values, [rate / 2, 1 - rate / 2]).tolist() for values in of(draws)]
-    (mean,), (extent,) = of(left.reshape(-1, 1))
-    return {
-        "mean_mm": float(mean),
-        "mean_limits_mm": tuple(limits[0]),
-        "range_mm": float(extent),
-        "range_limits_mm": tuple(limits[1]),
-    }
+    record = {}
+    found = zip(("mean", "range"), of(left.reshape(-1, 1)), of(draws), strict=True)
+    for name, values, drawn in found:
+        low, high = np.quantile(drawn, [rate / 2, 1 - rate / 2]).tolist()
+        record |= {
+            f"{name}_mm": float(values[0]),
+            f"{name}_low_mm": low,
+            f"{name}_high_mm": high,
+        }
+    return record

@@ -1,26 +1,53 @@
-"""Which poses to measure next, by what the linear model does not know yet."""
+"""Which poses to measure next, by what a model or a registration does not know yet."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import NamedTuple
+
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
+from sklearn_raacmm.correction._update import place_columns
 from sklearn_raacmm.error_model import check_poses
-from sklearn_raacmm.utils import check_whole_number, encode_groups
+from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means
+
+# What is known before any pose of the place of base and probe, of lengths and of angles: as in
+# `calibrate`. Noise of a coordinate where no model says it, mm: beside wide priors its size hardly
+# changes the order of the poses.
+_PLACE_MM, _LENGTH_MM, _ANGLE_RAD, _NOISE_MM = 1000.0, 0.3, 0.003, 0.05
+# Targets that are looked at; of more, these many spread evenly over the list.
+_MOST_TARGETS = 200
 
 
-def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
-    """Choose the poses whose measurement would tell the model most, one after another.
+class _Design(NamedTuple):
+    """What measurements are to find out, in factors that are standard normal before them."""
+
+    columns: object  # angles (n, n_joints) -> (n, 3, p), mm
+    half: np.ndarray  # (p, k) root of the covariance of the columns' coefficients
+    noise_sd: float  # mm
+    offsets: bool  # whether each position has an unknown offset
+
+    def seen(self, angles):
+        """What one unit of each factor does to the poses, (n, 3, k) in mm."""
+        return self.columns(angles) @ self.half
+
+
+def next_poses(
+    model, X, n_poses, *, groups=None, targets=None, criterion="I", free=None, measured=None
+):
+    """Choose the poses whose measurement would tell most, one after another.
 
     The posterior of a linear model says before any measurement how much it would narrow: what is
     measured does not enter, only where. So poses, or whole positions of a single-point test, can be
-    chosen from a list of those that are in reach.
+    chosen from a list of those that are in reach: for the fit of a correction, or with `free` for a
+    registration or a calibration.
 
     Parameters
     ----------
-    model : JointHarmonicRegressor or ArmResidualRegressor
-        Fitted model; of the latter, the first stage.
+    model : JointHarmonicRegressor, ArmResidualRegressor or Arm
+        Fitted model; of an ArmResidualRegressor, the first stage. With `free` an arm suffices.
 
     X : array-like of shape (n_candidates, n_joints)
         Poses that could be measured: joint angles, in the unit that the model takes.
@@ -33,11 +60,20 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         Needed where the model has offsets: a pose alone says nothing beside an unknown offset.
 
     targets : array-like of shape (n_targets, n_joints), default=None
-        Poses where the correction will be used; None: the candidates.
+        Poses where the arm will be used; None: the candidates. Of more than 200, 200 are taken,
+        spread evenly over the list.
 
     criterion : {"I", "D"}, default="I"
-        "I" lowers the mean variance of the correction at the targets, "D" the volume of the
-        coefficients' posterior.
+        "I" lowers the mean variance at the targets, "D" the volume of what is possible of all that
+        is to be found.
+
+    free : list of {"base", "probe", "a", "alpha", "d", "theta_offset"}, default=None
+        What the poses shall find, instead of the model's coefficients: ``["base", "probe"]`` for a
+        registration, as by ``calibrate(..., correction=model, free=["probe"])``.
+
+    measured : array-like of shape (n_measured, n_joints), default=None
+        Poses that have been measured since the model was fitted, or at all where `free` is given.
+        Not with `groups`.
 
     Returns
     -------
@@ -45,8 +81,8 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         Indices of rows of X in order of choice; labels of positions where `groups` are given.
 
     std_mm : ndarray of shape (n_poses + 1,)
-        Standard deviation of the correction at the targets, as the length of a vector, root mean
-        square over them, mm: now, and after each choice.
+        Standard deviation at the targets of what is to be found, as the length of a vector, root
+        mean square over them, mm: now, and after each choice.
 
     Raises
     ------
@@ -54,10 +90,12 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
         If the model is of another kind.
     ValueError
         If X has the wrong shape, there are fewer candidates than `n_poses`, groups are missing
-        though the model has offsets, or the criterion is unknown.
+        though the model has offsets, the model has no terms, or `criterion` or `free` name
+        something else.
 
     See Also
     --------
+    calibrate : Registers and calibrates.
     JointHarmonicRegressor : The model.
 
     Notes
@@ -78,19 +116,16 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
     >>> chosen, std = next_poses(model, test.data[~known], 3, groups=test.groups[~known])
     >>> len(chosen), bool(std[-1] < std[0])
     (3, True)
+    >>> chosen, std = next_poses(test.arm, test.data, 20, free=["base", "probe"])
+    >>> bool(std[-1] < 0.1)
+    True
     """
-    check_is_fitted(model)
-    linear = getattr(model, "linear_model_", None)
-    if linear is None:
-        raise TypeError(
-            "next_poses needs a JointHarmonicRegressor or an ArmResidualRegressor, got "
-            f"{type(model).__name__}."
-        )
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
         raise ValueError(f'criterion must be "I" or "D", got {criterion!r}.')
-    X = check_poses(model, X)
+    design = _design_of_model(model) if free is None else _design_of_arm(model, free, groups)
+    X = _check_poses(model, X)
     if groups is None:
-        if linear.offsets:
+        if design.offsets:
             raise ValueError(
                 "The model has an unknown offset at every position: give groups, the position of "
                 "each candidate."
@@ -99,43 +134,126 @@ def next_poses(model, X, n_poses, *, groups=None, targets=None, criterion="I"):
     else:
         labels, codes = encode_groups(groups, len(X))
     check_whole_number("n_poses", n_poses, 1, len(labels))  # no more than there are candidates
+    if measured is not None:
+        if groups is not None:
+            raise ValueError("measured poses count one by one: give them, or groups.")
+        design = _after(design, _check_poses(model, measured))
+    aim = X if targets is None else _check_poses(model, targets)
+    if len(aim) > _MOST_TARGETS:
+        aim = aim[np.linspace(0, len(aim) - 1, _MOST_TARGETS).astype(int)]
+    rows, aim = design.seen(X) / design.noise_sd, design.seen(aim)
+    if design.offsets:
+        rows = rows - group_means(rows, codes, np.ones(len(X)))[codes]
+    chosen, variance = _greedy(
+        _padded(rows, codes), aim.reshape(-1, aim.shape[2]), n_poses, criterion
+    )
+    return labels[chosen], np.sqrt(np.maximum(variance, 0.0) / len(aim))
 
-    def whitened(angles):
-        """What one standard deviation of each of the posterior's axes does, (n, 3, k)."""
-        return linear.columns(angles) @ linear.gauge_free_half
 
-    rows = whitened(X)
-    aim = rows if targets is None else whitened(check_poses(model, targets))
-    aim = aim.reshape(-1, aim.shape[2])
-    gram = aim.T @ aim / (len(aim) / 3)
-    if linear.offsets:
-        mean = np.stack([rows[codes == i].mean(axis=0) for i in range(len(labels))])
-        rows = rows - mean[codes]
+def _design_of_model(model):
+    """The coefficients of a fitted model."""
+    if isinstance(model, Arm):
+        raise TypeError(
+            "An Arm has no correction to plan for: give free, what a registration or calibration "
+            "shall find."
+        )
+    check_is_fitted(model)
+    linear = getattr(model, "linear_model_", None)
+    if linear is None:
+        raise TypeError(
+            "next_poses needs a JointHarmonicRegressor, an ArmResidualRegressor or, with free, an "
+            f"Arm, got {type(model).__name__}."
+        )
+    if not len(linear.coef):
+        raise ValueError(
+            "The model has no terms that a measurement could narrow: choose the poses at random, "
+            "or give free, what a registration or calibration shall find."
+        )
+    return _Design(linear.columns, linear.gauge_free_half, linear.noise_sd, linear.offsets)
+
+
+def _design_of_arm(model, free, groups):
+    """Base, probe and fields of an arm, as `calibrate` would find them."""
+    free = [free] if isinstance(free, str) else list(free)
+    known = ("base", *FIELDS)
+    if not free or not set(free) <= set(known):
+        raise ValueError(f"free must name some of {', '.join(known)}, got {free!r}.")
+    linear = getattr(model, "linear_model_", None)
+    arm = model if linear is None else linear.arm
+    if not isinstance(arm, Arm):
+        raise TypeError(f"next_poses with free needs an Arm or a fitted model, got {model!r}.")
+    n = arm.n_joints
+    field = np.repeat(np.array(FIELDS), [n, n, n, n, 3])
+    taken = np.flatnonzero(np.isin(field, free))
+    sizes = [_LENGTH_MM, _ANGLE_RAD, _LENGTH_MM, _ANGLE_RAD, _PLACE_MM]
+    prior = np.repeat(sizes, [n, n, n, n, 3])[taken]
+    # Where each position has an unknown place, the base shows nothing.
+    with_base = "base" in free and groups is None
+
+    def columns(angles):
+        angles = angles[:, :n]  # without extra columns
+        own = parameter_jacobian(arm, angles)[1][:, :, taken]
+        if not with_base:
+            return own
+        return np.concatenate([own, place_columns(arm, angles, with_base=True)[:, :, 3:]], axis=2)
+
+    half = np.diag(np.r_[prior, np.full(6 * with_base, _PLACE_MM)])
+    noise_sd = _NOISE_MM if linear is None else linear.noise_sd
+    return _Design(columns, half, max(noise_sd, 1e-9), groups is not None)
+
+
+def _after(design, angles):
+    """The design when some poses, each with a known place, have been measured."""
+    seen = design.seen(angles).reshape(3 * len(angles), -1) / design.noise_sd
+    _, size, axes = np.linalg.svd(seen, full_matrices=False)
+    shrunk = (1 / np.sqrt(1 + size**2) - 1)[:, None] * axes
+    return design._replace(half=design.half + (design.half @ axes.T) @ shrunk)
+
+
+def _padded(rows, codes):
+    """Rows (n, 3, k) of each group side by side, (n_groups, 3 m, k), filled up with zeros."""
+    counts = np.bincount(codes)
     order = np.argsort(codes, kind="stable")
-    rows = (rows[order] / linear.noise_sd).reshape(-1, rows.shape[2])
-    ends = np.cumsum(3 * np.bincount(codes))
-    # The posterior in its own axes: the unit matrix now, M after some choices.
-    M = np.eye(rows.shape[1])
-    variance, chosen = [np.trace(gram)], []
+    place = np.arange(len(codes)) - np.repeat(np.cumsum(counts) - counts, counts)
+    out = np.zeros((len(counts), counts.max(), 3, rows.shape[2]))
+    out[codes[order], place] = rows[order]
+    return out.reshape(len(counts), -1, rows.shape[2])
+
+
+def _greedy(rows, aim, n_poses, criterion):
+    """Groups of rows chosen one after another, and the variance at the aim before and after each.
+
+    With M the posterior of the factors, the identity at first, ``K = R M R'`` of each group and
+    ``T = R M A'`` say what it is worth: ``log |I + K|`` (D) or ``tr (I + K)^-1 T T'`` (I). A choice
+    b takes ``C (I + K_b)^-1 C'`` off K and ``C (I + K_b)^-1 T_b`` off T, with ``C = R M R_b'``: M
+    itself is never formed.
+    """
+    identity = np.eye(rows.shape[1])
+    if len(aim) > aim.shape[1]:  # no more rows than there are columns: the same A' A
+        aim = np.linalg.qr(aim, mode="r")
+    K, T = rows @ rows.swapaxes(1, 2), rows @ aim.T
+    variance, chosen, taken = [np.square(aim).sum()], [], []
+    open_ = np.ones(len(rows), bool)
     for _ in range(n_poses):
-        moved = rows @ M
-        gains = np.full(len(labels), -np.inf)
-        for i, (low, high) in enumerate(zip(ends - 3 * np.bincount(codes), ends, strict=True)):
-            if i not in chosen:
-                gains[i] = _gain(rows[low:high], moved[low:high], gram, criterion)
-        best = int(np.argmax(gains))
-        low, high = (ends[best - 1] if best else 0), ends[best]
-        half = moved[low:high]
-        inner = np.eye(high - low) + half @ rows[low:high].T
-        M = M - half.T @ np.linalg.solve(inner, half)
+        if criterion == "D":
+            gains = np.linalg.slogdet(identity + K)[1]
+        else:
+            gains = np.sum(np.linalg.inv(identity + K) * (T @ T.swapaxes(1, 2)), axis=(1, 2))
+        best = int(np.argmax(np.where(open_, gains, -np.inf)))
+        C = rows @ rows[best].T
+        for others, gain in taken:
+            C -= others @ (gain @ others[best].T)
+        gain = np.linalg.inv(identity + K[best])
+        variance.append(variance[-1] - np.sum(T[best] * (gain @ T[best])))
+        T -= C @ (gain @ T[best])
+        K -= C @ gain @ C.swapaxes(1, 2)
+        taken.append((C, gain))
         chosen.append(best)
-        variance.append(np.sum(gram * M))
-    return labels[chosen], np.sqrt(np.maximum(variance, 0.0))
+        open_[best] = False
+    return chosen, np.array(variance)
 
 
-def _gain(rows, moved, gram, criterion):
-    """What a candidate's rows B are worth: with `moved` = B M, the posterior's M."""
-    inner = np.eye(len(rows)) + moved @ rows.T
-    if criterion == "D":
-        return np.linalg.slogdet(inner)[1]
-    return np.trace(np.linalg.solve(inner, moved @ gram @ moved.T))
+def _check_poses(model, X):
+    if isinstance(model, Arm):
+        return check_angles(X, model.n_joints, "rad", stacklevel=4)
+    return check_poses(model, X, stacklevel=5)

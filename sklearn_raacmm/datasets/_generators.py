@@ -18,14 +18,22 @@ from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._bunch import pack
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_whole_number, floats
+from sklearn_raacmm.utils import check_whole_number, floats, validate_params
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
 # The reference temperature of dimensional metrology (ISO 1).
 _CALIBRATED_AT_DEGC = 20.0
+# Numbers and lengths are checked with the machine at hand.
+_CONSTRAINTS = {
+    "machine": [SimulatedArm, ArmErrors, str],
+    "random_state": ["random_state"],
+    "return_X_y": ["boolean"],
+    "as_frame": ["boolean"],
+}
 
 
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_single_point(
     n_positions: int = 10,
     n_poses: int = 100,
@@ -126,6 +134,7 @@ def make_single_point(
     return pack(data, return_X_y, as_frame)
 
 
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_gauge(
     lengths: ArrayLike = (300.0, 500.0),
     n_placements: int = 10,

@@ -3,7 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.error_model._columns import LOAD, SHIFT, Terms, column_table, term_columns
+from sklearn_raacmm.error_model._columns import (
+    LOAD,
+    PUSH,
+    SHIFT,
+    Terms,
+    column_table,
+    given_factors,
+    term_columns,
+)
+from sklearn_raacmm.error_model._extra import force_on_probe
 from sklearn_raacmm.error_model._fading import Fading, find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
@@ -13,7 +22,7 @@ from sklearn_raacmm.error_model._left_out import (
     leave_out,
     with_honest_intervals,
 )
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model, quantile
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._orders import likely_gear_ratios
 from sklearn_raacmm.error_model._poses import check_poses
@@ -21,6 +30,7 @@ from sklearn_raacmm.error_model._poses import check_poses
 __all__ = [
     "LEAST_POSITIONS",
     "LOAD",
+    "PUSH",
     "SHIFT",
     "Fading",
     "JointHarmonicRegressor",
@@ -32,10 +42,11 @@ __all__ = [
     "column_table",
     "find_fading",
     "fit_linear_model",
+    "force_on_probe",
+    "given_factors",
     "interval_scales",
     "leave_out",
     "likely_gear_ratios",
-    "quantile",
     "term_columns",
     "warn_where_unknown",
     "with_honest_intervals",

@@ -42,6 +42,7 @@ class Terms(NamedTuple):
     harmonics (n_pairs, 2): joint from 0 and order; each is a cosine and a sine column, first of
     all. Then those of the families that are on.
     extra: name and reference of each column of X after the angles, as `with_references` makes them.
+    target: three turns of a target on the last link, which its orientation shows and no point does.
     """
 
     harmonics: np.ndarray
@@ -49,6 +50,7 @@ class Terms(NamedTuple):
     kinematics: bool
     wobble: bool
     extra: tuple = ()
+    target: bool = False
 
 
 class Column(NamedTuple):
@@ -181,13 +183,20 @@ def _extra(arm, extra):
                     yield Column(of_tool, TOOL, SHIFT, arm.n_joints, axis, unit, by=by)
 
 
+def _target(arm):
+    """Turns of the target about the axes of the last frame; of the probe they move nothing."""
+    for axis in range(3):
+        yield Column(f"target_{'xyz'[axis]}", KINEMATICS, TURN, arm.n_joints, axis, 0.0)
+
+
 @lru_cache(maxsize=64)
-def _others(arm, gravity, kinematics, wobble, extra):
+def _others(arm, gravity, kinematics, wobble, extra, target):
     """Columns that are no harmonics, in their order."""
     columns = [*_gravity(arm)] if gravity else []
     columns += _kinematics(arm) if kinematics else []
     columns += _wobble(arm) if wobble else []
     columns += _extra(arm, extra)
+    columns += _target(arm) if target else []
     return tuple(columns)
 
 
@@ -234,6 +243,27 @@ def column_table(arm, terms):
     )
 
 
+class GivenFactors(NamedTuple):
+    """By what the extra columns of X multiply columns of the model."""
+
+    column: np.ndarray  # (n_given,) which columns
+    by: np.ndarray  # (n_given,) extra column
+    reference: np.ndarray  # (n_given,) what is taken off before; the number of a tool
+    of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
+
+
+def given_factors(arm, terms):
+    """Columns that an extra column of X multiplies, see `GivenFactors`."""
+    others = other_columns(arm, terms)
+    given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)
+    by = np.array([others[i].by for i in given], dtype=int)
+    of_tool = np.array([others[i].family == TOOL for i in given], dtype=bool)
+    reference = np.array([terms.extra[i][1][0] for i in by], dtype=float)
+    for i in np.unique(by[of_tool]):  # three columns for each tool
+        reference[of_tool & (by == i)] = np.repeat(terms.extra[i][1], 3)
+    return GivenFactors(given + 2 * len(terms.harmonics), by, reference, of_tool)
+
+
 class _Plan(NamedTuple):
     """A column table, arranged for whole arrays: all that does not depend on the pose."""
 
@@ -250,17 +280,14 @@ class _Plan(NamedTuple):
     load_frame: np.ndarray  # (n_loads,) place of the axis
     pushes: np.ndarray  # (n_pushes,) columns
     push_turn: np.ndarray  # (n_pushes,) into the vectors: what the turn does to the probe
-    given: np.ndarray  # (n_given,) columns that an extra column of X multiplies
-    given_by: np.ndarray  # (n_given,) which
-    reference: np.ndarray  # (n_given,) what is taken off before; the number of a tool
-    of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
+    given: GivenFactors
 
 
 @lru_cache(maxsize=64)
-def _planned(arm, pairs, gravity, kinematics, wobble, extra):
+def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
     """`_Plan` of an arm and terms; `pairs` are the bytes of the harmonics."""
     harmonics = np.frombuffer(pairs, dtype=int).reshape(-1, 2)
-    terms = Terms(harmonics, gravity, kinematics, wobble, extra)
+    terms = Terms(harmonics, gravity, kinematics, wobble, extra, target)
     table = column_table(arm, terms)
     n_axes = 3 * (arm.n_joints + 1)
     axis = 3 * table.frame + table.axis
@@ -275,13 +302,7 @@ def _planned(arm, pairs, gravity, kinematics, wobble, extra):
         rest = n_waves
     loads = np.flatnonzero(table.kind == LOAD)
     pushes = np.flatnonzero(table.kind == PUSH)
-    others = other_columns(arm, terms)
-    given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)
-    given_by = np.array([others[i].by for i in given], dtype=int)
-    of_tool = np.array([others[i].family == TOOL for i in given], dtype=bool)
-    reference = np.array([extra[by][1][0] for by in given_by], dtype=float)
-    for by in np.unique(given_by[of_tool]):  # three columns for each tool
-        reference[of_tool & (given_by == by)] = np.repeat(extra[by][1], 3)
+    given = given_factors(arm, terms)
     return _Plan(
         which[rest:],
         table.unit[rest:],
@@ -296,10 +317,7 @@ def _planned(arm, pairs, gravity, kinematics, wobble, extra):
         table.frame[loads],
         pushes - rest,
         axis[pushes],
-        given + n_waves - rest,
-        given_by,
-        reference,
-        of_tool,
+        given._replace(column=given.column - rest),
     )
 
 
@@ -341,19 +359,64 @@ def term_columns(arm, angles, terms):
     ndarray of shape (n, 3, n_columns)
         mm per unit coefficient.
     """
+    return _columns(arm, angles, terms, False)
+
+
+def turn_columns(arm, angles, terms):
+    """What the same coefficients do to the orientation of the last link.
+
+    Parameters
+    ----------
+    arm, angles, terms
+        As for :func:`term_columns`.
+
+    Returns
+    -------
+    ndarray of shape (n, 3, n_columns)
+        Rotation vectors in the base frame, rad per unit coefficient: the axis of each turn, and
+        nothing for a shift.
+    """
+    return _columns(arm, angles, terms, True)
+
+
+def observed_columns(arm, angles, terms, turn_mm):
+    """Columns of the residuals that a fit has: (n, 3, n_columns), or (n, 6, n_columns).
+
+    Parameters
+    ----------
+    arm, angles, terms
+        As for :func:`term_columns`.
+    turn_mm : float
+        Length in mm by which turns in rad are multiplied, so that their noise is that of a
+        coordinate; 0 where no orientations were measured.
+    """
+    columns = term_columns(arm, angles, terms)
+    if not turn_mm:
+        return columns
+    return np.concatenate([columns, turn_mm * turn_columns(arm, angles, terms)], axis=1)
+
+
+def _columns(arm, angles, terms, of_turns):
+    """Columns of points in mm, or of turns in rad."""
     pairs = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
     plan = _planned(arm, pairs, *terms[1:])
     angles, values = angles[:, : arm.n_joints], angles[:, arm.n_joints :]
     vectors, places = _vectors(arm, angles)
+    effect = vectors
+    if of_turns:
+        n_axes = vectors.shape[2] // 2
+        effect = np.concatenate([vectors[:, :, n_axes:], np.zeros_like(vectors[:, :, :n_axes])], 2)
     phase = angles[:, plan.wave_joint] * plan.wave_order
     wave = np.empty((len(angles), 2 * phase.shape[1]))
     np.cos(phase, out=wave[:, 0::2])
     np.sin(phase, out=wave[:, 1::2])
     out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
     for start, end, which, unit in plan.runs:
-        turn = vectors[:, :, which, None] * unit
+        turn = effect[:, :, which, None] * unit
         np.multiply(turn, wave[:, None, start:end], out=out[:, :, start:end])
     factor = np.tile(plan.unit, (len(angles), 1))
+    if terms.target and of_turns:
+        factor[:, -3:] = ARCSEC
     if len(plan.loads):
         x, y = (places[:, i, plan.load_of] - places[:, i, plan.load_frame] for i in (0, 1))
         ux, uy = (vectors[:, i, plan.load_x] for i in (0, 1))
@@ -362,18 +425,17 @@ def term_columns(arm, angles, terms):
     if terms.extra:
         force = force_on_probe(terms.extra, values)
         factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
-        given = values[:, plan.given_by]
-        factor[:, plan.given] *= np.where(
-            plan.of_tool, given == plan.reference, given - plan.reference
-        )
-    np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out[:, :, plan.rest :])
+        columns, by, reference, of_tool = plan.given
+        given = values[:, by]
+        factor[:, columns] *= np.where(of_tool, given == reference, given - reference)
+    np.multiply(np.take(effect, plan.which, axis=2), factor[:, None], out=out[:, :, plan.rest :])
     return out
 
 
 def scale_direction(arm, terms):
     """Coefficients that make the whole arm larger: the column of the probe's position itself."""
-    lengths = _lengths(arm)
-    sizes = [lengths.get(c.name, 0.0) / c.unit for c in other_columns(arm, terms)]
+    lengths, others = _lengths(arm), other_columns(arm, terms)
+    sizes = [lengths[c.name] / c.unit if c.name in lengths else 0.0 for c in others]
     return np.concatenate([np.zeros(2 * len(terms.harmonics)), sizes])
 
 

@@ -18,9 +18,11 @@ from sklearn_raacmm.utils import (
     check_data,
     check_weights,
     encode_groups,
+    floats,
     group_means,
     group_weights,
     listed,
+    refuse_huge,
 )
 
 # For warnings: each check is called by `check_fit`, that by fit, which three decorators wrap.
@@ -34,6 +36,8 @@ _LARGEST_REACHES = 10.0
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
 _CENTRED = 0.5
+# A residual of the orientation that is larger, in rad, is no small error of an arm.
+_LARGEST_TURN = 0.5
 # A share between that and 1 is worth a warning where independent rows have one as small in fewer
 # fits than one of a thousand. Against a reference it is above 1, as neighbours err alike.
 _BY_CHANCE = 1e-3
@@ -195,3 +199,28 @@ def _share_of_means(y, codes, weights):
     share = between.mean() / within
     by_chance = float(fdtr(3 * used.sum(), 3 * n_free, share))
     return share, float(np.median(between)) / within, by_chance
+
+
+def check_turns(turns, n_rows, codes):
+    """Residuals of the orientation (n, 3) in rad, or None where there are none."""
+    if turns is None:
+        return None
+    turns = floats("orientation_residuals", turns)
+    if turns.shape != (n_rows, 3):
+        raise ValueError(
+            f"orientation_residuals must be {n_rows} rotation vectors in rad, shape ({n_rows}, 3), "
+            f"got {turns.shape}."
+        )
+    refuse_huge("orientation_residuals", turns)
+    largest = np.linalg.norm(turns, axis=1).max()
+    if largest > _LARGEST_TURN:
+        raise ValueError(
+            f"orientation_residuals reach {largest:.3g} rad: they must be small errors, what the "
+            "calibrated arm shows against what was measured."
+        )
+    if codes is not None:
+        raise ValueError(
+            "orientation_residuals are for residuals against a reference: here positions have "
+            "unknown offsets."
+        )
+    return turns

@@ -12,6 +12,8 @@ coefficients over the number of them that the data determine; then harmonics joi
 variances, and those that the others have made needless leave, while the evidence less the prices
 rises.
 
+Harmonics that were not taken are not known to be absent: see `_smooth_functions`.
+
 References
 ----------
 .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992, 415-447.
@@ -24,10 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 # Rounds of the choice, and steps of the variances in each, at most. Both stop by the evidence:
 # few problems take more than 5 and 30.
-_MAX_CHOICES, _MAX_STEPS = 10, 100
+MAX_CHOICES, _MAX_STEPS = 10, 100
 # Rise of the evidence, in nats, that is not worth another step: it moves no coefficient by more
 # than a few per cent of its standard deviation.
 _SMALL_RISE = 0.01
@@ -60,11 +63,13 @@ _LIKELY = 48
 class Posterior(NamedTuple):
     """Coefficients of the chosen columns and what they are worth."""
 
-    pairs: np.ndarray  # (k,) chosen candidates, sorted
+    pairs: np.ndarray  # (k,) candidates in the model, sorted
+    smooth: np.ndarray  # (k,) which of them are there as parts of a smooth function only
     gains: np.ndarray  # (k,) log Bayes factor of each, beside all others
     coef: np.ndarray  # (m + 2 k,) of the columns that are always in, then of the chosen pairs
     root: np.ndarray  # (m + 2 k, m + 2 k) R with covariance = inv(R.T @ R)
-    prior_variance: np.ndarray  # (n_families,)
+    prior_variance: np.ndarray  # (n_families + 1,) the last one of the smooth function
+    prior: np.ndarray  # (m + 2 k,) variance of each coefficient before any data
     noise_variance: float
     n_determined: float
     log_evidence: float  # up to a constant of the data
@@ -73,7 +78,14 @@ class Posterior(NamedTuple):
 
 
 def select_harmonics(
-    sums, family, harmonic, prior_variance, prices, lengths=None, start=None, pairs=(), fixed=False
+    sums,
+    family,
+    harmonic,
+    prior_variance,
+    prices,
+    lengths=None,
+    start=None,
+    fixed=False,
 ):
     """Choose harmonics and fit all coefficients.
 
@@ -84,19 +96,18 @@ def select_harmonics(
         Family of each column that is always in.
     harmonic : int
         Family of the candidates.
-    prior_variance : ndarray of shape (n_families,)
-        Variances that are known; NaN for those to be found.
+    prior_variance : ndarray of shape (n_families + 1,)
+        Variances that are known; NaN for those to be found. The last one is that of a smooth
+        function, which is not used here.
     prices : callable
         From the candidates chosen so far, an array of indices, to the price of every candidate in
         nats, (n_pairs,).
     lengths : Lengths, optional
         Observations whose variance is known but for their share of the noise. Columns: those of
         the candidates, then those that are always in.
-    start : (ndarray of shape (n_families,), float), optional
+    start : (ndarray of shape (n_families + 1,), float), optional
         Variances of the families and of the noise to begin with, such as those of a fit to nearly
         the same data.
-    pairs : ndarray of shape (k,), optional
-        Candidates to begin with; those that are not worth their price leave.
     fixed : bool, default=False
         Choose once, at the variances of `start`, and leave these as they are.
 
@@ -104,18 +115,18 @@ def select_harmonics(
     -------
     Posterior
     """
-    problem = _Problem(sums, family, harmonic, prior_variance, lengths)
-    pairs = np.sort(np.asarray(pairs, dtype=int))
+    problem = Problem(sums, family, harmonic, prior_variance, lengths)
+    pairs = np.empty(0, dtype=int)
     if start is None:
         # Without harmonics their variance stays at its guess; noise and other families are found.
-        found = problem.find_variances(pairs, *problem.first_guess())
+        found = problem.choice(pairs, *problem.first_guess())
         start = found.prior_variance, found.noise_variance
     if fixed:
-        return _prune(problem, _extend(problem, pairs, *start, prices), *start, prices)[0]
+        return _prune(problem, extend(problem, pairs, *start, prices), *start, prices)[0]
     best, best_value, tried = None, -np.inf, set()
-    for _ in range(_MAX_CHOICES):
-        pairs = _extend(problem, pairs, *start, prices)
-        found = problem.find_variances(pairs, *start)
+    for _ in range(MAX_CHOICES):
+        pairs = extend(problem, pairs, *start, prices)
+        found = problem.choice(pairs, *start)
         start = found.prior_variance, found.noise_variance
         found, paid = _prune(problem, pairs, *start, prices)
         pairs = found.pairs
@@ -129,17 +140,30 @@ def select_harmonics(
     return best
 
 
-def refit(sums, family, harmonic, prior_variance, pairs, lengths, start):
-    """Variances and coefficients of chosen pairs, from variances that are nearly right.
+def refit(sums, family, harmonic, prior_variance, found, shares, lengths, start):
+    """Variances and coefficients of all candidates of `sums`, from variances nearly right.
 
-    Parameters and result are those of :func:`select_harmonics`.
+    Parameters
+    ----------
+    sums, family, harmonic, prior_variance, lengths
+        As in :func:`select_harmonics`; the candidates are the pairs of `found`.
+    found : Posterior
+    shares : ndarray of shape (k,)
+        Of `smooth_shares`.
+    start : (ndarray of shape (n_families + 1,), float)
+
+    Returns
+    -------
+    Posterior
     """
-    problem = _Problem(sums, family, harmonic, prior_variance, lengths)
-    found = problem.find_variances(np.asarray(pairs, dtype=int), *start, max_steps=_REFIT_STEPS)
-    return found._replace(gains=_gains(found, harmonic))
+    problem = Problem(sums, family, harmonic, prior_variance, lengths)
+    every = np.arange(len(found.pairs))
+    share = np.where(found.smooth, shares, 1.0)
+    new = problem.find_variances(every, found.smooth, share, *start, max_steps=_REFIT_STEPS)
+    return new._replace(pairs=found.pairs, gains=gains_of(new))
 
 
-class _Problem:
+class Problem:
     """Sums over poses, known lengths and priors."""
 
     def __init__(self, sums, family, harmonic, prior_variance, lengths):
@@ -170,19 +194,24 @@ class _Problem:
                 variance[f] = self.start * self.n / size if size > 0 else 1.0
         return variance
 
-    def find_variances(self, pairs, variance, noise, max_steps=_MAX_STEPS):
+    def find_variances(self, pairs, smooth, share, variance, noise, max_steps=_MAX_STEPS):
         """Coefficients of a fixed choice at the variances of highest evidence."""
-        part = self.part(pairs)
-        found = _posterior(part, variance, noise)
+        part = self.part(pairs, smooth, share)
+        found = posterior_of(part, variance, noise)
         for _ in range(max_steps):
             last = found
             found = self._step(part, last)
             if not found.log_evidence > last.log_evidence + _SMALL_RISE:
                 break
         best = max(found, last, key=lambda one: one.log_evidence)
-        return best._replace(pairs=pairs)
+        return best._replace(pairs=pairs, smooth=smooth)
 
-    def part(self, pairs):
+    def choice(self, pairs, variance, noise):
+        """Coefficients of chosen pairs alone at the variances of highest evidence."""
+        return self.find_variances(pairs, *alone(pairs), variance, noise)
+
+    def part(self, pairs, smooth, share):
+        """Normal equations of some pairs; the variance of those of `smooth` is a share of its."""
         sums, columns = self.sums, columns_of(pairs)
         cross = sums.cross[:, columns]
         rows = sums.rows(pairs)[:, columns]
@@ -193,9 +222,11 @@ class _Problem:
             mine = [lengths.rows[:, n_waves:], lengths.rows[:, columns]]
             lengths = lengths._replace(rows=np.concatenate(mine, axis=1))
         moment = np.concatenate([sums.moment, sums.candidate_moment[columns]])
-        family = np.concatenate([self.family, np.full(len(columns), self.harmonic)])
+        of_pair = np.where(smooth, len(self.given) - 1, self.harmonic)
+        family = np.concatenate([self.family, np.repeat(of_pair, 2)])
         m = len(self.family)
-        return _Part(gram, moment, sums.square, self.n, self.assumed, family, lengths, m)
+        share = np.concatenate([np.ones(m), np.repeat(share, 2)])
+        return _Part(gram, moment, sums.square, self.n, self.assumed, family, share, lengths, m)
 
     def _step(self, part, last):
         """MacKay's step, half of it and so on (in logarithms) where the evidence falls."""
@@ -205,7 +236,7 @@ class _Problem:
         variance = np.where(self.known, self.given, variance)
         noise = max(noise, _LEAST_NOISE * self.start)
         for _ in range(_HALVINGS):
-            found = _posterior(part, variance, noise)
+            found = posterior_of(part, variance, noise)
             if found.log_evidence >= last.log_evidence:
                 break
             variance = np.sqrt(variance * last.prior_variance)
@@ -222,13 +253,14 @@ class _Part(NamedTuple):
     n: float
     assumed: float
     family: np.ndarray
+    share: np.ndarray  # of its family's variance, of each coefficient
     lengths: object
     n_always: int
 
 
-def _posterior(part, variance, noise):
+def posterior_of(part, variance, noise):
     """Coefficients and evidence at given variances."""
-    prior = variance[part.family]
+    prior = variance[part.family] * part.share
     S, r = part.gram / noise, part.moment / noise
     fixed = (part.n + _ASSUMED_ROWS) * np.log(noise) + (part.square + part.assumed) / noise
     if part.lengths is not None:
@@ -240,15 +272,17 @@ def _posterior(part, variance, noise):
     S[np.diag_indices(len(S))] += 1 / prior
     root = _root(S) if len(S) else S
     coef = cho_solve((root, False), r, check_finite=False) if len(S) else r
-    inverse = solve_triangular(root, np.eye(len(S)), check_finite=False) if len(S) else S
+    inverse = dtrtri(root)[0] if len(S) else S
     determined = 1 - np.square(inverse).sum(axis=1) / prior
     volume = 2 * np.log(root.diagonal()).sum() + np.log(prior).sum()
     return Posterior(
         pairs=None,
+        smooth=None,
         gains=None,
         coef=coef,
         root=root,
         prior_variance=variance,
+        prior=prior,
         noise_variance=float(noise),
         n_determined=float(determined.sum()),
         log_evidence=float(-0.5 * (fixed - r @ coef + volume)),
@@ -274,7 +308,7 @@ def _fixed_point(part, found):
     variance = found.prior_variance.copy()
     for f in np.unique(part.family):
         of_f = part.family == f
-        total = np.square(found.coef[of_f]).sum()
+        total = (np.square(found.coef[of_f]) / part.share[of_f]).sum()
         variance[f] = total / max(found.determined[of_f].sum(), 1e-12)
     coef = found.coef
     rss = part.square - 2 * coef @ part.moment + coef @ part.gram @ coef
@@ -310,7 +344,7 @@ def columns_of(pairs):
     return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
 
 
-def _extend(problem, pairs, variance, noise, prices):
+def extend(problem, pairs, variance, noise, prices, known=None):
     """Chosen pairs and those that raise the evidence by more than their price, at given variances.
 
     With S the penalised Gram matrix of what is left of the columns beside the chosen ones and r
@@ -320,13 +354,14 @@ def _extend(problem, pairs, variance, noise, prices):
     S is never formed nor downdated as a whole: as in a pivoted Cholesky factorisation, the factor's
     rows and the pairs' own 2 x 2 blocks suffice.
     """
+    known = (pairs, *alone(pairs)) if known is None else known
     try:
-        left = _Leftover(problem, pairs, variance, noise)
+        left = Leftover(problem, *known, variance, noise)
     except LinAlgError:  # so little noise that only rounding is left of the others
         return pairs
     chosen = pairs.tolist()
     alive = np.ones(left.n_pairs, dtype=bool)
-    alive[pairs] = False
+    alive[known[0]] = False
     while alive.any():
         gain, sound = left.gains()
         alive &= sound
@@ -354,34 +389,40 @@ def _prune(problem, pairs, variance, noise, prices):
         Sum of the prices of the pairs that are left.
     """
     while True:
-        found = _posterior(problem.part(pairs), variance, noise)
-        gains = _gains(found, problem.harmonic)
+        smooth, share = alone(pairs)
+        found = posterior_of(problem.part(pairs, smooth, share), variance, noise)
+        gains = gains_of(found)
         price = prices(pairs)[pairs] if len(pairs) else gains
         net = gains - price
         if not len(net) or net.min() > 0:
-            return found._replace(pairs=pairs, gains=gains), float(price.sum())
+            return found._replace(pairs=pairs, smooth=smooth, gains=gains), float(price.sum())
         pairs = np.delete(pairs, np.argmin(net))
 
 
-def _gains(found, harmonic):
+def alone(pairs):
+    """No pair is a part of a smooth function, and each has the whole variance of its family."""
+    return np.zeros(len(pairs), dtype=bool), np.ones(len(pairs))
+
+
+def gains_of(found):
     """Rise of the log evidence by each pair, beside all others."""
     n_waves = len(found.coef) - found.n_always
     first = found.n_always
     if not n_waves:
         return np.empty(0)
-    half = solve_triangular(found.root, np.eye(len(found.coef)), check_finite=False)[first:]
+    half = dtrtri(found.root)[0][first:]
     half = half.reshape(n_waves // 2, 2, -1)
     covariance = half @ half.swapaxes(1, 2)
     coef = found.coef[first:].reshape(-1, 2)
     fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)
-    shrunk = np.linalg.slogdet(covariance / found.prior_variance[harmonic])[1]
+    shrunk = np.linalg.slogdet(covariance)[1] - 2 * np.log(found.prior[first::2])
     return 0.5 * (fit + shrunk)
 
 
-class _Leftover:
+class Leftover:
     """What the chosen columns leave of the candidates, at given variances."""
 
-    def __init__(self, problem, pairs, variance, noise):
+    def __init__(self, problem, pairs, smooth, share, variance, noise):
         sums, lengths = problem.sums, problem.lengths
         self.problem, self.noise = problem, noise
         self.prior = variance[problem.harmonic]
@@ -406,7 +447,8 @@ class _Leftover:
             S[np.diag_indices(len(S))] += 1 / variance[problem.family]
             self._add(_root(S), cross, r)
         if len(pairs):
-            block, *products = self._left_of(columns_of(pairs), pairs, ())
+            prior = np.repeat(share * np.where(smooth, variance[-1], self.prior), 2)
+            block, *products = self._left_of(columns_of(pairs), pairs, (), prior)
             self._add(cholesky(block, check_finite=False), *products)
 
     def _add(self, root, rows, r):
@@ -424,10 +466,11 @@ class _Leftover:
 
     def take(self, pair, likely):
         """Move a candidate to the chosen ones; LinAlgError if only rounding is left of it."""
-        block, *products = self._left_of([2 * pair, 2 * pair + 1], [pair], likely)
+        columns = [2 * pair, 2 * pair + 1]
+        block, *products = self._left_of(columns, [pair], likely, self.prior)
         self._add(cholesky(block, check_finite=False), *products)
 
-    def _left_of(self, columns, pairs, likely):
+    def _left_of(self, columns, pairs, likely, prior):
         """Own block, rows of the penalised Gram matrix and products of some candidates."""
         rows = self.problem.sums.rows(pairs, likely) / self.noise
         if self.lengths is not None:
@@ -435,7 +478,7 @@ class _Leftover:
         known = self.factor[: self.size]
         rows = rows - known[:, columns].T @ known
         block = rows[:, columns]
-        block = 0.5 * (block + block.T) + np.eye(len(columns)) / self.prior
+        block = 0.5 * (block + block.T) + np.eye(len(columns)) / prior
         return block, rows, self.r[columns]
 
     def gains(self):

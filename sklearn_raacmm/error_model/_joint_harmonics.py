@@ -10,9 +10,9 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit_checks import check_fit
-from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
+from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
+from sklearn_raacmm.error_model._linear_fit import LinearOptions
+from sklearn_raacmm.error_model._points_and_turns import clearly_better, fit_with_intervals
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.utils import (
     Interval,
@@ -106,8 +106,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 2, or 1 below 150 poses with a reference each. Where positions have offsets, t
-        is three times the deviation that 99 % of the training poses stay below; elsewhere 0.
+        all. "auto": 1, or 2 where positions have offsets. There t is ten times the deviation that
+        99 % of the training poses stay below; elsewhere 0.
 
     Attributes
     ----------
@@ -115,11 +115,15 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         The fitted numbers as one value: columns, coefficients and their covariance. The attributes
         below show what is in it.
 
+    orientation_model_ : LinearModel or None
+        That of points and orientations together, where orientations were given to `fit`.
+
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
         and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
-        raises the log evidence beside all others.
+        raises the log evidence beside all others. Parts of a smooth function are among them; theirs
+        is about 0 each.
 
     terms_ : structured ndarray of shape (n_terms,)
         The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
@@ -169,7 +173,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     Coefficients have normal priors of mean zero, one variance a family, found with the noise by
     maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
     least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
-    the rise is more than the logarithm of the number of candidates. The model has no memory of the
+    the rise is more than the logarithm of the number of candidates. Where the data ask for it, all
+    orders up to 48 that are not chosen are there, too, with one small variance that falls with the
+    order (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its
+    angle, of which little is known where there are no poses. The model has no memory of the
     number of poses but their normal equations.
 
     Offsets are exact fixed effects: means over the position are taken out of the columns, too. A
@@ -271,7 +278,16 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
     @whole_fit
-    def fit(self, X, y, *, sample_weight=None, groups=None, lengths=()):
+    def fit(
+        self,
+        X,
+        y,
+        *,
+        sample_weight=None,
+        groups=None,
+        lengths=(),
+        orientation_residuals=None,
+    ):
         """Choose the harmonics and fit all coefficients.
 
         Parameters
@@ -292,6 +308,14 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
             offsets, only they tell the model of what happens between positions.
 
+        orientation_residuals : array-like of shape (n_samples, 3), default=None
+            How far the orientation that the arm shows is turned from the measured one: rotation
+            vectors in rad, in the arm's base frame, as
+            :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
+            probe and turn the last link: a second model is fitted to both, each weighed by the
+            noise that it shows. Points are predicted by it, too, if it is clearly better for them
+            at positions left out.
+
         Returns
         -------
         self : object
@@ -304,7 +328,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             infinite, a weight is negative or all are 0, the model has no columns at all, or
             ``offsets=True`` comes without `groups`; if y are the probe's points, or half of them
             longer than a twentieth of the arm's reach; if lengths name unknown positions, are not
-            positive, or come without offsets.
+            positive, or come without offsets; if orientations come with offsets, or are no small
+            rotation vectors.
 
         Warns
         -----
@@ -319,14 +344,18 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
         X, y, weights, codes, _ = data
         options = LinearOptions.of(self)
-        model, pose_weight = fit_linear_model(arm, *data, options)
-        robust = weights * pose_weight
+        turns = check_turns(orientation_residuals, len(y), codes)
         positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
-        left_out = leave_out(model, options, X, y, robust, codes, positions)
-        model = with_honest_intervals(model, left_out, X, y, weights, codes, positions)
-        std = model.predict(X, return_std=True)[1]
-        self.linear_model_, self.pose_weight_ = model, pose_weight
-        self.fading_ = find_fading(y, std, robust, codes, self.fade)
+        fitted = fit_with_intervals(arm, data, options, positions)
+        self.orientation_model_ = None
+        if turns is not None:
+            both = fit_with_intervals(arm, data, options, positions, turns)
+            self.orientation_model_ = both.model
+            if clearly_better(both, fitted, X, y, weights):
+                fitted = both
+        self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
+        std = fitted.model.predict(X, return_std=True)[1]
+        self.fading_ = find_fading(y, std, weights * self.pose_weight_, codes, self.fade)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -419,6 +448,48 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             warn_where_unknown(share, stacklevel=2)
             mean = share[:, None] * mean
         return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+
+    def predict_orientation(self, X, return_std=False, with_noise=False):
+        """Predict how far the last link is turned from where the arm shows it.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        return_std : bool, default=False
+            Also return standard deviations.
+
+        with_noise : bool, default=False
+            Add the noise of a measured component to them, where orientations were in the fit.
+
+        Returns
+        -------
+        turns : ndarray of shape (n_samples, 3)
+            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
+            times the orientation that the arm shows is the corrected one. Faded as the correction
+            of the points is.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviations in rad, where asked for.
+
+        Notes
+        -----
+        A model that was fitted to points only knows of the orientation what the same causes do to
+        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
+        goes through the probe.
+        """
+        X, linear = check_poses(self, X), self.linear_model_
+        model = linear if self.orientation_model_ is None else self.orientation_model_
+        mean, std = model.predict_turn(X, return_std)
+        if self.fading_.factor > 0:
+            share = self.fading_.share(linear.predict(X, return_std=True)[1])
+            warn_where_unknown(share, stacklevel=2)
+            mean = share[:, None] * mean
+        if not return_std:
+            return mean
+        noise = with_noise and model.turn_mm > 0
+        return mean, np.hypot(model.std_scale * std, model.turn_noise if noise else 0.0)
 
     def fading(self, X):
         """Share of the correction that `predict` returns at each pose.

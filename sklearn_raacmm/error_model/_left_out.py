@@ -18,9 +18,10 @@ from sklearn.cluster import KMeans
 from sklearn_raacmm.arm import points_of
 from sklearn_raacmm.error_model._columns import FAMILIES, HARMONIC, term_names
 from sklearn_raacmm.error_model._harmonic_selection import select_harmonics
-from sklearn_raacmm.error_model._linear_fit import FitData, model_of
-from sklearn_raacmm.error_model._order_scan import candidate_sums
-from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
+from sklearn_raacmm.error_model._linear_fit import SMOOTH, FitData, model_of
+from sklearn_raacmm.error_model._order_scan import candidate_sums, sums_of_the_others
+from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices, smooth_shares
+from sklearn_raacmm.error_model._smooth_functions import left_out_beside_smooth
 from sklearn_raacmm.utils import centred, group_means, group_weights
 
 # Blocks left out in turn, and the fewest positions that are worth leaving some out: of three the
@@ -46,7 +47,8 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
         Fitted on all rows.
     options : LinearOptions
     X : ndarray of shape (n, n_joints)
-    y : ndarray of shape (n, 3)
+    y : ndarray of shape (n, 3) or (n, 6)
+        As `candidate_sums` takes it, for the `turn_mm` of the model.
     weights : ndarray of shape (n,)
         Those of the fit. Rows of weight 0 teach nothing.
     codes : ndarray of shape (n,) or None
@@ -76,21 +78,42 @@ def leave_out(model, options, X, y, weights, codes, positions, n_blocks=N_BLOCKS
     used = [i or tuple(p) in chosen for i, p in zip(low, offered.tolist(), strict=True)]
     offered, expected = offered[used], expected[used]
     terms, family = model.terms._replace(harmonics=offered), term_names(model.arm, model.terms)[1]
-    variance = np.array([model.prior_sd.get(name, 1.0) ** 2 for name in FAMILIES])
+    variance = np.array([model.prior_sd.get(name, 1.0) ** 2 for name in (*FAMILIES, SMOOTH)])
+    shares = smooth_shares(offered[:, 1]) if SMOOTH in model.prior_sd else None
     prices, start = order_prices(offered, expected), (variance, model.noise_variance)
+    kept = weights > 0
+    labels = np.unique(blocks)
+    if len(np.unique(blocks[kept])) < 2:
+        return []  # all that has weight is in one block
+    parts = []
+    for block in labels:
+        rows = (blocks == block) & kept
+        if not rows.any():  # they count for nothing, but their errors are asked for
+            rows = blocks == block
+        own = _codes_of(codes, rows)
+        poses = X[rows], y[rows], weights[rows]
+        sums = candidate_sums(model.arm, *poses, own, offered, terms, model.turn_mm)
+        parts.append(sums._replace(n_observations=max(sums.n_observations, 0.0)))
     found = []
-    for block in np.unique(blocks):
-        rest = (blocks != block) & (weights > 0)
-        if not rest.any():
-            return []  # all that has weight is in this block
-        own = None if codes is None else np.unique(codes[rest], return_inverse=True)[1].ravel()
-        sums = candidate_sums(model.arm, X[rest], y[rest], weights[rest], own, offered, terms)
-        best = select_harmonics(sums, family, HARMONIC, variance, prices, None, start, (), True)
+    for block, sums in zip(labels, sums_of_the_others(parts), strict=True):
+        rest = (blocks != block) & kept
+        if shares is None:
+            fixed = prices, None, start, True
+            best = select_harmonics(sums, family, HARMONIC, variance, *fixed)
+        else:
+            best = left_out_beside_smooth(sums, family, HARMONIC, prices, start, shares)
+        own = _codes_of(codes, rest)
         data = FitData(model.arm, X[rest], y[rest], weights[rest], own, [], options)
+        data = data._replace(turn_mm=model.turn_mm)
         rest_terms = terms._replace(harmonics=offered[best.pairs])
         every = np.ones(rest.sum())
         found.append((np.flatnonzero(blocks == block), model_of(data, every, best, rest_terms)))
     return found
+
+
+def _codes_of(codes, rows):
+    """Positions of some rows, from 0, where positions have offsets."""
+    return None if codes is None else np.unique(codes[rows], return_inverse=True)[1].ravel()
 
 
 def errors_left_out(left_out, X, y, codes):

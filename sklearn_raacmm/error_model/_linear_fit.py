@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,21 +23,32 @@ from sklearn_raacmm.error_model._families import IDLE_VARIANCE, least_of_the_idl
 from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmonics
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import candidate_sums
-from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
+from sklearn_raacmm.error_model._orders import (
+    offered_harmonics,
+    order_prices,
+    smooth_shares,
+)
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
+from sklearn_raacmm.error_model._smooth_functions import add_smooth, choose_beside_smooth
 from sklearn_raacmm.utils import centred, group_means, stage
 
+# Name of the smooth function among the families: of low orders that are not taken for themselves.
+SMOOTH = "smooth"
 # Columns that move the arm as a whole: the first axis stands still in the base.
 BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
 # Farther off than this, in standard deviations of a coordinate, a pose has no weight: of normal
 # errors in space one in 200 000 is. The median distance of such errors; rounds; when to stop.
 _OUTLIER = 5.5
-_MEDIAN_OF_CHI3 = 1.5382
+_MEDIAN_OF_CHI = {3: 1.5382, 6: 2.3126}  # of three coordinates; with three of a turn
 _ROBUST_ROUNDS = 4
 # Harmonics are chosen from scratch, with what the robust weights have become, at most so often:
 # those chosen while outliers counted fully are a worse beginning than none.
 _MAX_CHOICES = 3
 _SETTLED_WEIGHT = 0.05
+# Points and turns are weighed anew by what the model leaves of them, at most so often, and until
+# the ratio of their noises changes by less than this share.
+_TURN_ROUNDS = 4
+_SETTLED_TURNS = 0.1
 
 
 class LinearOptions(NamedTuple):
@@ -59,7 +71,7 @@ class LinearOptions(NamedTuple):
 
 
 @stage("linear error model")
-def fit_linear_model(arm, X, y, weights, codes, lengths, options):
+def fit_linear_model(arm, X, y, weights, codes, lengths, options, turns=None):
     """Fit the model, and fit it again without the poses that are too far off.
 
     Parameters
@@ -75,6 +87,8 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     lengths : list of (int, int, float, float)
         Two positions, their known distance and its standard deviation, mm.
     options : LinearOptions
+    turns : ndarray of shape (n, 3), default=None
+        Residuals of the orientation, rotation vectors in rad.
 
     Returns
     -------
@@ -89,11 +103,44 @@ def fit_linear_model(arm, X, y, weights, codes, lengths, options):
     """
     extra = with_references(options.extra, X[:, arm.n_joints :], weights)
     data = FitData(arm, X, y, weights, codes, lengths, options, extra)
-    model, factor = _fit(data)
+    model, factor, data = _fit_with_turns(data, turns)
     while (least := least_of_the_idle(model, data.idle)) is not None:
         data = data._replace(idle=data.idle | {least})
         model, factor = _fit(data)
+    if np.any(factor < 1):
+        noise = model.noise_variance / _share_of_noise(data.y.shape[1])
+        model = replace(model, noise_variance=noise)
     return model, factor
+
+
+def _share_of_noise(n):
+    """What the weights of the poses leave of the noise variance, of normal errors in n coordinates.
+
+    E[w d^2] / (n E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution; beyond
+    the limit c the density is next to nothing.
+    """
+    c2 = _OUTLIER**2
+    moment = np.cumprod([1.0, n, n + 2, n + 4])  # E[d^0], E[d^2], E[d^4], E[d^6]
+    whole = moment[0] - 2 * moment[1] / c2 + moment[2] / c2**2
+    return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
+
+
+def _fit_with_turns(data, turns):
+    """Fit points, and turns where there are some, each by the noise that it shows."""
+    if turns is None:
+        return *_fit(data), data
+    left, size = (data.y, turns), 0.0
+    factor, points = np.ones(len(turns)), data.y
+    for _ in range(_TURN_ROUNDS):
+        weights = data.weights * factor
+        rms = [np.sqrt(weights @ np.square(part).sum(axis=1)) for part in left]
+        last, size = size, rms[0] / max(rms[1], 1e-12 * max(rms[0], 1e-300))
+        if abs(size - last) < _SETTLED_TURNS * size:
+            break
+        data = data._replace(y=np.hstack([points, size * turns]), turn_mm=size)
+        model, factor = _fit(data)
+        left = points - model.predict(data.X)[0], turns - model.predict_turn(data.X)[0]
+    return model, factor, data
 
 
 def _fit(data):
@@ -102,14 +149,34 @@ def _fit(data):
     offered, expected = offered_harmonics(
         X[weights > 0, : data.arm.n_joints], options.max_order, options.orders, options.gear_ratio
     )
-    factor, start = np.ones(len(weights)), None
+    offer = _Offer.of(data, offered, expected)
+    factor = np.ones(len(weights))
+    sums = data.sums(factor, offer.terms)
+    found = None
     for _ in range(_MAX_CHOICES):
-        chosen, terms = _choose(data, factor, offered, expected, start)
-        model, settled, found = _settle(data, factor, chosen, terms)
+        found = offer.choose(*sums, found)
+        model, settled, found = _settle(data, factor, found, offer.terms_of(found))
         moved = np.abs(settled - factor).max()
-        factor, start = settled, (found.prior_variance, found.noise_variance)
+        factor = settled
+        if moved > 0:
+            sums = data.sums(factor, offer.terms)
+        smooth = offer.with_smooth(*sums, found)
+        if smooth is not None:
+            return _settle_smooth(data, factor, smooth, offer)
         if moved < _SETTLED_WEIGHT:
             break
+    return model, factor
+
+
+def _settle_smooth(data, factor, found, offer):
+    """Model beside a smooth function, and the weights of the poses; lines are chosen once more."""
+    for rounds in (_ROBUST_ROUNDS // 2, _ROBUST_ROUNDS):
+        model, settled, found = _settle(data, factor, found, offer.terms_of(found), rounds)
+        moved, factor = np.abs(settled - factor).max(), settled
+        if moved < _SETTLED_WEIGHT:
+            break
+        if rounds < _ROBUST_ROUNDS:
+            found = offer.choose_beside_smooth(*data.sums(factor, offer.terms), found)
     return model, factor
 
 
@@ -122,6 +189,7 @@ class FitData(NamedTuple):
     lengths: list
     options: LinearOptions
     extra: tuple = ()  # with references
+    turn_mm: float = 0.0  # see `observed_columns`
     idle: frozenset = frozenset()  # families of it that are not worth their price
 
     def weighted(self, factor):
@@ -141,35 +209,65 @@ class FitData(NamedTuple):
     def sums(self, factor, terms):
         """Sums over poses with `terms.harmonics` as candidates, and known lengths."""
         X, y, weights, codes, lengths = self.weighted(factor)
-        sums = candidate_sums(self.arm, X, y, weights, codes, terms.harmonics, terms)
+        sums = candidate_sums(self.arm, X, y, weights, codes, terms.harmonics, terms, self.turn_mm)
         if not lengths:
             return sums, None
         return sums, length_equations(self.arm, X, weights, codes, terms, lengths)
 
     def prior_variance(self):
         """Variance of each family, NaN where it is to be found."""
-        variance = np.full(len(FAMILIES), np.nan)
+        variance = np.full(len(FAMILIES) + 1, np.nan)  # the last: of a smooth function
         if not isinstance(self.options.prior_sd, str):
             variance[HARMONIC] = self.options.prior_sd**2
         variance[list(self.idle)] = IDLE_VARIANCE
         return variance
 
 
-def _choose(data, factor, offered, expected, start):
-    """Posterior of the harmonics chosen at given weights, and its terms."""
-    options = data.options
-    terms = Terms(offered, options.gravity, options.kinematics, options.wobble, data.extra)
-    family = term_names(data.arm, terms)[1]
-    if not len(offered) and not len(family):
-        raise ValueError(
-            "The model has no columns: no orders are offered and gravity, kinematics and wobble "
-            "are all False."
-        )
-    sums, lengths = data.sums(factor, terms)
-    prices = order_prices(offered, expected)
-    variance = data.prior_variance()
-    found = select_harmonics(sums, family, HARMONIC, variance, prices, lengths, start)
-    return found, terms._replace(harmonics=offered[found.pairs])
+class _Offer(NamedTuple):
+    """The harmonics that a fit may take, and what they cost."""
+
+    terms: Terms  # whose harmonics are all those that are offered
+    family: np.ndarray  # of the columns that are always in
+    prior_variance: np.ndarray  # of each family, NaN where it is to be found
+    prices: Callable
+    shares: np.ndarray | None  # of a smooth function, None where it is not to be tried
+
+    @classmethod
+    def of(cls, data, offered, expected):
+        options = data.options
+        terms = Terms(offered, options.gravity, options.kinematics, options.wobble, data.extra)
+        terms = terms._replace(target=data.turn_mm > 0)
+        family = term_names(data.arm, terms)[1]
+        if not len(offered) and not len(family):
+            raise ValueError(
+                "The model has no columns: no orders are offered and gravity, kinematics and "
+                "wobble are all False."
+            )
+        # Not where the user has said which orders there are, or how large they are.
+        free = options.orders is None and isinstance(options.prior_sd, str) and len(offered)
+        shares = smooth_shares(offered[:, 1]) if free else None
+        return cls(terms, family, data.prior_variance(), order_prices(offered, expected), shares)
+
+    def choose(self, sums, lengths, last):
+        """Posterior of the harmonics that are worth their price, with variances from the last."""
+        known = self.family, HARMONIC, self.prior_variance, self.prices
+        start = None if last is None else (last.prior_variance, last.noise_variance)
+        return select_harmonics(sums, *known, lengths, start)
+
+    def choose_beside_smooth(self, sums, lengths, last):
+        """The same beside a smooth function that the last one has."""
+        known = self.family, HARMONIC, self.prior_variance, self.prices
+        return choose_beside_smooth(sums, *known, lengths, last, self.shares)
+
+    def with_smooth(self, sums, lengths, found):
+        """Posterior with a smooth function of each angle, or None where it is not worth it."""
+        if self.shares is None:
+            return None
+        known = self.family, HARMONIC, self.prior_variance, self.prices
+        return add_smooth(sums, *known, lengths, found, self.shares)
+
+    def terms_of(self, found):
+        return self.terms._replace(harmonics=self.terms.harmonics[found.pairs])
 
 
 def constrained(model, X, weights, codes, keep_scale=True):
@@ -200,35 +298,45 @@ def constrained(model, X, weights, codes, keep_scale=True):
     return _without_gauge(model, columns)
 
 
-def _settle(data, factor, found, terms):
+def _settle(data, factor, found, terms, rounds=_ROBUST_ROUNDS):
     """Weights of the poses, and the model at these weights, harmonics being chosen."""
     family = term_names(data.arm, terms)[1]
-    pairs = np.arange(len(terms.harmonics))
+    shares = smooth_shares(terms.harmonics[:, 1])
     model = model_of(data, factor, found, terms)
     if data.options.loss == "squared":
         return model, factor, found
-    for _ in range(_ROBUST_ROUNDS):
+    for _ in range(rounds):
         new = _pose_weights(data, model, factor)
         if np.abs(new - factor).max() < _SETTLED_WEIGHT:
             break
         factor = new
         sums, lengths = data.sums(factor, terms)
         start = found.prior_variance, found.noise_variance
-        found = refit(sums, family, HARMONIC, data.prior_variance(), pairs, lengths, start)
+        found = refit(sums, family, HARMONIC, data.prior_variance(), found, shares, lengths, start)
         model = model_of(data, factor, found, terms)
     return model, factor, found
 
 
 def _pose_weights(data, model, factor):
     """Tukey's weights of the poses; those at hand where none is far off."""
-    left = data.y - model.predict(data.X)[0]
+    left = data.y - _expected(model, data.X)
     distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
-    scale = quantile(distance, 0.5, data.weights) / _MEDIAN_OF_CHI3
+    used = data.weights > 0
+    median = np.quantile(distance[used], 0.5, weights=data.weights[used], method="inverted_cdf")
+    scale = float(median) / _MEDIAN_OF_CHI[left.shape[1]]
     share = np.square(distance / max(_OUTLIER * scale, 1e-300))
-    far = np.any((share >= 1) & (data.weights > 0))
+    far = np.any((share >= 1) & used)
     if not scale > 0 or (np.all(factor == 1) and not far):
         return factor
     return np.square(np.maximum(1 - share, 0.0))
+
+
+def _expected(model, X):
+    """What the model expects of the residuals that it was fitted to."""
+    points = model.predict(X)[0]
+    if not model.turn_mm:
+        return points
+    return np.hstack([points, model.turn_mm * model.predict_turn(X)[0]])
 
 
 def model_of(data, factor, found, terms):
@@ -239,17 +347,21 @@ def model_of(data, factor, found, terms):
     families = set(term_names(data.arm, terms)[1].tolist())
     if data.options.max_order or n_pairs:
         families.add(HARMONIC)
+    prior_sd = {FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(families)}
+    if found.smooth.any():
+        prior_sd[SMOOTH] = float(np.sqrt(found.prior_variance[-1]))
     model = LinearModel(
         arm=data.arm,
         terms=terms,
         coef=found.coef[order],
         half=half,
         noise_variance=found.noise_variance,
-        prior_sd={FAMILIES[f]: float(np.sqrt(found.prior_variance[f])) for f in sorted(families)},
+        prior_sd=prior_sd,
         offsets=data.codes is not None,
         n_determined=found.n_determined,
         log_bayes_factor=found.gains,
         gauge_free_half=half,
+        turn_mm=data.turn_mm,
     )
     X, _, weights, codes, lengths = data.weighted(factor)
     return constrained(model, X, weights, codes, keep_scale=not lengths)
@@ -291,10 +403,3 @@ def _without_gauge(model, columns):
     half = model.half.copy()
     half[base] -= motion @ model.half
     return replace(model, gauge_free_half=half)
-
-
-def quantile(values, share, weights):
-    """Least of the values below or at which lies this share of the weights."""
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(below, share * below[-1] * (1 - 1e-12))]])

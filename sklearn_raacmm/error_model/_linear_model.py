@@ -14,6 +14,7 @@ from sklearn_raacmm.error_model._columns import (
     other_columns,
     term_columns,
     term_names,
+    turn_columns,
 )
 from sklearn_raacmm.utils import check_shapes, chunks
 
@@ -79,6 +80,10 @@ class LinearModel:
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out (see :func:`with_honest_intervals`); 1 where that is not known.
+
+    turn_mm : float
+        The noise of a coordinate over that of a component of the orientation, mm per rad; 0 where
+        no orientations were given.
     """
 
     arm: Arm
@@ -93,6 +98,7 @@ class LinearModel:
     gauge_free_half: np.ndarray
     std_scale: float = 1.0
     noise_scale: float = 1.0
+    turn_mm: float = 0.0
 
     def __setstate__(self, state):
         vars(self).update(state)
@@ -122,6 +128,11 @@ class LinearModel:
     def noise_sd(self):
         """Standard deviation of a coordinate about the model, mm."""
         return float(np.sqrt(self.noise_variance))
+
+    @property
+    def turn_noise(self):
+        """Widened standard deviation of a component of the orientation, rad; NaN without any."""
+        return self.noise_scale * self.noise_sd / self.turn_mm if self.turn_mm else float("nan")
 
     def columns(self, angles):
         """Columns of the model at some poses.
@@ -158,10 +169,17 @@ class LinearModel:
             That of the posterior, mm, without noise, of what the test can show; None where it is
             not asked for. :meth:`widened` makes intervals of it that hold.
         """
+        return self._posterior(term_columns, angles, return_std)
+
+    def predict_turn(self, angles, return_std=False):
+        """As `predict`, of the orientation of the last link: rotation vectors in rad."""
+        return self._posterior(turn_columns, angles, return_std)
+
+    def _posterior(self, columns_of, angles, return_std):
         mean = np.empty((len(angles), 3))
         std = np.empty((len(angles), 3)) if return_std else None
         for rows in chunks(len(angles), _CHUNK):
-            columns = self.columns(angles[rows])
+            columns = columns_of(self.arm, angles[rows], self.terms)
             mean[rows] = columns @ self.coef
             if return_std:
                 std[rows] = np.sqrt(np.square(columns @ self.gauge_free_half).sum(axis=2))

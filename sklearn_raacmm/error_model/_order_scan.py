@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.error_model._columns import scale_direction, term_columns, term_names
+from sklearn_raacmm.error_model._columns import observed_columns, scale_direction, term_names
 from sklearn_raacmm.utils import chunk_size, chunks
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
@@ -43,7 +43,7 @@ class CandidateSums(NamedTuple):
     rows: object  # callable: (pairs, likely) to rows of H'H, see `_GramRows`
 
 
-def candidate_sums(arm, angles, y, weights, codes, offered, terms):
+def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
     """Sum up what the selection of harmonics needs.
 
     Parameters
@@ -51,8 +51,8 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms):
     arm : Arm
     angles : ndarray of shape (n, n_joints)
         In rad.
-    y : ndarray of shape (n, 3)
-        Residuals in mm.
+    y : ndarray of shape (n, 3) or (n, 6)
+        Residuals in mm; then those of the orientation in rad times `turn_mm`.
     weights : ndarray of shape (n,)
     codes : ndarray of shape (n,) or None
         Position of each row, from 0, where positions have offsets. Offsets are taken out exactly,
@@ -61,6 +61,8 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms):
         Joint from 0 and order of each candidate, sorted by joint.
     terms : Terms
         The columns that are always in; its harmonics are not used.
+    turn_mm : float, default=0
+        See :func:`observed_columns`.
 
     Returns
     -------
@@ -71,10 +73,10 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms):
     every_turn = np.column_stack([np.arange(arm.n_joints), np.zeros(arm.n_joints, int)])
     terms = terms._replace(harmonics=every_turn)
     n_turns = 2 * arm.n_joints
-    turns = np.empty((len(angles), 3, arm.n_joints))
+    turns = np.empty((*y.shape, arm.n_joints))
     gram, cross, own = 0.0, 0.0, np.zeros((3, len(offered)))
     for rows, starts in poses.parts:
-        columns = term_columns(arm, poses.angles[rows], terms)
+        columns = observed_columns(arm, poses.angles[rows], terms, turn_mm)
         turns[rows] = columns[:, :, :n_turns:2]  # the cosines of order 0
         columns = np.concatenate([columns[:, :, n_turns:], poses.y[rows, :, None]], axis=2)
         weighted = _weighted_deviations(columns, poses.weights[rows], starts)
@@ -93,23 +95,39 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms):
         own,
         cross[-1],
         float(max(gram[-1, -1], 0.0)),
-        3.0 * (poses.weights.sum() - poses.n_groups),
+        float(y.shape[1]) * (poses.weights.sum() - poses.n_groups),
         _GramRows(rows_of, 2 * len(offered)),
     )
     return sums if codes is None else _without_motions(sums, arm, terms)
 
 
-def difference(whole, part):
-    """Sums over the poses of `whole` that are not among those of `part`.
+def sums_of_the_others(parts):
+    """Sums over all parts but one, for each of them.
 
-    Where positions have offsets, `part` has to hold all poses of its positions.
+    Every product is summed up over the poses once, however many parts there are.
+
+    Parameters
+    ----------
+    parts : list of CandidateSums
+        Over disjoint poses, of the same columns; where positions have offsets, of whole positions.
+
+    Returns
+    -------
+    list of CandidateSums
     """
-    products = [a - b for a, b in zip(whole[:-1], part[:-1], strict=True)]
+    whole = [sum(products) for products in zip(*(part[:-1] for part in parts), strict=True)]
 
-    def rows_of(pairs):
-        return whole.rows(pairs) - part.rows(pairs)
+    every = _GramRows(
+        lambda pairs: sum(part.rows(pairs) for part in parts), parts[0].cross.shape[1]
+    )
+    found = []
+    for part in parts:
 
-    return CandidateSums(*products, _GramRows(rows_of, whole.cross.shape[1]))
+        def rows(pairs, likely=(), part=part):
+            return every(pairs, likely) - part.rows(pairs)
+
+        found.append(CandidateSums(*(a - b for a, b in zip(whole, part[:-1], strict=True)), rows))
+    return found
 
 
 class _GramRows:
@@ -248,7 +266,7 @@ def _own_blocks(turns, angles, weights, starts, spans):
         cs = 0.5 * double.imag
         if starts is not None:
             total = np.maximum(np.add.reduceat(weights, starts), _TINY)
-            for component in range(3):
+            for component in range(turn.shape[1]):
                 sums = np.add.reduceat((weights * turn[:, component])[:, None] * waves, starts)
                 sums /= np.sqrt(total)[:, None]
                 cc -= np.square(sums.real).sum(axis=0)
@@ -266,7 +284,7 @@ def _gram_rows(poses, turns, spans, pairs):
         phase = order * poses.angles[rows][:, joint]
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2)
         columns = turns[rows][:, :, joint, None] * wave[:, None]
-        columns = columns.reshape(len(wave), 3, -1)
+        columns = columns.reshape(len(wave), turns.shape[1], -1)
         weighted = _weighted_deviations(columns, poses.weights[rows], starts)
         out = out + _inner_products(weighted, turns[rows], poses.angles[rows], spans)
     return out

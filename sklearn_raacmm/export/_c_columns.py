@@ -5,8 +5,9 @@
 
 import numpy as np
 
-from sklearn_raacmm.error_model import LOAD, SHIFT, column_table
-from sklearn_raacmm.export._steps import fadings_of
+from sklearn_raacmm.error_model import LOAD, PUSH, SHIFT, column_table, given_factors
+from sklearn_raacmm.export._c_text import plain
+from sklearn_raacmm.export._steps import fadings_of, force_of
 
 _COLUMNS = """\
 /* Each column of the model is a vector, mm, that several share, times a size: what one unit of its
@@ -28,7 +29,7 @@ static void error_columns(
     for (int c = 0; c < {m}; ++c) {{
         const int of = column_of[c], order = column_order[c];
         size[c] = column_unit[c];
-        if (column_loaded[c]) {{ /* the torque of a load: gravity is along -z */
+        if (column_loaded[c] == 1) {{ /* the torque of a load: gravity is along -z */
             const {real}(*frame)[3] = arm->frame[column_vector[c] / 3];
             const {real} *u = frame[column_vector[c] % 3];
             const {real} *load = of > {n} ? arm->probe : arm->frame[of][3];
@@ -38,7 +39,7 @@ static void error_columns(
             size[c] *= cos{f}(({real})order * arm->angle[of]);
         if (order < 0)
             size[c] *= sin{f}(({real})-order * arm->angle[of]);
-    }}
+{extra}    }}
 }}
 
 static void error_model(const struct arm_state *arm, {real} y[3]{v})
@@ -50,6 +51,24 @@ static void error_model(const struct arm_state *arm, {real} y[3]{v})
         for (int k = 0; k < 3; ++k)
             y[k] += size[c] * column_coef[c] * vector[column_vector[c]][k];
 {variance}}}
+"""
+# What the columns of X after the angles do.
+_PUSH = """\
+        if (column_loaded[c] == 2) {{ /* the torque of a force on the probe */
+            {real} torque = 0;
+            for (int e = 0; e < {n_extra}; ++e)
+                for (int k = 0; k < 3; ++k)
+                    torque += force[k][e] * vector[column_vector[c]][k]
+                        * (arm->extra[e] - extra_mean[e]);
+            size[c] *= torque;
+        }}
+"""
+_GIVEN = """\
+        if (column_by[c] >= 0) {{ /* 1 for one tool, 0 for others; or the difference to the mean */
+            const {real} given = arm->extra[column_by[c]] - column_reference[c];
+            const {real} known = given > 0 || given < 0 ? 0 : 1;
+            size[c] *= column_of_tool[c] ? known : given;
+        }}
 """
 # Columns that share a vector are summed first: that leaves one product of each entry, not three.
 _VARIANCE = """\
@@ -96,7 +115,8 @@ def error_model(numbers, linear, std):
     vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
     order = np.argsort(vector, kind="stable")
     text = numbers.integers("column_vector", vector[order], "turns about axes, then shifts")
-    text += numbers.integers("column_loaded", (table.kind == LOAD)[order])
+    loaded = np.select([table.kind == LOAD, table.kind == PUSH], [1, 2], 0)
+    text += numbers.integers("column_loaded", loaded[order])
     text += numbers.integers("column_of", table.of[order], "joint of the wave, or load")
     note = "of the wave: cosine if positive, sine if negative"
     text += numbers.integers("column_order", table.order[order], note)
@@ -109,8 +129,10 @@ def error_model(numbers, linear, std):
         note = "root of the coefficients' covariance: a triangle, row by row"
         text += numbers.table("column_root", packed, note)
         variance = _VARIANCE.format(real=real, m=m, r=rank, vector=_VECTOR)
-    return f"{text}\n" + _COLUMNS.format(
+    tables, extra = _of_extra_columns(numbers, linear, order)
+    return f"{text}{tables}\n" + _COLUMNS.format(
         real=real,
+        extra=extra,
         f=numbers.suffix,
         m=m,
         n=arm.n_joints,
@@ -119,6 +141,31 @@ def error_model(numbers, linear, std):
         v=f", {real} *v" if std else "",
         variance=variance,
     )
+
+
+def _of_extra_columns(numbers, linear, order):
+    """Tables of what the columns of X after the angles do, and the lines that do it."""
+    names = linear.terms.extra
+    if not names:
+        return "", ""
+    text = lines = ""
+    if np.any(column_table(linear.arm, linear.terms).kind == PUSH):
+        mean = np.array([reference[0] for _, reference in names])
+        note = f"of {', '.join(plain(name) for name, _ in names)}"
+        text += numbers.table("extra_mean", mean, note)
+        text += numbers.table("force", force_of(names), "x, y and z of one of each, base frame")
+        lines += _PUSH.format(real=numbers.real, n_extra=len(names))
+    factors = given_factors(linear.arm, linear.terms)
+    if len(factors.column):
+        by, of_tool = np.full(len(order), -1), np.zeros(len(order), dtype=int)
+        reference = np.zeros(len(order))
+        by[factors.column], of_tool[factors.column] = factors.by, factors.of_tool
+        reference[factors.column] = factors.reference
+        text += numbers.integers("column_by", by[order], "which extra column; -1: none")
+        text += numbers.integers("column_of_tool", of_tool[order])
+        text += numbers.table("column_reference", reference[order], "mean, or number of the tool")
+        lines += _GIVEN.format(real=numbers.real)
+    return text, lines
 
 
 def _no_columns(real, std):

@@ -49,7 +49,9 @@ def sources(model, name, stem, dtype, std, card=None, notes=()):
     facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
     if body.arm is not None:
         label = f" {body.arm.name}" if body.arm.name else ""
-        facts.append(f"arm{label}: {body.n_inputs} joints, {body.arm.convention} DH, mm and rad")
+        facts.append(
+            f"arm{label}: {body.arm.n_joints} joints, {body.arm.convention} DH, mm and rad"
+        )
     facts += [*body.steps, *notes, f"functions of math.h: {', '.join(_math_functions(body, std))}"]
     banner = comment(facts + ([] if card is None else ["", *str(card).splitlines()]))
     functions = _functions(body, name, dtype, std)
@@ -118,17 +120,52 @@ def _quoted(text):
     return None if text is None else f'"{plain(text)[:200]}"'
 
 
+class _Names(NamedTuple):
+    """What the public functions of one model are made of."""
+
+    prefix: str
+    real: str
+    n: int  # inputs
+    q: int  # outputs
+    argument: str
+    verb: str
+    out: str
+    state: str  # declarations that evaluate() needs
+    arm: str  # its arguments, each with its comma, or nothing
+    none: str  # instead of variances
+    trust: str
+
+    @property
+    def given(self):
+        return f"const {self.real} {self.argument}[{self.n}]"
+
+
 def _functions(body, name, real, std):
     """Public functions that compute."""
-    n, q, upper = body.n_inputs, body.n_outputs, name.upper()
-    corrects = body.corrects
-    argument = "joint_angles" if body.arm else "features"
-    given = f"const {real} {argument}[{n}]"
-    state, arm = ("    struct arm_state arm;\n", "&arm, ") if body.arm else ("", "")
-    # Where a correction fades, evaluate() says how much of it is left.
-    none, trust = ", 0" if std else "", ", &trust" if body.fades else ""
-    state += f"    {real} trust;\n" if body.fades else ""
-    verb, out = ("correct", "correction_mm") if corrects else ("predict", "prediction")
+    arm = body.arm is not None
+    state = "    struct arm_state arm;\n" * arm + f"    {real} trust;\n" * body.fades
+    names = _Names(
+        name,
+        real,
+        body.n_inputs,
+        body.n_outputs,
+        "joint_angles" if arm else "features",
+        "correct" if body.corrects else "predict",
+        "correction_mm" if body.corrects else "prediction",
+        state,
+        "&arm, " * arm,
+        ", 0" * std,
+        ", &trust" * body.fades,  # where a correction fades, evaluate() says what is left of it
+    )
+    functions = [_one_row(names, body), _many_rows(names)]
+    functions += [_point(names)] * body.corrects
+    functions += [_trust(names)] * body.fades
+    functions += [_one_row_with_std(names, body.corrects)] * std
+    return functions
+
+
+def _one_row(names, body):
+    upper = names.prefix.upper()
     status = (
         f"Returns {upper}_OK, or {upper}_NOT_FINITE where all are NaN: an input\n"
         "   is NaN or infinite, or the model is not defined there."
@@ -138,61 +175,66 @@ def _functions(body, name, real, std):
             f" {upper}_FADED: the model\n   is less certain of this pose than the residuals that "
             "it was fitted on are large."
         )
-    about = f"What the model predicts from {argument.replace('_', ' ')}.\n   {status}"
-    if corrects:
+    about = f"What the model predicts from {names.argument.replace('_', ' ')}.\n   {status}"
+    if body.corrects:
         unit = "degrees" if body.angle_unit == "deg" else "rad"
+        then = f";\n   then {', '.join(map(plain, body.extra))}" if body.extra else ""
         about = (
             "How far off the probe is, in the base frame, mm: subtract it from the measured\n"
-            f"   point. Joint angles in {unit}, as the encoders give them.\n   {status}"
+            f"   point. Joint angles in {unit}, as the encoders give them{then}.\n   {status}"
         )
-    functions = [
-        Function(
-            f"int {name}_{verb}({given}, {real} {out}[{q}])",
-            about,
-            f"{state}    return evaluate({argument}, {arm}{out}{none}{trust});\n",
-        ),
-        Function(
-            f"int {name}_{verb}_n(const {real} *{argument}, {real} *{out}, size_t n)",
-            f"The same for n rows of {n} numbers, one after the other; {out} has n rows of {q}.\n"
-            "   Returns the largest status of a row.",
-            f"    int status = 0;\n    for (size_t i = 0; i < n; ++i) {{\n"
-            f"        const int one = {name}_{verb}({argument} + i * {n}, {out} + i * {q});\n"
-            "        status = one > status ? one : status;\n    }\n    return status;\n",
-        ),
-    ]
-    if corrects:
-        functions.append(
-            Function(
-                f"int {name}_point({given}, {real} point_mm[3])",
-                "The corrected centre of the probe in the base frame, mm; status and NaN as above.",
-                f"{state}    {real} y[3];\n"
-                f"    const int status = evaluate({argument}, {arm}y{none}{trust});\n"
-                "    for (int k = 0; k < 3; ++k)\n        point_mm[k] = arm.probe[k] - y[k];\n"
-                "    return status;\n",
-            )
-        )
-    if body.fades:
-        functions.append(
-            Function(
-                f"{real} {name}_trust({given})",
-                "The share of the correction that the fading leaves, of its stages the smallest: 1 "
-                "where\n   the model knows the pose, 0 far away, NaN as above.",
-                f"{state}    {real} y[{q}];\n    (void)evaluate({argument}, {arm}y{none}{trust});\n"
-                "    return trust;\n",
-            )
-        )
-    if std:
-        spread = "std_mm" if corrects else "std"
-        root = f"sqrt{'f' if real == 'float' else ''}"
-        functions.append(
-            Function(
-                f"int {name}_{verb}_std({given}, {real} {out}[{q}], {real} {spread}[{q}])",
-                "The same with its standard deviation, as predict(return_std=True) gives it: it "
-                "grows\n   away from the poses that the model was fitted on.",
-                f"{state}    const int status = "
-                f"evaluate({argument}, {arm}{out}, {spread}{trust});\n"
-                f"    for (int j = 0; j < {q}; ++j)\n"
-                f"        {spread}[j] = {root}({spread}[j]);\n    return status;\n",
-            )
-        )
-    return functions
+    return Function(
+        f"int {names.prefix}_{names.verb}({names.given}, {names.real} {names.out}[{names.q}])",
+        about,
+        f"{names.state}    return evaluate({names.argument}, {names.arm}{names.out}{names.none}"
+        f"{names.trust});\n",
+    )
+
+
+def _many_rows(names):
+    prefix, real, n, q, argument, verb, out, *_ = names
+    return Function(
+        f"int {prefix}_{verb}_n(const {real} *{argument}, {real} *{out}, size_t n)",
+        f"The same for n rows of {n} numbers, one after the other; {out} has n rows of {q}.\n"
+        "   Returns the largest status of a row.",
+        f"    int status = 0;\n    for (size_t i = 0; i < n; ++i) {{\n"
+        f"        const int one = {prefix}_{verb}({argument} + i * {n}, {out} + i * {q});\n"
+        "        status = one > status ? one : status;\n    }\n    return status;\n",
+    )
+
+
+def _point(names):
+    return Function(
+        f"int {names.prefix}_point({names.given}, {names.real} point_mm[3])",
+        "The corrected centre of the probe in the base frame, mm; status and NaN as above.",
+        f"{names.state}    {names.real} y[3];\n"
+        f"    const int status = evaluate({names.argument}, {names.arm}y{names.none}"
+        f"{names.trust});\n"
+        "    for (int k = 0; k < 3; ++k)\n        point_mm[k] = arm.probe[k] - y[k];\n"
+        "    return status;\n",
+    )
+
+
+def _trust(names):
+    return Function(
+        f"{names.real} {names.prefix}_trust({names.given})",
+        "The share of the correction that the fading leaves, of its stages the smallest: 1 "
+        "where\n   the model knows the pose, 0 far away, NaN as above.",
+        f"{names.state}    {names.real} y[{names.q}];\n"
+        f"    (void)evaluate({names.argument}, {names.arm}y{names.none}{names.trust});\n"
+        "    return trust;\n",
+    )
+
+
+def _one_row_with_std(names, corrects):
+    prefix, real, _, q, argument, verb, out, state, arm, _, trust = names
+    spread = "std_mm" if corrects else "std"
+    root = f"sqrt{'f' if real == 'float' else ''}"
+    return Function(
+        f"int {prefix}_{verb}_std({names.given}, {real} {out}[{q}], {real} {spread}[{q}])",
+        "The same with its standard deviation, as predict(return_std=True) gives it: it "
+        "grows\n   away from the poses that the model was fitted on.",
+        f"{state}    const int status = evaluate({argument}, {arm}{out}, {spread}{trust});\n"
+        f"    for (int j = 0; j < {q}; ++j)\n"
+        f"        {spread}[j] = {root}({spread}[j]);\n    return status;\n",
+    )

@@ -13,8 +13,8 @@ from sklearn_raacmm.network import kernel_matrix
 # Centres that are computed together: a multiple of the numbers in a processor's vector.
 _VECTOR = 8
 # Share of a standard deviation that rounding may cost, a third of what is promised, measured at so
-# many of the centres; units in the last place that are tried, the coarsest first.
-_SHARE, _MEASURED_ROWS = 1e-3 / 3, 200
+# many rows; units in the last place that are tried, the coarsest first.
+_SHARE, _MEASURED_ROWS = 1e-3 / 3, 400
 _STEPS = 10.0 ** np.arange(-4, -12, -0.25)
 # From the squared scaled distance s in phi[c] to the radial function, a loop over all centres for
 # each line: only loops without branches and calls are computed for several centres at once.
@@ -116,7 +116,8 @@ def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
 
     Neither can directions be left out (at 266 centres 5 % of them are 3 % of a standard deviation)
     nor are all digits needed. How many are, the centres themselves tell: training rows, where
-    variances are smallest. A row is rounded the finer, the larger it is there.
+    variances are smallest; and the middles between them. A row is rounded the finer, the larger it
+    is there.
 
     Returns
     -------
@@ -125,7 +126,7 @@ def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
     factor : ndarray of shape (k, 1)
         None, None where single precision is not enough, as for data without noise.
     """
-    rows = step.centers_[:: -(-len(step.centers_) // _MEASURED_ROWS)]
+    rows = _rows_to_measure(step.centers_)
     scaled = (rows / step.length_scale_, step.centers_ / step.length_scale_)
     phi = kernel_matrix(*scaled, step.kernel_).T
     u = tail @ np.vstack([np.ones(len(rows)), rows.T])
@@ -148,6 +149,15 @@ def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
         if np.all(np.abs(np.sqrt(variances(g)) - np.sqrt(expected)) <= _SHARE * np.sqrt(expected)):
             return whole, factor
     return None, None
+
+
+def _rows_to_measure(centers):
+    """Some of the centres, and points half way between two of them."""
+    rows = [centers]
+    for shift in range(1, -(-_MEASURED_ROWS // len(centers)) + 1):
+        rows.append((centers + np.roll(centers, shift, axis=0)) / 2)
+    rows = np.concatenate(rows)
+    return rows[np.linspace(0, len(rows) - 1, _MEASURED_ROWS).astype(int)]
 
 
 def _network_variance(numbers, step, with_noise, exact):

@@ -12,7 +12,16 @@ from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
 from sklearn_raacmm.export import _c_columns, _c_network, _c_steps
 from sklearn_raacmm.export._c_text import Numbers
-from sklearn_raacmm.export._steps import KNOWN, LINEAR, SCALERS, arm_of, check_fitted, leaves
+from sklearn_raacmm.export._steps import (
+    KNOWN,
+    LINEAR,
+    SCALERS,
+    STAGES,
+    arm_of,
+    check_fitted,
+    extra_of,
+    leaves,
+)
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 
@@ -29,6 +38,7 @@ class Body(NamedTuple):
     n_outputs: int
     arm: object  # or None
     angle_unit: str
+    extra: tuple  # names of inputs after the angles
     steps: tuple  # of text, for people
     table_bytes: int
     fades: bool
@@ -46,12 +56,14 @@ class _Writer:
         self.numbers, self.std = numbers, std
         self.arm, self.angle_unit = arm_of(model)
         self.parts, self.statements, self.after, self.steps = [], [], [], []
+        self.extra = ()
         self.n_inputs = int(next(leaves(model)).estimator.n_features_in_)
         self.size = self.x_size = self.n_inputs
         self.loaded = False  # whether x holds something by now
         self.n_scalers, self.n_outputs, self.fades = 0, None, False
         if self.arm is not None:
-            self.parts.append(_c_steps.kinematics(numbers, self.arm, self.angle_unit))
+            self.extra = extra_of(model)
+            self.parts.append(_c_steps.kinematics(numbers, self.arm, self.angle_unit, self.extra))
         self.parts.append(_c_steps.all_finite(numbers))
         for path, step in leaves(model):
             if self.n_outputs is not None:
@@ -109,12 +121,12 @@ class _Writer:
                 f"{path} comes after another transformer, which cannot be exported: it has to see "
                 "the joint angles."
             )
-        extra = [name for name, _ in step.linear_model_.terms.extra]
-        if extra:
-            raise ValueError(
-                f"{path} has extra columns ({', '.join(extra)}), which cannot be exported yet."
-            )
         self.n_outputs = 3
+        for i, (name, known) in enumerate(step.linear_model_.terms.extra):
+            if name == "tool":  # predict refuses others
+                given = f"input[{step.arm_.n_joints + i}]"
+                tools = " || ".join(f"{given} == {self.numbers.literal(tool)}" for tool in known)
+                self.statements.append(f"valid = ({tools}) && valid;")
         if isinstance(step, JointHarmonicRegressor):
             self.fades = step.fading_.factor > 0
             doubted = self.std or self.fades
@@ -126,12 +138,12 @@ class _Writer:
             return
         # How much a stage is trusted depends on its standard deviation.
         doubted = self.std or step.fade_ > 0
-        stages = ["none", "harmonics", "harmonics+network"].index(step.use_)
+        stages = STAGES.index(step.use_)
         if stages > 0:
             self.parts.append(_c_columns.error_model(self.numbers, step.linear_model_, doubted))
         if stages > 1:
             if step.joints == "pose":
-                pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.n_features_in_)))
+                pose = PoseFeatures(step.arm_).fit(np.zeros((1, step.arm_.n_joints)))
                 self.parts.append(_c_steps.pose_features(self.numbers, pose)[0])
             self.parts.append(_c_steps.azimuth_direction(self.numbers))
             exact = step.fade_ > 0  # the correction itself depends on the standard deviation
@@ -227,6 +239,7 @@ def body_of(model, dtype="double", std=False):
         writer.n_outputs,
         writer.arm,
         writer.angle_unit,
+        writer.extra,
         tuple(writer.steps),
         numbers.n_bytes,
         writer.fades,

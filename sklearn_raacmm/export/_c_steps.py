@@ -7,6 +7,7 @@ import numpy as np
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
+from sklearn_raacmm.export._c_text import plain
 from sklearn_raacmm.residuals import NORM_TOLERANCE
 
 _KINEMATICS = """\
@@ -17,12 +18,12 @@ struct arm_state {{
     {real} angle[{n}];
     {real} frame[{n1}][4][3];
     {real} probe[3];
-}};
+{extra}}};
 
 /* {convention} Denavit-Hartenberg parameters, frame by frame from the base. */
-static void kinematics(const {real} joint_angles[{n}], struct arm_state *arm)
+static void kinematics(const {real} joint_angles[{n_inputs}], struct arm_state *arm)
 {{
-    for (int i = 0; i < 4; ++i)
+{copied}    for (int i = 0; i < 4; ++i)
         for (int k = 0; k < 3; ++k)
             arm->frame[0][i][k] = i == k ? 1 : 0;
     for (int i = 0; i < {n}; ++i) {{
@@ -61,8 +62,8 @@ _TURNS = {
 }
 
 
-def kinematics(numbers, arm, angle_unit):
-    """Tables of the arm, its state, and the function that fills it."""
+def kinematics(numbers, arm, angle_unit, extra=()):
+    """Tables of the arm, its state, and the function that fills it; `extra` are names of inputs."""
     tables = "".join(
         numbers.table(name, values, note)
         for name, values, note in (
@@ -76,7 +77,16 @@ def kinematics(numbers, arm, angle_unit):
         )
     )
     to_rad = "" if angle_unit == "rad" else f" * {numbers.literal(np.pi / 180)}"
+    n_extra, state, copied = len(extra), "", ""
+    if extra:
+        names = ", ".join(plain(name) for name in extra)
+        state = f"    {numbers.real} extra[{n_extra}]; /* {names} */\n"
+        copied = f"    for (int i = 0; i < {n_extra}; ++i)\n"
+        copied += f"        arm->extra[i] = joint_angles[{arm.n_joints} + i];\n"
     return _KINEMATICS.format(
+        n_inputs=arm.n_joints + n_extra,
+        extra=state,
+        copied=copied,
         real=numbers.real,
         f=numbers.suffix,
         n=arm.n_joints,

@@ -83,8 +83,9 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
         ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
         and ``_DATA_FINGERPRINT``.
 
-        Joint angles are in the unit that `model` takes. A model without an arm, or without three
-        outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
+        Joint angles are in the unit that `model` takes; extra columns, such as a temperature, come
+        after them, and a tool that was not in the fit gives NaN. A model without an arm, or without
+        three outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
 
     dtype : {"double", "float"}, default="double"
         Precision of everything, the functions' arguments included. In single precision a

@@ -11,7 +11,7 @@ from types import MethodType
 
 import numpy as np
 import sklearn
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
@@ -21,7 +21,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_source import fingerprint_of
-from sklearn_raacmm.export._steps import check_fitted
+from sklearn_raacmm.export._steps import STAGES, check_fitted
 from sklearn_raacmm.network import NetworkPosterior, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_shapes, show
@@ -48,6 +48,8 @@ _SHAPES = {
         "RobustScaler": ("center_", "scale_"),
     }.items()
 }
+# What content that is no model raises.
+_UNREADABLE = (TypeError, KeyError, IndexError, AttributeError, ValueError, RecursionError)
 _DTYPES = {"float64": float, "int64": int, "bool": bool}
 # What is no number in JSON.
 _NOT_FINITE = {"NaN": np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
@@ -59,6 +61,12 @@ def text_of(model):
     while hasattr(model, "best_estimator_"):  # of a search: what it has found
         model = model.best_estimator_
     content = _encoded(model, type(model).__name__)
+    try:  # what is damaged, as by a weight that is NaN, is refused now, not in twenty years
+        _decoded(content)
+    except _UNREADABLE as error:
+        raise ValueError(
+            f"{type(model).__name__} cannot be written as JSON, which could not be read: {error}"
+        ) from None
     try:
         fingerprint = fingerprint_of(model)
     except ValueError:  # a chain without a regressor at its end
@@ -102,7 +110,14 @@ def _encoded(value, path):
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {"dict": _encoded_fields(value, path)}
     if type(value).__name__ in _ESTIMATORS and type(value) is _ESTIMATORS[type(value).__name__]:
-        return {"estimator": type(value).__name__, "state": _encoded_fields(vars(value), path)}
+        # A parameter is a pattern, of which fits take copies: it is not written as fitted.
+        state = {
+            key: clone(entry)
+            if isinstance(entry, BaseEstimator) and not key.endswith("_")
+            else entry
+            for key, entry in vars(value).items()
+        }
+        return {"estimator": type(value).__name__, "state": _encoded_fields(state, path)}
     if type(value) in _VALUES.values():
         state = {field.name: getattr(value, field.name) for field in fields(value)}
         return {"value": type(value).__name__, "state": _encoded_fields(state, path)}
@@ -162,7 +177,7 @@ def model_of(text, where="the JSON text"):
         if not isinstance(model, BaseEstimator):
             raise ValueError(f"it holds {show(model)} in place of an estimator")
         check_fitted(model)
-    except (TypeError, KeyError, IndexError, AttributeError, ValueError, RecursionError) as error:
+    except _UNREADABLE as error:
         # Text that whoever wrote the checksum has made, too: say what is wrong with it.
         raise ValueError(f"{where} holds no model that can be built: {error}") from None
     return model
@@ -221,12 +236,11 @@ def _decoded_object(value):
     if kind is None:
         raise ValueError(f"{show(name)} is none of {', '.join(_ESTIMATORS)}")
     state = {key: _decoded(entry) for key, entry in value["state"].items()}
+    if kind is Fading:
+        return _checked_fading(Fading(**state))
     made = kind.__new__(kind)
     if name in _VALUES:
-        set_state = getattr(made, "__setstate__", None)  # checks what it is given
-        if set_state is None:
-            return kind(**state)
-        set_state(state)
+        made.__setstate__(state)  # checks what it is given
         return made
     missing = set(kind._get_param_names()) - set(state)
     if missing:
@@ -241,4 +255,40 @@ def _decoded_object(value):
         if name in ("LinearRegression", "Ridge"):
             q = ("q",) if np.ndim(state["coef_"]) == 2 else ()
             check_shapes(name, state, {"coef_": (*q, "d")}, {"d": state["n_features_in_"]})
+    made._validate_params()
+    fitted = any(key.endswith("_") for key in state)  # a parameter may be an estimator, too
+    if fitted and kind in (JointHarmonicRegressor, ArmResidualRegressor):
+        _check_stages(name, state)
     return made
+
+
+def _checked_fading(fading):
+    """The fading, if it is one: a correction would be NaN, or grow where little is known."""
+    for field in fields(fading):
+        value = getattr(fading, field.name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
+            raise ValueError(
+                f"{field.name} of Fading must be a finite number of at least 0, got {show(value)}"
+            )
+    return fading
+
+
+def _check_stages(name, state):
+    """Refuse an estimator of the arm whose stages are not all there."""
+    use = state.get("use_", "harmonics")
+    if use not in STAGES:
+        raise ValueError(f"use_ of {name} must be one of {', '.join(STAGES)}, got {show(use)}")
+    n_stages = STAGES.index(use)
+    fadings = state.get("fadings_", [state.get("fading_")])
+    wanted = {"linear_model_": LinearModel}
+    if n_stages > 1:
+        wanted["network_"] = RBFNetRegressor
+    for key, kind in wanted.items():
+        if not isinstance(state.get(key), kind):
+            raise ValueError(f"{key} of {name} is no {kind.__name__}")
+    whole = isinstance(fadings, list) and all(isinstance(entry, Fading) for entry in fadings)
+    if not whole or len(fadings) < max(n_stages, 1):
+        raise ValueError(f"{name} does not say how each of its stages fades")
+    cap = state.get("cap_mm_", np.inf)
+    if isinstance(cap, bool) or not isinstance(cap, int | float) or not cap >= 0:
+        raise ValueError(f"cap_mm_ of {name} must be a number of at least 0, got {show(cap)}")

@@ -19,7 +19,7 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_source import fingerprint_of
-from sklearn_raacmm.export._steps import arm_of, check_fitted, leaves
+from sklearn_raacmm.export._steps import arm_of, check_fitted, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
     centred,
@@ -115,13 +115,14 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
         raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {n_folds!r}.")
     arm, unit = _arm(model)
     first = next(leaves(model)).estimator
+    then = "".join(f", then {name}" for name in extra_of(model))
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=_fingerprint(model),
         steps=[_step(step) for _, step in leaves(model)],
         input=f"{first.n_features_in_} columns"
         if arm is None
-        else f"{arm.n_joints} joint angles in {unit}",
+        else f"{arm.n_joints} joint angles in {unit}{then}",
         output="residual of the probe in the base frame, mm: subtract it from the measured point"
         if arm is not None
         else "as fitted",
@@ -137,29 +138,33 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
     if updates:
         card["updates"] = [dict(entry) for entry in updates]
     if X is not None:
-        given = X  # a table keeps the names that the model was fitted with
-        refuse_disguised("X", X)
-        X = check_array(X, dtype=np.float64, input_name="X")
-        if X.shape[1] != first.n_features_in_:
-            raise ValueError(
-                f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
-            )
-        codes = None
-        if groups is not None:
-            codes = encode_groups(groups, len(X))[1]
-        if y is not None:
-            refuse_disguised("y", y)
-            y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
-            check_consistent_length(X, y)
-        card["training"] = _training(X, codes, arm, unit)
-        card["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
-        if y is not None:
-            named = given if hasattr(first, "feature_names_in_") else X
-            # A copy that is fitted anew is not the updated model.
-            card["error"] = _error(model, named, y, codes, groups, 0 if updates else n_folds)
-            if updates:
-                card["error"]["after_is_measured_at"] += "; the model was updated after its fit"
+        card.update(_of_rows(model, X, y, groups, 0 if updates else n_folds))
+        if updates and "error" in card:  # a copy that is fitted anew is not the updated model
+            card["error"]["after_is_measured_at"] += "; the model was updated after its fit"
     return card
+
+
+def _of_rows(model, X, y, groups, n_folds):
+    """The card's sections on the rows given: `training`, and with y `error`."""
+    first, (arm, unit) = next(leaves(model)).estimator, _arm(model)
+    given = X  # a table keeps the names that the model was fitted with
+    refuse_disguised("X", X)
+    X = check_array(X, dtype=np.float64, input_name="X")
+    if X.shape[1] != first.n_features_in_:
+        raise ValueError(
+            f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
+        )
+    codes = None if groups is None else encode_groups(groups, len(X))[1]
+    if y is not None:
+        refuse_disguised("y", y)
+        y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
+        check_consistent_length(X, y)
+    sections = {"training": _training(X, codes, arm, unit, extra_of(model))}
+    sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
+    if y is not None:
+        named = given if hasattr(first, "feature_names_in_") else X
+        sections["error"] = _error(model, named, y, codes, groups, n_folds)
+    return sections
 
 
 def _text(name, value):
@@ -203,12 +208,15 @@ def _step(step):
     return name
 
 
-def _training(X, codes, arm, unit):
+def _training(X, codes, arm, unit, extra):
     facts = {"rows": len(X), "positions": None if codes is None else int(codes.max()) + 1}
     if arm is None:
         return facts
+    X, given = X[:, : arm.n_joints], X[:, arm.n_joints :]
     facts[f"smallest_joint_angles_{unit}"] = X.min(axis=0).round(4).tolist()
     facts[f"largest_joint_angles_{unit}"] = X.max(axis=0).round(4).tolist()
+    for name, column in zip(extra, given.T, strict=True):
+        facts[f"range_of_{name.replace(' ', '_')}"] = [float(column.min()), float(column.max())]
     points = arm.forward(X, angle_unit=unit)
     radius = np.hypot(*points[:, :2].T)
     facts["distance_from_the_base_axis_mm"] = [float(radius.min()), float(radius.max())]

@@ -5,10 +5,10 @@
 
 import numpy as np
 
-from sklearn_raacmm.error_model import LOAD, SHIFT, column_table
-from sklearn_raacmm.export._onnx_graph import Graph, angle, point, transforms
+from sklearn_raacmm.error_model import LOAD, PUSH, SHIFT, column_table, given_factors
+from sklearn_raacmm.export._onnx_graph import Graph, TensorProto, angle, point, transforms
 from sklearn_raacmm.export._onnx_steps import azimuth, network, pose_angles, to_cartesian
-from sklearn_raacmm.export._steps import arm_of, fadings_of, posterior_spectrum
+from sklearn_raacmm.export._steps import arm_of, fadings_of, force_of, posterior_spectrum
 
 # Entry [j, 3 k + i] of the product that makes the matrix of ``u -> u x r`` of r: (u x r)_k is the
 # sum over i and j of it times u_i r_j.
@@ -64,8 +64,19 @@ def _waves(graph, table, angles):
     return graph("Gather", waves, graph.integers(*which), axis=1)
 
 
+def _at_columns(graph, m, parts):
+    """Factor of each of m columns, (n, m): of parts (columns, name of (n, len)); 1 elsewhere."""
+    which, n = np.zeros(m, dtype=int), 1
+    for columns, _ in parts:
+        which[columns] = n + np.arange(len(columns))
+        n += len(columns)
+    ones = graph("Add", graph.refusal(parts[0][1]), 1.0)
+    both = graph("Concat", ones, *(factors for _, factors in parts), axis=1)
+    return graph("Gather", both, graph.integers(*which), axis=1)
+
+
 def _torques(graph, table, vectors, places, n_frames):
-    """Torque about its axis of each column's load, mm; 1 where it has none, (n, m)."""
+    """Columns of loads, and their torques about their axes, mm."""
     loaded = np.flatnonzero(table.kind == LOAD)
     axis = (3 * n_frames + 3 * table.frame + table.axis)[loaded]  # gravity is along -z
     axis = graph("Gather", vectors, graph.integers(*axis), axis=2)
@@ -76,15 +87,65 @@ def _torques(graph, table, vectors, places, n_frames):
     lever = graph("Transpose", graph("Sub", *ends), perm=[0, 2, 1])
     ux, uy = (graph("Gather", axis, graph.constant(i, np.int64), axis=1) for i in (0, 1))
     rx, ry = (graph("Gather", lever, graph.constant(i, np.int64), axis=1) for i in (0, 1))
-    torque = graph("Sub", graph("Mul", uy, rx), graph("Mul", ux, ry))
-    which = np.zeros(len(table.kind), dtype=int)
-    which[loaded] = 1 + np.arange(len(loaded))
-    ones = graph("Add", graph.refusal(torque), 1.0)
-    both = graph("Concat", ones, torque, axis=1)
-    return graph("Gather", both, graph.integers(*which), axis=1)
+    return loaded, graph("Sub", graph("Mul", uy, rx), graph("Mul", ux, ry))
 
 
-def _linear_model(graph, linear, angles, poses, doubted):
+def _pushes(graph, table, vectors, values, extra):
+    """Columns of a force on the probe, and its torques about their axes."""
+    pushed = np.flatnonzero(table.kind == PUSH)
+    mean = np.array([[reference[0] for _, reference in extra]])
+    force = graph("MatMul", graph("Sub", values, mean), force_of(extra).T)
+    turns = (3 * table.frame + table.axis)[pushed]
+    turns = graph("Gather", vectors, graph.integers(*turns), axis=2)
+    torque = graph("MatMul", graph("Unsqueeze", force, graph.integers(1)), turns)
+    return pushed, graph("Squeeze", torque, graph.integers(1))
+
+
+def _given(graph, factors, values):
+    """Columns that extra columns multiply, and by what: 1 or 0 for a tool, else a difference."""
+    parts = []
+    for of_tool in np.unique(factors.of_tool):
+        column, by, reference, _ = (field[factors.of_tool == of_tool] for field in factors)
+        value = graph("Gather", values, graph.integers(*by), axis=1)
+        operation = "Equal" if of_tool else "Sub"
+        value = graph(operation, value, reference[None, :])
+        parts.append((column, graph("Cast", value, to=TensorProto.DOUBLE)))
+    return parts
+
+
+def _unknown_tools(graph, values, extra):
+    """A column of zeros, NaN where a tool is none of the fit's, which predict refuses."""
+    total = graph.refusal(values)
+    for i, (name, known) in enumerate(extra):
+        if name == "tool":
+            same = graph("Equal", graph.columns(values, i, i + 1), np.array([known]))
+            same = graph("Cast", same, to=TensorProto.DOUBLE)
+            count = graph("ReduceSum", same, graph.integers(1), keepdims=1)
+            total = graph.where(graph("Less", count, 0.5), np.nan, total)
+    return total
+
+
+def _sizes(graph, linear, table, angles, values, vectors, places):
+    """Size of each column, (n, m): unit, wave, torque, and what an extra column says."""
+    m, n_frames = len(table.kind), linear.arm.n_joints + 1
+    size = graph("Add", graph.refusal(angles), table.unit[None, :])
+    if np.any(table.order):
+        size = graph("Mul", size, _waves(graph, table, angles))
+    parts = []
+    if np.any(table.kind == LOAD):
+        parts.append(_torques(graph, table, vectors, places, n_frames))
+    if np.any(table.kind == PUSH):
+        parts.append(_pushes(graph, table, vectors, values, linear.terms.extra))
+    if parts:
+        size = graph("Mul", size, _at_columns(graph, m, parts))
+    factors = given_factors(linear.arm, linear.terms)
+    if len(factors.column):
+        parts = _given(graph, factors, values)
+        size = graph("Mul", size, _at_columns(graph, m, parts))
+    return size
+
+
+def _linear_model(graph, linear, angles, values, poses, doubted):
     """Correction (n, 3) of a `LinearModel`, and the sum of its variances (n, 1) if `doubted`."""
     table, n_frames = column_table(linear.arm, linear.terms), linear.arm.n_joints + 1
     if not len(table.kind):
@@ -92,11 +153,7 @@ def _linear_model(graph, linear, angles, poses, doubted):
         return graph("Add", nothing, np.zeros((1, 3))), nothing
     axes, places = _frames(graph, linear.arm, poses)
     vectors = _vectors(graph, axes, places, n_frames)
-    size = graph("Add", graph.refusal(angles), table.unit[None, :])
-    if np.any(table.order):
-        size = graph("Mul", size, _waves(graph, table, angles))
-    if np.any(table.kind == LOAD):
-        size = graph("Mul", size, _torques(graph, table, vectors, places, n_frames))
+    size = _sizes(graph, linear, table, angles, values, vectors, places)
     which = np.where(table.kind == SHIFT, 3 * n_frames, 0) + 3 * table.frame + table.axis
     columns = graph("Gather", vectors, graph.integers(*which), axis=2)
     columns = graph("Mul", columns, graph("Unsqueeze", size, graph.integers(1)))
@@ -152,13 +209,20 @@ def convert_arm_model(scope, operator, container):
     """Either of the arm's estimators: their stages, each faded, and the cap of their sum."""
     step, graph = operator.raw_operator, Graph(scope, container)
     arm, unit = arm_of(step)
-    angles = graph.radians(graph.as_double(operator.inputs[0]), unit)
+    given, extra = graph.as_double(operator.inputs[0]), step.linear_model_.terms.extra
+    values = None
+    if extra:
+        values = graph.columns(given, arm.n_joints, arm.n_joints + len(extra))
+        given = graph.columns(given, 0, arm.n_joints)
+    angles = graph.radians(given, unit)
     use, fadings = getattr(step, "use_", "harmonics"), fadings_of(step)
     total = graph("Add", graph.refusal(angles), np.zeros((1, 3)))
+    if extra:
+        total = graph("Add", total, _unknown_tools(graph, values, extra))
     doubted = fadings[0].factor > 0
     if use != "none":
         poses = transforms(graph, arm, angles)
-        y, variance = _linear_model(graph, step.linear_model_, angles, poses, doubted)
+        y, variance = _linear_model(graph, step.linear_model_, angles, values, poses, doubted)
         total = graph("Add", total, _faded(graph, y, variance, fadings[0]))
     if use == "harmonics+network":
         x = angles

@@ -37,8 +37,12 @@ class Graph:
         self._scope, self._container = scope, container
 
     def constant(self, value, dtype=np.float64):
-        """Name of a constant."""
+        """Name of a constant; ValueError for a table with NaN, which no refusal has."""
         value = np.asarray(value, dtype=dtype)
+        if value.size > 1 and not np.isfinite(value).all():
+            raise ValueError(
+                "The model holds a number that is not finite: it cannot be written as ONNX."
+            )
         kind = TensorProto.DOUBLE if dtype is np.float64 else TensorProto.INT64
         name = self._scope.get_unique_variable_name("raacmm_constant")
         self._container.add_initializer(name, kind, list(value.shape), value.ravel().tolist())

@@ -16,11 +16,14 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model import force_on_probe
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
+# What an ArmResidualRegressor uses, by the number of its stages.
+STAGES = ("none", "harmonics", "harmonics+network")
 
 
 class Step(NamedTuple):
@@ -116,6 +119,28 @@ def arm_of(model):
 def n_outputs(network):
     """Number of outputs of a fitted `RBFNetRegressor`, whatever the shape of its target."""
     return 1 if getattr(network.intercept_, "ndim", 0) == 0 else len(network.intercept_)
+
+
+def extra_of(model):
+    """Names of the columns after the angles that the arm's estimator of a chain takes."""
+    for _, step in leaves(model):
+        linear = getattr(step, "linear_model_", None)
+        if linear is not None:
+            return tuple(name for name, _ in linear.terms.extra)
+    return ()
+
+
+def force_of(extra):
+    """Force on the probe of one unit of each extra column, (3, n_extra), base frame.
+
+    Parameters
+    ----------
+    extra : tuple of (str, tuple of float)
+        As `Terms` has it.
+    """
+    mean = np.array([reference[0] for _, reference in extra])
+    one = force_on_probe(extra, mean + np.eye(len(extra)))
+    return np.round(one - force_on_probe(extra, mean[None])).T
 
 
 def fadings_of(step):

@@ -179,6 +179,12 @@ def _projected_triangle(problem, features, view, rank):
     p = 0 if view.projection is None else len(view.projection)
     function = partial(_triangle, features=features, view=view)
     R = problem.reduce(function, stack_triangles, p + rank + len(view.outputs))
+    if p and len(problem.basis_rows):
+        # The ridge of the tail: further rows of it, where the features are 0, and the targets, too.
+        below = np.zeros((len(problem.basis_rows), R.shape[1]))
+        below[:, :p] = problem.basis_rows
+        below[:, p + rank :] = -problem.basis_rows @ view.projection / view.scale
+        R = stack_triangles(R, below)
     padded = np.zeros((R.shape[1], R.shape[1]))
     padded[: len(R)] = R
     inner = slice(p, p + rank)

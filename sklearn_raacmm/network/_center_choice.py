@@ -13,6 +13,7 @@ from sklearn_raacmm.network._forward_selection import (
     squared_ratio_score,
     total_score,
 )
+from sklearn_raacmm.network._kernels import largest
 from sklearn_raacmm.network._nested_fits import size_scores
 from sklearn_raacmm.utils import stage
 
@@ -25,6 +26,9 @@ _MAX_CENTERS = dict.fromkeys(("posterior", "error_reduction", "mse"), 2000) | {"
 _RANK_PER_CENTER = 1.5
 # Mean part of the prior variance outside the candidates' factor that is passed over in silence.
 _UNSEEN = 0.01
+# Of a warm start: candidates beside the last centres, as a share of these and at the least. With
+# 1 % more rows a twentieth would do; the rest is for rows from where there were none.
+_NEW, _FEWEST_NEW = 0.3, 50
 # Ratio of ridges up to which outputs see the candidates alike.
 _ALIKE = 4.0
 
@@ -39,6 +43,19 @@ class CenterSettings(NamedTuple):
     candidates: int | None  # None: `MAX_CANDIDATES`
     selection: str
     refine: bool
+
+    @classmethod
+    def of(cls, estimator):
+        """Those of an `RBFNetRegressor`."""
+        return cls(
+            None if estimator.n_centers == "auto" else estimator.n_centers,
+            estimator.criterion,
+            estimator.tol,
+            estimator.max_centers,
+            estimator.max_candidates,
+            estimator.selection,
+            estimator.refine,
+        )
 
 
 def criterion_in_force(settings, alpha):
@@ -63,7 +80,7 @@ def criterion_in_force(settings, alpha):
 
 
 @stage("centres of the network")
-def choose_centers(problem, alpha, functions, settings, rng):
+def choose_centers(problem, alpha, functions, settings, rng, last=None):
     """Choose centres in order of how much they lower the objective.
 
     Parameters
@@ -75,6 +92,8 @@ def choose_centers(problem, alpha, functions, settings, rng):
     settings : CenterSettings
     rng : numpy.random.RandomState
         Draws the candidates.
+    last : NetworkPosterior, optional
+        Of other rows; its centres are candidates, and rows that are far from them.
 
     Returns
     -------
@@ -93,6 +112,9 @@ def choose_centers(problem, alpha, functions, settings, rng):
     criterion = criterion_in_force(settings, alpha)
     n, most = len(problem.X), settings.candidates or MAX_CANDIDATES
     rows = np.arange(n) if n <= most else np.sort(rng.permutation(n)[:most])
+    if last is not None:
+        near = rows_near(problem.X, last)
+        rows = near if (settings.n_centers or 1) <= len(near) else rows
     n_select = _most_steps(settings, criterion, len(rows))
     view = problem.view(centred=settings.selection == "ols")
     if not len(view.outputs):
@@ -127,6 +149,31 @@ def choose_centers(problem, alpha, functions, settings, rng):
         "dependent": "rank" if candidates.unseen > 0 else "dependent",
     }
     return rows[indices], reasons[found.stop]
+
+
+def rows_near(X, last):
+    """Rows that are centres of another network, and those that it knows least of.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n, d)
+        Distinct rows.
+    last : NetworkPosterior
+
+    Returns
+    -------
+    ndarray of shape (m,)
+        Sorted; empty where fewer than half of the centres are among the rows.
+    """
+    number = {row.tobytes(): i for i, row in enumerate(X)}
+    same = [number.get((center + 0.0).tobytes()) for center in last.centers]
+    same = [i for i in same if i is not None]
+    if 2 * len(same) <= len(last.centers):
+        return np.empty(0, dtype=np.intp)
+    outside = last.outside(X)
+    outside[same] = -1.0
+    new = largest(outside, min(len(X) - len(same), max(_FEWEST_NEW, int(_NEW * len(same)))))
+    return np.sort(np.append(same, new).astype(np.intp))
 
 
 def _most_steps(settings, criterion, n_candidates):

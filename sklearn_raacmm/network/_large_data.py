@@ -21,6 +21,7 @@ from sklearn_raacmm.network._training_data import (
     independent_features,
     merge,
     prepare,
+    ridge_rows,
     tail_coefficients,
     view_of,
 )
@@ -261,10 +262,14 @@ class ChunkedProblem(NamedTuple):
     tail_map: np.ndarray
     projection: np.ndarray
     spread: np.ndarray
+    tail_ridge: float
+    basis_rows: np.ndarray
+    tail_dof: float
     chunks: ArrayChunks | DaskChunks
     tail: _Tail
 
     view = view_of
+    tail_rows = Problem.tail_rows
 
     @property
     def n_tail(self):
@@ -277,7 +282,7 @@ class ChunkedProblem(NamedTuple):
         )
 
 
-def chunked_problem(chunks, n_features, degree, size, seed):
+def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
     """Set up a problem by one pass over the rows.
 
     Parameters
@@ -289,6 +294,8 @@ def chunked_problem(chunks, n_features, degree, size, seed):
         Distinct rows to hold.
     seed : int
         Of the sample.
+    ridged : bool
+        Whether the linear part of the tail has a ridge: that of the sample.
 
     Returns
     -------
@@ -306,8 +313,9 @@ def chunked_problem(chunks, n_features, degree, size, seed):
     if not summary.n_rows:
         raise ValueError("Sample weights must contain at least one non-zero number.")
     d, q = n_features, len(summary.mean) - n_features
+    sample = prepare(summary.sample, degree, ridged)
     if summary.complete:
-        return prepare(summary.sample, degree)
+        return sample
     weight, mean, unit = summary.n_rows, summary.mean, summary.weight / summary.n_rows
     scatter = summary.scatter / unit
     center, scale = mean[:d], np.sqrt(scatter.diagonal()[:d] / weight)
@@ -321,6 +329,7 @@ def chunked_problem(chunks, n_features, degree, size, seed):
         root = np.zeros((1 + len(used),) * 2)
         root[0, 0] = np.sqrt(weight)
         correlation = scatter[np.ix_(used, used)] / np.outer(scale[used], scale[used])
+        correlation[np.diag_indices(len(used))] += sample.tail_ridge
         root[1:, 1:] = cholesky(correlation) if len(used) else correlation
         along = scatter[used, d:] / scale[used, None]
         if len(used):
@@ -331,7 +340,8 @@ def chunked_problem(chunks, n_features, degree, size, seed):
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * summary.largest[d:]] = 0.0
     tail = _Tail(used, center, scale, root, unit)
-    sample = prepare(summary.sample, degree)
+    basis_rows = ridge_rows(len(root), sample.tail_ridge)
+    basis_rows = solve_triangular(root, basis_rows.T, trans="T").T if len(root) else basis_rows
     return ChunkedProblem(
         sample.X,
         sample.first,
@@ -343,6 +353,9 @@ def chunked_problem(chunks, n_features, degree, size, seed):
         tail_map,
         projection,
         spread,
+        sample.tail_ridge,
+        basis_rows,
+        len(root) - np.square(basis_rows).sum(),
         chunks,
         tail,
     )

@@ -40,14 +40,15 @@ def stack_triangles(upper, lower):
     return triangular_factor(np.vstack([upper, lower]))
 
 
-def nested_least_squares(R, n_tail, penalty_root, alphas, within):
+def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None):
     """Solve every nested subset, with no use of the running figures of the selection.
 
     Parameters
     ----------
     R : ndarray of shape (<= p + k + n_outputs, p + k + n_outputs)
-        Triangular factor of the polynomial tail, which is not penalised, the members in order, and
-        the targets; all times root weight. Everything depends on the rows through it only.
+        Triangular factor of the polynomial tail, the members in order, and the targets; all times
+        root weight. A ridge of the tail is among the rows. Everything depends on these through it
+        only.
     n_tail : int
         Number p of columns of the tail.
     penalty_root : ndarray of shape (m, k)
@@ -56,6 +57,8 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within):
         Factor of the penalty.
     within : ndarray of shape (n_outputs,)
         Sum of squares that no model can explain, because repeated rows were merged.
+    tail_dof : float, optional
+        Effective number of the tail's columns, fewer than p where they have a ridge.
 
     Returns
     -------
@@ -82,8 +85,8 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within):
         gained = np.cumsum(np.square(rotated[p:, of]), axis=0)
         objective[0, of] = rss[0, of]
         objective[1:, of] = rss[0, of] - gained
-        dof[0, of] = p
-        dof[1:, of] = p + np.cumsum(np.square(Q[:, p:]).sum(axis=0))[:, None]
+        dof[0, of] = p if tail_dof is None else tail_dof
+        dof[1:, of] = dof[0, of] + np.cumsum(np.square(Q[:, p:]).sum(axis=0))[:, None]
         for i in of:
             triangles[i] = triangle
     # A difference of large numbers: the objective is never below its own first part.

@@ -177,10 +177,19 @@ class NetworkPosterior:
                 variance[part] = self._variance(X[part], K, with_noise)
         return mean, np.sqrt(variance) if return_std else None
 
+    def outside(self, X):
+        """Part of the prior variance at some rows that the centres do not explain, (n,)."""
+        found = np.empty(len(X))
+        for part in chunks(len(X), _CHUNK // max(len(self.centers), 1)):
+            found[part] = self._outside(self.radial(X[part]))
+        return found
+
+    def _outside(self, K):
+        return np.maximum(1 - np.square(K @ self.prior_root.T).sum(axis=1), 0.0)
+
     def _variance(self, X, K, with_noise):
         """Variance of the weights' part, and of what lies outside the centres' span, (n, q)."""
-        outside = np.maximum(1 - np.square(K @ self.prior_root.T).sum(axis=1), 0.0)
-        variance = np.outer(outside, self.signal_variance)
+        variance = np.outer(self._outside(K), self.signal_variance)
         rows, of_weights = self._columns(X, K), {}
         for i, R in enumerate(self._roots):
             if id(R) not in of_weights:
@@ -328,7 +337,11 @@ def fit_path(problem, order, alpha, functions):
     columns = Features(Z, shift, length_scale, kernel)
     p = problem.n_tail
     R = problem.reduce(partial(triangle_of_block, columns), stack_triangles, p + len(order))
-    return nested_least_squares(R, p, root, alpha, problem.within)
+    if len(problem.tail_rows):
+        below = np.zeros((len(problem.tail_rows), R.shape[1]))
+        below[:, :p] = problem.tail_rows
+        R = stack_triangles(R, below)
+    return nested_least_squares(R, p, root, alpha, problem.within, problem.tail_dof)
 
 
 def posterior_of(problem, path, centers, alpha, functions):
@@ -353,8 +366,10 @@ def posterior_of(problem, path, centers, alpha, functions):
     # The likelihood's estimates; without a ridge the residual and the targets' own variance.
     ridged = alpha > 0
     plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
-    noise = np.where(ridged, path.objective[k] / max(problem.n_total - p, 1), plain)
-    known = problem.n_total > p  # one observation says nothing of its error
+    # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
+    free = problem.n_total - (1 if problem.tail_ridge else p)
+    noise = np.where(ridged, path.objective[k] / max(free, 1), plain)
+    known = free > 0  # one observation says nothing of its error
     noise = noise if known else np.full(len(noise), np.inf)
     signal = noise / np.where(ridged, alpha, 1.0)
     # One triangle, packed, from which those of all outputs follow.

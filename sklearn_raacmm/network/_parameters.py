@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_raacmm.network._width_search import ALPHA_BOUNDS, WIDTH_BOUNDS
+from sklearn_raacmm.network._width_objective import ALPHA_BOUNDS, WIDTH_BOUNDS
 from sklearn_raacmm.utils import LARGEST, floats
 
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.

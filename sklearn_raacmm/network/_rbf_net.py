@@ -25,7 +25,7 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
-from sklearn_raacmm.network._tuning import tune
+from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
@@ -86,7 +86,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
     degree : {-1, 0, 1}, default=0
-        Degree of the unpenalised polynomial: none, a constant, or linear in the features.
+        Degree of the polynomial: none, a constant, or linear in the features. The linear part has
+        a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
+        none if `alpha` is given.
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:
@@ -126,6 +128,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     refine : bool, default=False
         After the forward pass exchange centres, one for a better one, until nothing improves. A
         given number of centres is then used better, at up to several times the cost.
+
+    warm_start : bool, default=False
+        Start a refit from the last fit, for data that have changed little: kernel, widths and
+        ridges are kept if the likelihood says that they are right for the new rows, too, and are
+        searched for anew if not; candidates are the last centres, and rows far from all of them.
 
     random_state : int, RandomState instance or None, default=None
         Draws the candidates, and the rows on which kernel, widths and ridge are found: the search
@@ -261,6 +268,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "loss": [StrOptions({"squared", "tukey"})],
         "selection": [StrOptions({"ols", "newrb"})],
         "refine": ["boolean"],
+        "warm_start": ["boolean"],
         "random_state": ["random_state"],
     }
 
@@ -279,6 +287,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         loss="squared",
         selection="ols",
         refine=False,
+        warm_start=False,
         random_state=None,
     ):
         self.n_centers = n_centers
@@ -293,6 +302,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.loss = loss
         self.selection = selection
         self.refine = refine
+        self.warm_start = warm_start
         self.random_state = random_state
 
     @fit_context(prefer_skip_nested_validation=True)
@@ -359,18 +369,22 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     def _fit_weighted(self, X, y, sample_weight):
         """Fit by least squares with given weights."""
         rng = check_random_state(self.random_state)
+        tail = self.degree, isinstance(self.alpha, str)
         problem = read_problem(
-            self, X, y, sample_weight, self.degree, self.max_candidates or MAX_CANDIDATES, rng
+            self, X, y, sample_weight, tail, self.max_candidates or MAX_CANDIDATES, rng
         )
         width = check_length_scale(self.length_scale, self.n_features_in_)
         check_resolved(width, problem.X, self.alpha)
         alpha = check_alpha(self.alpha, len(problem.spread))
         isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
-        functions, alpha, log_likelihood = tune(problem, self.kernel, width, alpha, isotropic, rng)
+        last = last_network(self, problem) if self.warm_start else None
+        functions, alpha, log_likelihood = tune(
+            problem, self.kernel, width, alpha, isotropic, rng, last
+        )
         if log_likelihood is not None:
             self.log_marginal_likelihood_value_ = log_likelihood
-        settings = self._center_settings()
-        order, stop_reason = choose_centers(problem, alpha, functions, settings, rng)
+        settings = CenterSettings.of(self)
+        order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
         path = fit_path(problem, order, alpha, functions)
         k, scores, reached = choose_size(problem, alpha, path, settings)
         self.posterior_ = posterior_of(problem, path, order[:k], alpha, functions)
@@ -381,18 +395,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
         self.error_reduction_ = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
         self.relevance_ = relevance(problem, self.posterior_)
-
-    def _center_settings(self):
-        """The parameters that decide on the centres."""
-        return CenterSettings(
-            None if self.n_centers == "auto" else self.n_centers,
-            self.criterion,
-            self.tol,
-            self.max_centers,
-            self.max_candidates,
-            self.selection,
-            self.refine,
-        )
 
     def predict(self, X, return_std=False, return_cov=False, with_noise=True):
         """Predict targets.

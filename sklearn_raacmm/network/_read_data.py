@@ -11,22 +11,38 @@ from sklearn_raacmm.utils import LARGEST, check_data, check_weights
 IN_MEMORY_ROWS = 100_000
 
 
-def read_problem(estimator, X, y, sample_weight, degree, most_candidates, rng):
+def read_problem(estimator, X, y, sample_weight, tail, most_candidates, rng):
     """The data, checked: in memory, or in blocks where they are many or elsewhere.
 
     Notes the number of features on the estimator, and as `_flat` whether y has one dimension.
+
+    Parameters
+    ----------
+    estimator : RBFNetRegressor
+    X, y, sample_weight
+        As given to its `fit`.
+    tail : tuple of (int, bool)
+        Degree of the polynomial, and whether its linear part has a ridge.
+    most_candidates : int
+        Rows that may become centres.
+    rng : numpy.random.RandomState
+        Draws them where there are more.
 
     Returns
     -------
     Problem or ChunkedProblem
     """
-    held = max(most_candidates, SAMPLE_ROWS)
+    held, (degree, ridged) = max(most_candidates, SAMPLE_ROWS), tail
+
+    def in_blocks(chunks, n_features):
+        return chunked_problem(chunks, n_features, degree, held, rng.randint(2**31), ridged)
+
     if is_dask(X):
         chunks = dask_chunks(X, y, sample_weight)
         if len(chunks) > IN_MEMORY_ROWS:
             estimator.n_features_in_ = X.shape[1]
             estimator._flat = y.ndim == 1
-            return chunked_problem(chunks, X.shape[1], degree, held, rng.randint(2**31))
+            return in_blocks(chunks, X.shape[1])
         X, y = X.compute(), np.asarray(y)
         sample_weight = None if sample_weight is None else np.asarray(sample_weight)
     X, y = check_data(estimator, X, y)
@@ -36,9 +52,8 @@ def read_problem(estimator, X, y, sample_weight, degree, most_candidates, rng):
     estimator._flat = y.ndim == 1
     Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
     if len(X) <= IN_MEMORY_ROWS:
-        return prepare(merge(X, Y, weights), degree)
-    chunks = ArrayChunks(X, Y, weights)
-    return chunked_problem(chunks, X.shape[1], degree, held, rng.randint(2**31))
+        return prepare(merge(X, Y, weights), degree, ridged)
+    return in_blocks(ArrayChunks(X, Y, weights), X.shape[1])
 
 
 def refuse_tiny(name, array):

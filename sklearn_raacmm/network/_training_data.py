@@ -2,7 +2,7 @@
 
 All that the numerics need of the rows is a sum over them, or a triangular factor, which blocks of
 rows contribute to one after another. So they ask a problem to `reduce` a function over blocks, and
-do not know whether the rows are in memory (`Problem`) or elsewhere (`_chunks.ChunkedProblem`).
+do not know whether the rows are in memory (`Problem`) or elsewhere (`_large_data.ChunkedProblem`).
 """
 
 from functools import reduce
@@ -16,6 +16,8 @@ from sklearn_raacmm.utils import chunk_size, chunks
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
 SMALL_BLOCK, BLOCK = 2**19, 2**23
+# Ridges of the linear tail that are tried: powers of 2, whose choice no rounding changes.
+TAIL_RIDGES = 2.0 ** np.arange(-40, 41)
 
 
 def block_rows(width):
@@ -75,16 +77,24 @@ class Problem(NamedTuple):
     targets: np.ndarray  # (n, q) mean targets times root
     within: np.ndarray  # (q,) sum of squares lost by taking means
     tail: np.ndarray  # (n, p) polynomial tail times root
-    basis: np.ndarray  # (n, p) orthonormal basis of it
+    basis: np.ndarray  # (n, p) orthonormal basis of it, together with `basis_rows`
     tail_map: np.ndarray  # (p, d + 1) its coefficients to those of (1, x)
     projection: np.ndarray  # (p, q) targets along the basis
     spread: np.ndarray  # (q,) root mean square of the targets about the tail, 0 for a constant
+    tail_ridge: float  # of the tail's linear part, in units of an observation
+    basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis; none without it
+    tail_dof: float  # effective number of the tail's columns
 
     view = view_of
 
     @property
     def n_rows(self):
         return len(self.X)
+
+    @property
+    def tail_rows(self):
+        """The ridge as further rows of the tail."""
+        return ridge_rows(self.n_tail, self.tail_ridge)
 
     @property
     def n_tail(self):
@@ -176,13 +186,15 @@ def merge(X, Y, weights, within=None, count=None):
     return Merged(distinct, kept[first], total, mean, within, observed)
 
 
-def prepare(merged, degree):
+def prepare(merged, degree, ridged=False):
     """Set up the polynomial tail.
 
     Parameters
     ----------
     merged : Merged
     degree : {-1, 0, 1}
+    ridged : bool
+        Whether the linear part has a ridge, found by the likelihood.
 
     Returns
     -------
@@ -195,16 +207,89 @@ def prepare(merged, degree):
     root = np.sqrt(weights)[:, None]
     tail, tail_map = _polynomial(X, weights, degree)
     tail = root * tail
-    basis = qr(tail, mode="economic", check_finite=False)[0] if tail.size else tail
     targets = root * Y
+    ridge = 0.0
+    if ridged and degree == 1:
+        about = targets - root * np.average(Y, axis=0, weights=weights)
+        ridge = linear_ridge(tail[:, 1:], about, within, n_total)
+    basis = basis_rows = tail
+    if tail.size:
+        stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
+        basis = qr(stacked, mode="economic", check_finite=False)[0]
+        basis, basis_rows = basis[: len(X)], basis[len(X) :]
     projection = basis.T @ targets
     about = targets - basis @ projection
-    spread = np.sqrt((np.square(about).sum(axis=0) + within) / n_total)
+    left = np.square(about).sum(axis=0)
+    if ridge:
+        left += np.square(basis_rows @ projection).sum(axis=0)
+    spread = np.sqrt((left + within) / n_total)
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * np.abs(Y).max(axis=0)] = 0.0
     return Problem(
-        X, first, root, unit, n_total, targets, within, tail, basis, tail_map, projection, spread
+        X,
+        first,
+        root,
+        unit,
+        n_total,
+        targets,
+        within,
+        tail,
+        basis,
+        tail_map,
+        projection,
+        spread,
+        ridge,
+        basis_rows,
+        float(np.square(basis).sum()) if ridge else tail.shape[1],
     )
+
+
+def ridge_rows(n_tail, ridge):
+    """Rows that, below those of the tail, give its linear part a ridge, (n_tail - 1, n_tail)."""
+    return np.sqrt(ridge) * np.eye(n_tail)[1:] if ridge else np.empty((0, n_tail))
+
+
+def linear_ridge(tail, targets, within, n_total):
+    """Ridge of a linear model, the same for all features and outputs, by its likelihood.
+
+    The coefficients of an output have independent normal priors of one variance, the noise variance
+    over the ridge; the noise variance is at its optimum for every output [1]_.
+
+    Parameters
+    ----------
+    tail : ndarray of shape (n, d)
+        Features, centred, in units of their spread, times the root of the weights.
+    targets : ndarray of shape (n, q)
+        About their mean, times the root of the weights.
+    within : ndarray of shape (q,)
+        Sum of squares that merging repeated rows took out of them.
+    n_total : float
+        Number of observations.
+
+    Returns
+    -------
+    float
+        In units of an observation; 0 where there is nothing to be found.
+
+    References
+    ----------
+    .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447.
+    """
+    if not tail.size:
+        return 0.0
+    U, d, _ = np.linalg.svd(tail, full_matrices=False)
+    along = U.T @ targets
+    constant = targets - U @ along
+    left, along, d2 = np.square(constant).sum(axis=0) + within, np.square(along), np.square(d)
+    varying = left + along.sum(axis=0) > 0
+    if not np.any(varying):
+        return 0.0
+
+    def negative_log_likelihood(ridge):
+        misfit = left + (ridge / (d2 + ridge)) @ along
+        return n_total * np.log(misfit[varying]).sum() + varying.sum() * np.log1p(d2 / ridge).sum()
+
+    return min(TAIL_RIDGES, key=negative_log_likelihood)
 
 
 def _polynomial(X, weights, degree):

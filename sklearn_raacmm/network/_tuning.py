@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._network_posterior import RadialFunctions
 from sklearn_raacmm.network._parameters import leading_bits, warn_of_bound
-from sklearn_raacmm.network._width_search import AUTO_KERNELS, search
+from sklearn_raacmm.network._width_search import AUTO_KERNELS, search, still_right
 
 
 class Tuned(NamedTuple):
@@ -18,7 +18,16 @@ class Tuned(NamedTuple):
     log_likelihood: float | None = None  # of the rows on which kernels were compared
 
 
-def tune(problem, kernel, length_scale, alpha, isotropic, rng):
+def last_network(estimator, problem):
+    """The network of an estimator's last fit, if it is one of as many features and outputs."""
+    last = vars(estimator).get("posterior_")
+    shape = problem.X.shape[1], len(problem.spread)
+    if last is None or (len(last.length_scale), last.coef.shape[1]) != shape:
+        return None
+    return last
+
+
+def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
     """Kernel, widths and ridges, found where they are not given.
 
     Parameters
@@ -34,6 +43,8 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng):
         One width for all features.
     rng : numpy.random.RandomState
         Draws the rows of the search.
+    last : NetworkPosterior, optional
+        Of other rows; its kernel, widths and ridges are kept where they are right for these.
 
     Returns
     -------
@@ -50,21 +61,38 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng):
     sample = problem.sample
     view, rows = sample.view(), sample.block(slice(None))
     weights = np.square(sample.root[:, 0])
+    data = Data(sample.X, view.of(rows)[1] / sample.root, weights, view.within)
+    units = np.log(view.scale).sum()
+    given = None if alpha is None else alpha[view.outputs] / sample.unit
+    if last is not None and last.kernel in kernels:
+        width = last.length_scale if length_scale is None else length_scale
+        ridge = last.alpha if alpha is None else alphas
+        alike = not isotropic or np.ptp(width / sample.X.std(axis=0)) == 0
+        right, value, n_observations = still_right(
+            data,
+            last.kernel,
+            width,
+            ridge[view.outputs] * problem.unit / sample.unit,
+            fixed=(length_scale, given),
+            random_state=rng,
+        )
+        if right and alike:
+            functions = RadialFunctions(last.kernel, shift, width)
+            return Tuned(functions, ridge, float(value - n_observations * units))
     found = search(
-        Data(sample.X, view.of(rows)[1] / sample.root, weights, view.within),
+        data,
         kernels,
         length_scale=length_scale,
         isotropic=isotropic,
-        alpha=None if alpha is None else alpha[view.outputs] / sample.unit,
+        alpha=given,
         random_state=rng,
     )
     if alpha is None:
         alphas[view.outputs] = leading_bits(found.alpha * sample.unit / problem.unit)
-    units = found.n_observations * np.log(view.scale).sum()
     if length_scale is None:
         warn_of_bound(found.at_bound)
         unit = sample.X.std(axis=0)
         unit[unit == 0] = 1.0
         length_scale = unit * leading_bits(found.length_scale / unit)
     functions = RadialFunctions(found.kernel, shift, length_scale)
-    return Tuned(functions, alphas, float(found.log_likelihood - units))
+    return Tuned(functions, alphas, float(found.log_likelihood - found.n_observations * units))

@@ -8,63 +8,41 @@ from where the last one has ended. A stage that the exact likelihood of other ro
 its start is not accepted. At last the process has to be better than noise alone, and better than a
 process with one width for all features (`_accept`).
 
-With few or noisy rows the likelihood alone finds narrow widths in features that do not matter. So
-every feature pays for being used, as in the Bayesian information criterion. With
-:math:`\rho` the inverse width in units of the feature's spread, :math:`s^2` the signal variance and
-n the number of observations, the penalty is
-
-.. math:: A\, q / (q + \kappa^2 / n) + \log(1 + (\rho / 0.3)^2), \qquad q = s^2 \rho^2,
-
-where :math:`A = 0.45 (\log(n) / 2 + \log d + 1)` and q is the variance of the function's slope. A
-slope whose square is far above :math:`\kappa^2 / n`, its error from n observations, costs A,
-however steep it is; one that cannot be told from 0 costs nothing.
+The objective, with its penalty on the features that are used, is `_width_objective`'s.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError
-from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from sklearn_raacmm.network._kernels import KERNELS, pivoted_cholesky
 from sklearn_raacmm.network._likelihood import (
-    Data,
-    exact_likelihood,
     leave_one_out,
     log_likelihood,
     noise_likelihood,
-    projected_likelihood,
+)
+from sklearn_raacmm.network._width_objective import (
+    ALPHA_BOUNDS,
+    LOOSE_KAPPA,
+    WIDTH_BOUNDS,
+    End,
+    Task,
 )
 from sklearn_raacmm.utils import stage
 
 # Kernels that `kernel="auto"` chooses from; the first is the one to beat.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
-ALPHA_BOUNDS = (1e-12, 1e6)
-# In spreads of a feature: below, every sample is alone; above, a function is as good as linear.
-WIDTH_BOUNDS = (1e-2, 1e3)
 # Rows of the first stage; of the exact process; of the projected one.
 COARSE_ROWS, EXACT_ROWS, SAMPLE_ROWS = 300, 1000, 3000
 # Iterations of the three.
 COARSE_STEPS, EXACT_STEPS, PROJECTED_STEPS = 60, 40, 30
-# Parameters up to which their curvatures are looked at, on the rows of the first stage: each costs
-# an evaluation there, a fifteenth of one on 1000 rows. The step of the difference, a logarithm; and
-# the least curvature, as a share of the largest.
-CURVATURES, CURVATURE_STEP, LEAST_CURVATURE = 30, 0.05, 1e-3
 # Inducing rows of the projected process, and the logarithm by which widths may fall before the
 # inducing rows have to be chosen anew.
 INDUCING, MARGIN = 600, 0.35
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
 # sqrt(d) spreads away; and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
-# The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
-# inverse width at which further narrowness is penalised. On three functions of 6 to 12 features
-# under noise as large as themselves A of 0.7, 0.45 and 0.25 left 0.59, 0.53 and 0.50 of the
-# deviation; of noise in 20 to 50 features the last took 4 times as much for a function.
-PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.45, 2.0, 20.0, 0.3
-# The prior of the noise variance: below this share of an output's variance each power of e costs so
-# many nats, as much as two observations say.
-SILENT, DOUBT = 0.05, 1.0
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
@@ -95,183 +73,6 @@ class Found(NamedTuple):
     log_likelihood: float = 0.0  # logarithm of the likelihood itself, of so many observations
     n_observations: float = 0.0
     at_bound: np.ndarray = np.empty(0, dtype=int)  # features whose width ended at the lower bound
-
-
-class End(NamedTuple):
-    """Where a search has ended."""
-
-    kernel: str
-    theta: np.ndarray
-    value: float  # objective, nats
-    start: float  # the same at the start
-
-
-class Task:
-    """What is searched for, and the objective.
-
-    The parameters theta are the logarithms of the free widths, in units of the features' spread,
-    and of the free ridges.
-
-    Parameters
-    ----------
-    data : Data
-    spread : ndarray of shape (d,)
-    length_scale : ndarray of shape (d,) or None
-    isotropic : bool
-    alpha : ndarray of shape (q,) or None
-    used : ndarray of shape (d,), optional
-        Mask of the features; the width of the others is infinite.
-    """
-
-    def __init__(self, data, spread, length_scale, isotropic, alpha, used=None):
-        self.data, self.spread, self.isotropic = data, spread, isotropic
-        self.length_scale, self.alpha = length_scale, alpha
-        d = data.X.shape[1]
-        self.used = np.ones(d, dtype=bool) if used is None else used
-        self.n_widths = 0 if length_scale is not None else 1 if isotropic else self.used.sum()
-        self.n_alphas = data.Y.shape[1] if alpha is None else 0
-        bounds = [np.log(WIDTH_BOUNDS)] * self.n_widths + [np.log(ALPHA_BOUNDS)] * self.n_alphas
-        self.bounds = np.reshape(bounds, (-1, 2))
-
-    def unpack(self, theta):
-        """Logarithms of all widths and ridges, (d,) and (q,)."""
-        if self.length_scale is None:
-            log_width = np.full(len(self.spread), np.inf)
-            log_width[self.used] = np.log(self.spread[self.used]) + theta[: self.n_widths]
-        else:
-            log_width = np.log(self.length_scale)
-        if self.n_alphas:
-            return log_width, theta[self.n_widths :]
-        return log_width, np.log(np.maximum(self.alpha, ALPHA_BOUNDS[0]))
-
-    def start(self, width, alpha):
-        """Theta of one width, in units of sqrt(d) spreads, and one ridge for all."""
-        log_width = np.log(width * np.sqrt(self.data.X.shape[1]))
-        return np.append(np.full(self.n_widths, log_width), np.full(self.n_alphas, np.log(alpha)))
-
-    def rows(self, rows):
-        """Data of some rows; what merging took out is shared in proportion."""
-        X, Y, weights, within = self.data
-        share = weights[rows].sum() / weights.sum()
-        return Data(X[rows], Y[rows], weights[rows], within * share)
-
-    def objective(self, theta, data, kernel, inducing=None, kappa=KAPPA):
-        """Negative log likelihood with the penalty, in nats, and its gradient."""
-        log_width, log_alpha = self.unpack(theta)
-        try:
-            if inducing is None:
-                found = exact_likelihood(data, kernel, log_width, log_alpha)
-            else:
-                found = projected_likelihood(data, inducing, kernel, log_width, log_alpha)
-        except LinAlgError:
-            return np.inf, np.zeros(len(theta))
-        gradient = self._reduce(found.gradient)
-        of_signal = np.array([self._reduce(row) for row in found.signal_gradient])
-        # The signal variance in units of an output's variance, on average over outputs.
-        penalty, of_penalty = self._penalty(
-            theta[: self.n_widths],
-            found.signal.mean(),
-            of_signal.mean(axis=0),
-            data.n_total,
-            kappa,
-        )
-        value = found.value + penalty
-        gradient += of_penalty
-        if self.n_alphas:
-            # Noise below a part of the targets' variance has to be shown.
-            noise = found.signal * np.exp(log_alpha)
-            doubt = SILENT / (SILENT + noise)
-            value += DOUBT * np.log1p(SILENT / noise).sum()
-            gradient -= DOUBT * (doubt / found.signal) @ of_signal
-            gradient[self.n_widths :] -= DOUBT * doubt
-        return value, gradient
-
-    def _reduce(self, gradient):
-        """From derivatives by (log_width, log_alpha) to those by theta."""
-        d = len(self.spread)
-        by_width = gradient[:d][self.used]
-        if self.isotropic:
-            by_width = [by_width.sum()]
-        return np.append(by_width[: self.n_widths], gradient[d:] if self.n_alphas else [])
-
-    def variant(self, **changes):
-        """The same task but for some of its parameters."""
-        names = ("data", "spread", "length_scale", "isotropic", "alpha", "used")
-        return Task(**{name: getattr(self, name) for name in names} | changes)
-
-    def _penalty(self, log_width, signal, of_signal, n_total, kappa):
-        rho2 = np.exp(-2 * log_width)
-        price = PRICE * (0.5 * np.log(n_total) + np.log(max(self.n_widths, 1)) + 1)
-        floor = kappa**2 / n_total
-        slope = signal * rho2
-        used = slope / (slope + floor)  # of every feature, between 0 and 1
-        narrow = rho2 / NARROW**2
-        value = price * used.sum() + np.log1p(narrow).sum()
-        by_slope = price * floor / (slope + floor) ** 2
-        gradient = (by_slope @ rho2) * of_signal
-        gradient[: self.n_widths] -= 2 * by_slope * slope + 2 * narrow / (1 + narrow)
-        return value, gradient
-
-    def used_share(self, end, data):
-        """How far every free width is paid for, between 0 (no slope) and 1, (n_widths,)."""
-        signal = exact_likelihood(data, end.kernel, *self.unpack(end.theta)).signal
-        slope = signal.mean() * np.exp(-2 * end.theta[: self.n_widths])
-        return slope / (slope + KAPPA**2 / data.n_total)
-
-    def step_units(self, theta, rows, kernel):
-        """Unit of a step along each parameter: the root of the objective's curvature, inverted.
-
-        Differences of gradients on a few rows. In these units a search on more rows takes a half to
-        three quarters of the evaluations.
-        """
-        data, n = self.rows(rows), len(theta)
-        if not 0 < n <= CURVATURES:
-            return np.ones(n)
-        here = self.objective(theta, data, kernel)[1]
-        steps = np.where(
-            theta + CURVATURE_STEP < self.bounds[:, 1], CURVATURE_STEP, -CURVATURE_STEP
-        )
-        there = [self.objective(theta + row, data, kernel)[1] for row in np.diag(steps)]
-        curvature = np.abs((np.diag(there) - here) / steps)
-        if not 0 < curvature.max() < np.inf:
-            return np.ones(n)
-        # Relative to the steepest: the search itself finds the scale of all.
-        return np.sqrt(1 / np.maximum(curvature / curvature.max(), LEAST_CURVATURE))
-
-    def minimise(self, theta, rows, kernel, steps, inducing=None, kappa=KAPPA, units=1.0):
-        """Search from a start, with steps in some units.
-
-        Returns
-        -------
-        End
-            Never worse than the start.
-        """
-        data, q = self.rows(rows), self.data.Y.shape[1]
-        unit = data.n_total * q
-        # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as
-        # the cost of a step allows.
-        cost = len(rows) * float(len(rows if inducing is None else inducing)) ** 2
-        nats = np.clip(1e-11 * cost, 1e-4, 1e-2)
-        values = []
-
-        def scaled(steps):
-            value, gradient = self.objective(steps * units, data, kernel, inducing, kappa)
-            values.append(value)
-            return value / unit, gradient * units / unit
-
-        theta = np.clip(theta, *self.bounds.T) if len(theta) else theta
-        units = np.broadcast_to(units, len(theta))
-        if not len(theta):
-            value = scaled(theta)[0] * unit
-            return End(kernel, theta, value, value)
-        options = {"maxiter": steps, "ftol": nats / unit}
-        bounds = self.bounds / units[:, None]
-        found = minimize(
-            scaled, theta / units, method="L-BFGS-B", jac=True, bounds=bounds, options=options
-        )
-        if not found.fun * unit < values[0]:
-            return End(kernel, theta, values[0], values[0])
-        return End(kernel, found.x * units, found.fun * unit, values[0])
 
 
 @stage("widths of the network")
@@ -323,8 +124,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
     task = Task(data._replace(X=X - center), spread, length_scale, isotropic, alpha)
 
     def draw(size):
-        n = len(X)
-        return np.arange(n) if n <= size else np.sort(random_state.permutation(n)[:size])
+        return _draw(len(X), size, random_state)
 
     few, many = draw(COARSE_ROWS), draw(EXACT_ROWS)
     ends = _coarse(task, kernels, few)
@@ -352,6 +152,58 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         judged.n_total,
         np.array(narrow, dtype=int),
     )
+
+
+def _draw(n, size, random_state):
+    """Some of n rows, sorted; all where there are no more than `size`."""
+    return np.arange(n) if n <= size else np.sort(random_state.permutation(n)[:size])
+
+
+def still_right(data, kernel, length_scale, alpha, *, fixed=(None, None), random_state=None):
+    """Whether widths and ridges that were found on other rows are right for these, too.
+
+    They are where the likelihood of up to 1000 rows could rise by no more than a nat for each of
+    them: what parameters that are right gain by chance is half of that on average.
+
+    Parameters
+    ----------
+    data : Data
+        As for `search`.
+    kernel : str
+    length_scale : ndarray of shape (d,)
+        Features of infinite width stay left out.
+    alpha : ndarray of shape (q,)
+    fixed : tuple of (ndarray or None, ndarray or None)
+        Widths and ridges that are given, not found.
+    random_state : numpy.random.RandomState
+        Draws the rows.
+
+    Returns
+    -------
+    right : bool
+    log_likelihood : float
+        Of the rows looked at.
+    n_observations : float
+        Of these.
+    """
+    X, Y, weights, _ = data
+    spread, used = robust_spread(X, weights), np.isfinite(length_scale)
+    found = np.all(alpha < ALPHA_BOUNDS[1]) and np.all(spread[used] > 0) and np.any(used)
+    if not Y.shape[1] or not found:
+        return False, 0.0, 0.0
+    few, many = (_draw(len(X), size, random_state) for size in (COARSE_ROWS, EXACT_ROWS))
+    X = X - np.average(X, axis=0, weights=weights)
+    spread = np.where(spread > 0, spread, 1.0)
+    task = Task(data._replace(X=X), spread, fixed[0], False, fixed[1], used)
+    theta = np.log(length_scale[used] / spread[used])[: task.n_widths]
+    theta = np.append(theta, np.log(alpha)[: task.n_alphas])
+    if np.any(theta < task.bounds[:, 0]) or np.any(theta > task.bounds[:, 1]):
+        return False, 0.0, 0.0
+    judged = task.rows(many)
+    if not task.gain(theta, few, many, kernel) <= len(theta):
+        return False, 0.0, 0.0
+    value = log_likelihood(judged, kernel, np.log(length_scale), np.log(alpha))
+    return True, value, judged.n_total
 
 
 def _coarse(task, kernels, rows):

@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, learn_correction
+from sklearn_raacmm import Arm, JointHarmonicRegressor, learn_correction, read_check_records
 from sklearn_raacmm.app import _commands, _files, main
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
@@ -165,8 +165,17 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, t
         knocked = readings.copy()
         knocked[:, 3] += change * np.cos(readings[:, 3])
         other_make.write_log(tmp_path / "today.csv", knocked, cones)
-        assert main(["check", f"{tmp_path}/today.csv", "--model", str(folder)]) == code
-        assert re.search(said, capsys.readouterr().out)
+        kept = ["--record", f"{tmp_path}/checks.csv", "--chart", f"{tmp_path}/chart.svg"]
+        assert main(["check", f"{tmp_path}/today.csv", "--model", str(folder), *kept]) == code
+        out = capsys.readouterr().out
+        assert re.search(said, out)
+        # The encoder of joint 4 has become eccentric.
+        assert ("Suspect: harmonics of joint 4" in out) == (code == 3)
+    first, second = read_check_records(tmp_path / "checks.csv")
+    assert (first["suspect"], second["suspect"]) == ("nothing", "harmonics of joint 4")
+    assert second["mean_mm"] > second["mean_high_mm"]
+    chart = (tmp_path / "chart.svg").read_text(encoding="utf-8")
+    assert chart.count("harmonics of joint 4") == 1
 
 
 def test_checks_raise_a_false_alarm_once_in_a_hundred():

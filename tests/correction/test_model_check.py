@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, RBFNetRegressor, check_correction
+from sklearn_raacmm import (
+    Arm,
+    JointHarmonicRegressor,
+    RBFNetRegressor,
+    check_correction,
+    read_check_records,
+)
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("aacmm6")
@@ -114,13 +120,75 @@ def test_the_record_is_a_line_of_a_control_chart(model):
     record = check.record
     assert record["date"] == "2026-05-01"
     assert record["n_poses"] == 40
-    low, high = record["mean_limits_mm"]
+    low, high = record["mean_low_mm"], record["mean_high_mm"]
     assert low < record["mean_mm"] < high
     # The mean length of three normal numbers of 0.015 mm.
     assert (low + high) / 2 == pytest.approx(NOISE_MM * np.sqrt(8 / np.pi), rel=0.15)
     bad = check_correction(model, *rows(40, 6, knock(2, 20))).record
-    assert bad["mean_mm"] > bad["mean_limits_mm"][1]
-    assert bad["range_mm"] > bad["range_limits_mm"][1]
+    assert bad["mean_mm"] > bad["mean_high_mm"]
+    assert bad["range_mm"] > bad["range_high_mm"]
+
+
+@pytest.mark.parametrize("name", ["checks.csv", "checks.jsonl"])
+def test_records_are_kept_in_a_file(model, tmp_path, name):
+    records = []
+    for day in (1, 2, 3):
+        check = check_correction(model, *rows(20, day), date=f"2026-05-0{day}")
+        check.append_to(tmp_path / name)
+        records.append(check.record)
+    assert read_check_records(tmp_path / name) == records
+    with (tmp_path / name).open("a") as file:
+        file.write("7,8\n")
+    with pytest.raises(ValueError, match=r"line [45] of .* is not the record of a check"):
+        read_check_records(tmp_path / name)
+
+
+def gauge_rows(seed, change, length_error=0.0):
+    """Poses at the two ends of four gauges, residuals about each end's mean, and the lengths."""
+    rng = np.random.default_rng(seed)
+    ends = rng.uniform(-1.5, 1.5, (8, 6))
+    groups = np.repeat(np.arange(8), 5)
+    angles = ends[groups] + rng.uniform(-0.02, 0.02, (40, 6))
+    shown = errors(angles) + change(angles) + rng.normal(0, NOISE_MM, (40, 3))
+    true = ARM.forward(angles) - shown
+    means = np.stack([true[groups == g].mean(axis=0) for g in range(8)])
+    lengths = [
+        (2 * i, 2 * i + 1, np.linalg.norm(means[2 * i + 1] - means[2 * i]) + length_error, 0.005)
+        for i in range(4)
+    ]
+    # Each end is one true point: what is shown is about it.
+    return angles, shown, groups, lengths
+
+
+def test_gauge_lengths_of_today_show_a_change_of_scale(model):
+    """5 K warmer: a test at single points without lengths does not see it."""
+    none = lambda q: np.zeros((len(q), 3))  # noqa: E731
+    warm = lambda q: -ARM.forward(q) * 11.7e-6 * 10  # noqa: E731
+    for seed in range(4):
+        angles, y, groups, lengths = gauge_rows(seed, none)
+        assert check_correction(model, angles, y, groups=groups, lengths=lengths).holds
+        angles, y, groups, lengths = gauge_rows(seed, warm)
+        assert check_correction(model, angles, y, groups=groups).holds
+        check = check_correction(model, angles, y, groups=groups, lengths=lengths)
+        assert not check.holds
+    assert "scale" in check.tests["cause"]
+
+
+def test_single_points_without_lengths_show_no_scale():
+    data = make_single_point(n_positions=10, n_poses=20, random_state=1)
+    model = JointHarmonicRegressor(data.arm, max_order=6)
+    model.fit(data.data, data.target, groups=data.groups)
+    check = check_correction(model, data.data, data.target, groups=data.groups)
+    assert "scale" not in check.tests["cause"]
+    assert check.holds
+
+
+def test_lengths_need_positions(model):
+    angles, y, groups, lengths = gauge_rows(0, lambda q: np.zeros((len(q), 3)))
+    with pytest.raises(ValueError, match="lengths are between positions: give groups"):
+        check_correction(model, angles, y, lengths=lengths)
+    with pytest.raises(ValueError, match="lengths name the group 99"):
+        check_correction(model, angles, y, groups=groups, lengths=[(0, 99, 100.0, 0.01)])
 
 
 def test_bad_input(model):

@@ -86,3 +86,85 @@ def test_bad_input_is_refused(planned):
             next_poses(model, X, 2, groups=groups[1:])
     else:
         assert_array_equal(next_poses(model, X, 2)[0], next_poses(model, X.tolist(), 2)[0])
+
+
+# -- registration and calibration --------------------------------------------------------------
+
+
+def place_columns(angles):
+    """Moves of base and probe, by differences, times the priors of 1000 mm at the reach."""
+    points, step = ARM.forward(angles), 1e-3
+    columns = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+    reach = np.hypot(ARM.a, ARM.d).sum() + np.linalg.norm(ARM.probe)
+    columns += [np.cross(axis, points) / reach for axis in np.eye(3)]
+    for axis in np.eye(3):
+        columns.append((ARM.replace(probe=ARM.probe + step * axis).forward(angles) - points) / step)
+    return np.stack(columns, axis=2) * 1000.0
+
+
+@pytest.mark.parametrize("criterion", ["I", "D"])
+def test_registration_is_planned_by_its_posterior(criterion):
+    rng = np.random.default_rng(5)
+    X, targets, measured = (rng.uniform(-2, 2, (n, 6)) for n in (30, 20, 4))
+    chosen, std = next_poses(
+        ARM, X, 4, targets=targets, criterion=criterion, free=["base", "probe"], measured=measured
+    )
+    columns, aim = (place_columns(q) for q in (X, targets))
+    old = place_columns(measured).reshape(-1, 9) / 0.05
+    precision = np.eye(9) + old.T @ old
+    aim, taken = aim.reshape(-1, 9), []
+    for step in range(4):
+        rows = [c / 0.05 for c in columns]
+        covariances = [np.linalg.inv(precision + r.T @ r) for r in rows]
+        spreads = [np.sqrt(np.trace(aim @ c @ aim.T) / 20) for c in covariances]
+        values = spreads if criterion == "I" else [np.linalg.slogdet(c)[1] for c in covariances]
+        values = [np.inf if i in taken else v for i, v in enumerate(values)]
+        best = int(np.argmin(values))
+        assert chosen[step] == best
+        assert std[step + 1] == pytest.approx(spreads[best], rel=1e-3)
+        precision = precision + rows[best].T @ rows[best]
+        taken.append(best)
+
+
+def test_planned_poses_register_better_than_others():
+    """Twelve poses: the standard errors of base and probe, against those of chance."""
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        X = rng.uniform(-2, 2, (300, 6))
+        chosen, _ = next_poses(ARM, X, 12, free=["base", "probe"])
+        spread = []
+        for rows in (chosen, *(rng.permutation(300)[:12] for _ in range(5))):
+            A = place_columns(X[rows]).reshape(-1, 9)
+            whole = place_columns(X).reshape(-1, 9)
+            spread.append(np.trace(whole @ np.linalg.inv(A.T @ A) @ whole.T))
+        assert spread[0] < min(spread[1:])
+
+
+def test_a_single_point_test_shows_no_base():
+    rng = np.random.default_rng(0)
+    X, groups = rng.uniform(-2, 2, (40, 6)), np.repeat(np.arange(8), 5)
+    chosen, std = next_poses(ARM, X, 3, groups=groups, free=["base", "probe", "theta_offset"])
+    without = next_poses(ARM, X, 3, groups=groups, free=["probe", "theta_offset"])
+    assert_array_equal(chosen, without[0])
+    assert_allclose(std, without[1])
+
+
+def test_a_model_without_terms_and_wrong_names_get_one_sentence():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (60, 6))
+    bare = JointHarmonicRegressor(
+        ARM, max_order=2, gravity=False, kinematics=False, wobble=False
+    ).fit(X, rng.normal(0, 0.01, (60, 3)))
+    assert len(bare.coef_) == 0
+    with pytest.raises(ValueError, match="no terms that a measurement could narrow"):
+        next_poses(bare, X, 2)
+    assert len(next_poses(bare, X, 2, free=["base"])[0]) == 2
+    with pytest.raises(TypeError, match="give free"):
+        next_poses(ARM, X, 2)
+    for free in ("tool", ["base", "tool"], []):
+        with pytest.raises(ValueError, match="free must name some of base, a, alpha"):
+            next_poses(ARM, X, 2, free=free)
+    with pytest.raises(ValueError, match="measured poses count one by one"):
+        next_poses(ARM, X, 2, free=["probe"], groups=np.arange(60) // 5, measured=X)
+    with pytest.raises(ValueError, match="7"):
+        next_poses(ARM, np.zeros((5, 7)), 2, free=["probe"])

@@ -529,6 +529,8 @@ def test_sizes_are_checked(field, value):
         (lambda: make_gauge(3000), "between 0 and 2159 mm"),
         (lambda: make_gauge([]), "between 0 and"),
         (lambda: make_single_point(machine="perfect"), "'eccentricity', 'gravity'.* got 'perfect'"),
+        (lambda: make_single_point(machine=3), "'machine' parameter of make_single_point"),
+        (lambda: make_gauge(as_frame="yes"), "'as_frame' parameter of make_gauge"),
         (lambda: ArmErrors(counterbalance=1.2), r"\[0, 1\], got 1.2"),
         (lambda: ArmErrors(seating_um=-1), "got -1"),
         (lambda: SimulatedArm("none").find_poses([2000, 0, 0], 5), "0 poses reach .* 151%"),

@@ -7,12 +7,17 @@ from scipy.stats import multivariate_normal
 
 from sklearn_raacmm import Arm, JointHarmonicRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import _order_scan
+from sklearn_raacmm.error_model import LinearOptions, _order_scan, fit_linear_model
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns
 from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmonics
-from sklearn_raacmm.error_model._order_scan import CandidateSums, candidate_sums, difference
+from sklearn_raacmm.error_model._order_scan import (
+    CandidateSums,
+    candidate_sums,
+    sums_of_the_others,
+)
 from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import Lengths
+from sklearn_raacmm.error_model._smooth_functions import add_smooth
 
 ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
 ALONE = {"gravity": False, "kinematics": False, "wobble": False}
@@ -81,23 +86,25 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeyp
     assert found.n_observations == pytest.approx(3 * (weights.sum() - 6 * with_offsets))
 
 
-def test_difference_is_the_sum_of_the_rest():
+def test_sums_of_the_others_are_those_of_their_poses():
     rng = np.random.default_rng(5)
     theta, y, weights = draw_angles(80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
-    codes = np.arange(80) // 10
+    codes, block = np.arange(80) // 10, np.arange(80) // 30
     offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
     terms = Terms(offered, True, True, True)
-    parts = (codes >= 0), (codes < 2), (codes >= 2)
-    whole, part, rest = (
-        candidate_sums(ARM, theta[i], y[i], weights[i], codes[i] - codes[i].min(), offered, terms)
-        for i in parts
-    )
-    found = difference(whole, part)
-    for name in CandidateSums._fields[:-1]:
-        expected = getattr(rest, name)
-        atol = 1e-10 * np.abs(expected).max()
-        assert_allclose(getattr(found, name), expected, atol=atol, err_msg=name)
-    assert_allclose(found.rows([3, 40]), rest.rows([3, 40]), atol=1e-10 * whole.own.max())
+
+    def sums(rows):
+        own = np.unique(codes[rows], return_inverse=True)[1]
+        return candidate_sums(ARM, theta[rows], y[rows], weights[rows], own, offered, terms)
+
+    for number, found in enumerate(sums_of_the_others([sums(block == i) for i in range(3)])):
+        others = sums(block != number)
+        for name in CandidateSums._fields[:-1]:
+            expected = getattr(others, name)
+            atol = 1e-10 * np.abs(expected).max()
+            assert_allclose(getattr(found, name), expected, atol=atol, err_msg=name)
+        for asked in ([3, 40], [40, 7]):
+            assert_allclose(found.rows(asked), others.rows(asked), atol=1e-10 * others.own.max())
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "panda"])
@@ -153,7 +160,7 @@ def toy_problem(seed, n=80, n_pairs=12):
     w[[4, 5, 10, 11]] = [1.0, -0.5, 0.3, 0.8]
     y = A @ (0.3 * rng.normal(size=4)) + H @ w + 0.5 * rng.normal(size=n)
     found = select_harmonics(
-        sums_of(A, H, y), np.ones(4, int), 0, np.full(2, np.nan), flat_prices(n_pairs)
+        sums_of(A, H, y), np.ones(4, int), 0, np.full(3, np.nan), flat_prices(n_pairs)
     )
     return A, H, y, found
 
@@ -173,7 +180,7 @@ def test_choice_raises_the_evidence_by_more_than_its_price():
         assert log_evidence(A, H, y, [2, 5, other], v, noise) - whole < np.log(12)
     # The gains are differences of log evidences.
     once = select_harmonics(
-        sums_of(A, H, y), np.ones(4, int), 0, np.full(2, np.nan), flat_prices(12),
+        sums_of(A, H, y), np.ones(4, int), 0, np.full(3, np.nan), flat_prices(12),
         start=(v, noise), fixed=True,
     )  # fmt: skip
     without = [log_evidence(A, H, y, [other], v, noise) for other in (5, 2)]
@@ -185,9 +192,9 @@ def test_choice_raises_the_evidence_by_more_than_its_price():
 def test_evidence_is_that_of_the_normal_distribution():
     """Up to a constant, and the weak prior on the noise."""
     A, H, y, _ = toy_problem(3)
-    sums, nan = sums_of(A, H, y), np.full(2, np.nan)
+    sums, nan = sums_of(A, H, y), np.full(3, np.nan)
     values = []
-    for v, noise in (([0.5, 0.1], 0.3), ([2.0, 0.02], 0.1)):
+    for v, noise in (([0.5, 0.1, 1.0], 0.3), ([2.0, 0.02, 1.0], 0.1)):
         one = select_harmonics(
             sums, np.ones(4, int), 0, nan, flat_prices(12), start=(np.array(v), noise), fixed=True
         )
@@ -221,8 +228,9 @@ def test_posterior_is_ridge_in_closed_form():
     coef = np.linalg.solve(precision, columns.T @ y / found.noise_variance)
     assert_allclose(found.coef, coef, rtol=1e-8)
     assert_allclose(found.root.T @ found.root, precision, rtol=1e-8, atol=1e-8)
+    waves = columns[:, 4:]
     again = refit(
-        sums_of(A, H, y), np.ones(4, int), 0, np.full(2, np.nan), found.pairs, None,
+        sums_of(A, waves, y), np.ones(4, int), 0, np.full(3, np.nan), found, np.ones(2), None,
         (found.prior_variance, found.noise_variance),
     )  # fmt: skip
     assert_allclose(again.coef, coef, rtol=0.01)
@@ -234,7 +242,7 @@ def test_known_lengths_are_rows_of_their_own_variance():
     rows, errors = rng.normal(size=(5, 28)), rng.normal(size=5)
     lengths = Lengths(rows, errors, np.full(5, 0.3), np.linspace(0.1, 2.0, 5))
     found = select_harmonics(
-        sums_of(A, H, y), np.ones(4, int), 0, np.full(2, np.nan), flat_prices(12), lengths
+        sums_of(A, H, y), np.ones(4, int), 0, np.full(3, np.nan), flat_prices(12), lengths
     )
     scale = np.r_[
         np.full(len(y), found.noise_variance),
@@ -255,7 +263,7 @@ def test_a_candidate_that_repeats_another_is_not_taken_twice():
     H = np.column_stack([H, H])
     y = H[:, :2] @ [2.0, 1.0] + 0.1 * rng.normal(size=60)
     found = select_harmonics(
-        sums_of(np.empty((60, 0)), H, y), np.empty(0, int), 0, np.full(1, np.nan), flat_prices(4)
+        sums_of(np.empty((60, 0)), H, y), np.empty(0, int), 0, np.full(2, np.nan), flat_prices(4)
     )
     assert found.pairs.tolist() in ([0], [2])
 
@@ -270,6 +278,81 @@ def test_evidence_does_not_run_away(n_rows, offsets):
     assert 30 < model.prior_sd_["gravity"] < 300
     assert model.prior_sd_["wobble"] < 5
     assert 0.002 < model.noise_sd_ < 0.006
+
+
+# -- smooth functions -----------------------------------------------------------------------------
+
+
+def toy_with_smooth(seed, lines):
+    """All pairs of 30 a little, two of them more; or those two alone."""
+    rng = np.random.default_rng(seed)
+    A, H = rng.normal(size=(400, 4)), rng.normal(size=(400, 60))
+    w = np.zeros(60) if lines else rng.normal(scale=0.08, size=60)
+    w[[4, 5, 10, 11]] = [1.0, -0.5, 0.3, 0.8]
+    y = A @ (0.3 * rng.normal(size=4)) + H @ w + rng.normal(size=400)
+    shares = np.linspace(1.0, 0.4, 30)
+    shares[7] = 0.0  # offered as a line only
+    problem = sums_of(A, H, y), np.ones(4, int), 0, np.full(3, np.nan), flat_prices(30)
+    found = select_harmonics(*problem)
+    return A, H, y, shares, found, add_smooth(*problem, None, found, shares)
+
+
+def test_smooth_function_has_the_evidence_of_its_own_prior():
+    A, H, y, shares, lines, found = toy_with_smooth(0, lines=False)
+    chosen = found.pairs[~found.smooth]
+    assert {2, 5} <= set(chosen.tolist())
+    assert_array_equal(found.pairs, np.flatnonzero(shares > 0))
+    v, noise = found.prior_variance, found.noise_variance
+
+    def evidence(of_smooth, pairs, v, noise):
+        prior = np.where(np.isin(np.arange(30), pairs), v[0], of_smooth * shares)
+        waves = np.repeat(prior, 2)
+        cov = noise * np.eye(len(y)) + v[1] * A @ A.T + (H * waves) @ H.T
+        of_noise = -1.5 * np.log(noise) - 0.5 * 0.03 * np.mean(y**2) / noise
+        return multivariate_normal(np.zeros(len(y)), cov).logpdf(y) + of_noise
+
+    alone = evidence(0.0, lines.pairs, lines.prior_variance, lines.noise_variance)
+    rise = evidence(v[2], chosen, v, noise) - alone
+    assert rise - (len(chosen) - len(lines.pairs)) * np.log(30) > np.log(30)
+    assert found.log_evidence - lines.log_evidence == pytest.approx(rise, abs=1e-6)
+    for factor in (0.6, 1.6):
+        assert evidence(factor * v[2], chosen, v, noise) < evidence(v[2], chosen, v, noise)
+    prior = np.concatenate([np.full(4, v[1]), np.repeat(np.where(found.smooth, v[2], v[0]), 2)])
+    prior[4:] *= np.repeat(np.where(found.smooth, shares[found.pairs], 1.0), 2)
+    columns = np.column_stack([A, H[:, np.repeat(shares > 0, 2)]])
+    coef = np.linalg.solve(columns.T @ columns / noise + np.diag(1 / prior), columns.T @ y / noise)
+    assert_allclose(found.coef, coef, rtol=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_smooth_function_where_there_are_lines_only(seed):
+    assert toy_with_smooth(seed, lines=True)[-1] is None
+
+
+def test_a_model_is_not_sure_of_angles_where_it_has_no_poses():
+    """Encoder tables of straight pieces: beside the poses, lines alone are far off and too sure."""
+    rng = np.random.default_rng(1)
+    knots = np.linspace(-np.pi, np.pi, 41)
+    tables = np.deg2rad(rng.normal(scale=15 / 3600, size=(6, 41)))
+    theta = rng.uniform(-2.5, 2.5, (500, 6))
+    error = np.stack([np.interp(q, knots, t) for q, t in zip(theta.T, tables, strict=True)], axis=1)
+    truth = np.einsum("nij,nj->ni", ARM.jacobian(theta), error)
+    y = truth + rng.normal(scale=0.01, size=truth.shape)
+    in_gap = np.any((theta > 0.4) & (theta < 0.9), axis=1)  # of any joint
+    near = np.flatnonzero(~in_gap)[:80]
+    train = np.setdiff1d(np.flatnonzero(~in_gap), near)
+    options = LinearOptions(48, None, None, False, False, False, "auto", "squared")
+    poses = theta[train], y[train], np.ones(len(train))
+    model, _ = fit_linear_model(ARM, *poses, None, [], options)
+    assert model.prior_sd["smooth"] > 1
+    z = {}
+    for name, rows in (("near", near), ("gap", np.flatnonzero(in_gap))):
+        mean, std = model.predict(theta[rows], return_std=True)
+        z[name] = np.sqrt(np.mean(np.square((mean - truth[rows]) / std)))
+        if name == "gap":
+            assert np.linalg.norm(mean - truth[rows]) < 0.8 * np.linalg.norm(truth[rows])
+    assert 0.7 < z["near"] < 1.6
+    assert 0.7 < z["gap"] < 1.6
 
 
 # -- orders ---------------------------------------------------------------------------------------

@@ -101,6 +101,17 @@ def test_degrees_names_and_one_output(data):
         assert again.predict(Z).ndim == 1
 
 
+def test_a_parameter_is_not_written_as_fitted(models, data):
+    """The pattern of a stage may have been fitted by itself: its numbers are not the model's."""
+    model = copy.deepcopy(models["guarded"])
+    model.harmonics = models["linear"]
+    text = to_json(model)
+    assert len(text) == len(to_json(models["guarded"]))
+    again = from_json(text)
+    assert not hasattr(again.harmonics, "linear_model_")
+    np.testing.assert_array_equal(again.predict(data.data), model.predict(data.data))
+
+
 def test_numbers_are_exact_and_text_is_text(models):
     text = to_json(models["pipeline"])
     assert "NaN" not in text
@@ -169,6 +180,45 @@ def test_damaged_files_are_refused(data, change, message):
     with pytest.raises(ValueError, match=message) as error:
         from_json(changed(text, change))
     assert "\n" not in str(error.value)
+
+
+def fading(node):
+    return node["state"]["fadings_"][0]["state"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda node: fading(node).update(factor=-2.0), "factor of Fading must be a finite"),
+        (lambda node: fading(node).update(size_mm="0.1"), "size_mm of Fading must be"),
+        (lambda node: fading(node).update(known_mm=None), "known_mm of Fading must be"),
+        (lambda node: fading(node).update(size_mm={"number": "NaN"}), "got nan"),
+        (lambda node: fading(node).pop("factor"), "factor"),
+        (lambda node: fading(node).update(half=1.0), "half"),
+        (lambda node: node["state"]["fadings_"].pop(), "how each of its stages fades"),
+        (lambda node: node["state"].update(fadings_=[1, 2]), "how each of its stages fades"),
+        (lambda node: node["state"].pop("fadings_"), "how each of its stages fades"),
+        (lambda node: node["state"].update(use_="all"), "use_ of ArmResidualRegressor must be one"),
+        (lambda node: node["state"].update(linear_model_=None), "linear_model_ .* is no LinearMod"),
+        (lambda node: node["state"].update(network_=None), "network_ .* is no RBFNetRegressor"),
+        (lambda node: node["state"].update(cap_mm_="1"), "cap_mm_ of ArmResidualRegressor must be"),
+        (lambda node: node["state"].update(cap_mm_={"number": "NaN"}), "cap_mm_ .* got nan"),
+        (lambda node: node["state"].update(angle_unit="turns"), "'angle_unit' parameter"),
+        (lambda node: node["state"].update(joints=["all"]), "'joints' parameter"),
+    ],
+)
+def test_damaged_stages_are_refused(models, change, message):
+    text = to_json(models["guarded"])
+    with pytest.raises(ValueError, match=message) as error:
+        from_json(changed(text, change))
+    assert "holds no model that can be built" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_linear_model_without_its_fading_is_refused(models):
+    text = to_json(models["linear"])
+    with pytest.raises(ValueError, match="how each of its stages fades"):
+        from_json(changed(text, lambda node: node["state"].pop("fading_")))
 
 
 def test_a_changed_digit_is_noticed(models, tmp_path):

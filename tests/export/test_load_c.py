@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -170,6 +171,21 @@ def test_without_a_folder_it_compiles_each_time(model, data, tmp_path, monkeypat
     monkeypatch.setenv("SKLEARN_RAACMM_CACHE", str(place / "cache"))
     expected = model.predict(data.data)
     np.testing.assert_allclose(load_c(model).predict(data.data), expected, rtol=0, atol=1e-12)
+
+
+@needs_compiler
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+def test_a_folder_that_cannot_be_written(model, data, tmp_path, monkeypatch):
+    folder = tmp_path / "read_only"
+    folder.mkdir(mode=0o500)
+    # To root, as which containers run, every folder can be written.
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder)
+    with pytest.raises(PermissionError, match=r"compiled models cannot be written: .*read_only"):
+        load_c(model, cache_dir=folder)
+    monkeypatch.setenv("SKLEARN_RAACMM_CACHE", str(folder))
+    expected = model.predict(data.data)
+    np.testing.assert_allclose(load_c(model).predict(data.data), expected, rtol=0, atol=1e-12)
+    assert not list(folder.iterdir())
 
 
 def test_without_a_compiler(model, tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """Models that were updated, registered or take degrees: every way out of Python."""
 
 import shutil
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +14,12 @@ from sklearn_raacmm import (
     RBFNetRegressor,
     update_correction,
 )
+from sklearn_raacmm.error_model import Terms, term_columns
 from sklearn_raacmm.export import describe, export_c, from_json, load_c, to_json, to_onnx
 
 ARM = Arm.from_name("aacmm6")
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
+STRICT += ["-Wdouble-promotion", "-Wfloat-conversion"]
 pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
 
 
@@ -30,10 +34,11 @@ def harmonics(**params):
     return JointHarmonicRegressor(ARM, max_order=2, gravity=False, wobble=False, **params)
 
 
-def both(**params):
+def both(first=None, **params):
     net = RBFNetRegressor(10, length_scale=1.5, alpha=0.05, degree=-1)
+    first = harmonics() if first is None else first
     return ArmResidualRegressor(
-        ARM, harmonics=harmonics(), network=net, joints="pose", use="harmonics+network", **params
+        ARM, harmonics=first, network=net, joints="pose", use="harmonics+network", **params
     )
 
 
@@ -98,6 +103,77 @@ def test_updated(data, new, tmp_path, make):
     assert again.updates_ == updated.updates_
 
 
+EXTRA = ("temperature", "force x", "tool", "payload", "direction 2", "temperature 3")
+
+
+@pytest.fixture(scope="module")
+def with_extra(data):
+    """Angles with what was written down beside them, and residuals that depend on all of it."""
+    X, y = data
+    rng = np.random.default_rng(2)
+    values = [
+        rng.normal(20, 3, len(X)), rng.normal(0, 2, len(X)), rng.choice([1.0, 2.0, 5.0], len(X)),
+        rng.uniform(0, 4, len(X)), rng.choice([-1.0, 1.0], len(X)), rng.normal(30, 5, len(X)),
+    ]  # fmt: skip
+    X = np.column_stack([X, *values])
+    terms = Terms(np.empty((0, 2), int), False, False, False, with_references(EXTRA, X[:, 6:]))
+    columns = term_columns(ARM, X, terms)
+    return X, y + columns @ rng.normal(0, 5, columns.shape[2])
+
+
+def with_references(names, values):
+    """What a model keeps of extra columns: the numbers of all tools, or the mean."""
+    columns = zip(names, values.T, strict=True)
+    return tuple((n, tuple(np.unique(v)) if n == "tool" else (v.mean(),)) for n, v in columns)
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_extra_columns(with_extra, tmp_path, guarded):
+    X, y = with_extra
+    model = harmonics(extra=EXTRA)
+    model = both(first=model).fit(X, y) if guarded else model.fit(X, y)
+    assert len(model.linear_model_.terms.extra) == 6
+    rng = np.random.default_rng(3)
+    new = np.column_stack([rng.uniform(-3, 3, (40, 6)), rng.permuted(X[:40, 6:], axis=0)])
+    new = np.concatenate([X[:20], new])
+    agree(model, new, tmp_path)
+    # Each of them matters.
+    for i in range(6, 12):
+        other = new.copy()
+        other[:, i] = np.roll(other[:, i], 1)
+        assert np.abs(model.predict(other) - model.predict(new)).max() > 1e-4
+    # A tool of which the model knows nothing: predict raises, and the others give NaN.
+    new[:, 8] = 3.0
+    with pytest.raises(ValueError, match="tool 3, of which the model knows nothing"):
+        model.predict(new)
+    ways = dict(ways_out(model, tmp_path))
+    for way in set(ways) - {"JSON"}:
+        assert np.isnan(ways[way](new)).all(), way
+
+
+@pytest.mark.parametrize("dtype", ["double", "float"])
+def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
+    X, y = with_extra
+    model = harmonics(extra=EXTRA, angle_unit="deg")
+    X = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
+    model.fit(X, y)
+    card = describe(model, X, y)
+    assert card["input"].startswith("6 joint angles in deg, then temperature, then force x")
+    low, high = card["training"]["range_of_payload"]
+    assert 0 <= low < 0.5 < 3.5 < high <= 4
+    assert len(card["training"]["largest_joint_angles_deg"]) == 6
+    header = export_c(model, tmp_path / "arm.c", dtype=dtype, card=card, poses=X)[1].read_text()
+    assert "then temperature, force x, tool, payload, direction 2, temperature 3" in header
+    assert "#define ARM_N_INPUTS 12\n" in header
+    assert "6 joints, standard DH" in header
+    compiler = shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("neither gcc nor clang is on PATH")
+    command = [compiler, "-std=c99", *STRICT, "-o", "t", "arm_test.c", "arm.c", "-lm"]
+    assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
+    assert subprocess.run(["./t"], cwd=tmp_path, check=False).returncode == 0
+
+
 def test_a_registered_arm(data, tmp_path):
     """Another base and tool: the same model on the arm that the registration found."""
     model = both().fit(*data)
@@ -122,3 +198,21 @@ def test_the_card_of_an_updated_model(data, new):
     fresh = describe(harmonics().fit(X, y), X, y, groups, n_folds=2)
     assert "updates" not in fresh
     assert fresh["error"]["after_is_measured_at"].startswith("positions not seen")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
+    for make, damage in (
+        (harmonics, lambda model: model.linear_model_.coef),
+        (both, lambda model: model.network_.posterior_.coef),
+    ):
+        model = make().fit(*data)
+        damage(model).flat[3] = bad
+        with pytest.raises(ValueError, match=r"not a finite double|holds NaN or infinity"):
+            export_c(model, tmp_path / "arm.c")
+        with pytest.raises(ValueError, match=r"holds NaN or infinity"):
+            to_json(model, tmp_path / "arm.json")
+        pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+        with pytest.raises(ValueError, match="holds a number that is not finite"):
+            to_onnx(model, tmp_path / "arm.onnx")
+    assert not list(tmp_path.iterdir())

@@ -69,6 +69,9 @@ def random_model(rng):
     if kind == 0:
         params = dict(zip(("gravity", "kinematics", "wobble"), rng.random(3) < 0.6, strict=True))
         params = {key: bool(value) for key, value in params.items()}
+        if rng.random() < 0.5:
+            params["extra"] = ["temperature", "force y", "tool"]
+            X = np.column_stack([X, rng.normal(size=(len(X), 2)), rng.integers(1, 3, len(X))])
         model = JointHarmonicRegressor(arm, max_order=int(rng.integers(1, 4)), **params)
     elif kind == 1:
         linear = JointHarmonicRegressor(arm, max_order=2, gravity=False)
@@ -93,7 +96,9 @@ def random_model(rng):
                 PoseFeatures(arm, append_azimuth=True, **pose),
                 CylindricalResidualTarget(make_pipeline(scaler, network)),
             )
-    return model.fit(X, y), np.concatenate([X[:10], rng.uniform(-6, 6, (20, X.shape[1]))])
+    new = rng.uniform(-6, 6, (20, X.shape[1]))
+    new[:, arm.n_joints + 2 :] = X[:20, arm.n_joints + 2 :]  # a tool that the model knows
+    return model.fit(X, y), np.concatenate([X[:10], new])
 
 
 @pytest.mark.exhaustive

@@ -9,7 +9,8 @@ from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _width_search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
-from sklearn_raacmm.network._width_search import LOOSE_KAPPA, Task, robust_spread, search
+from sklearn_raacmm.network._width_objective import Task
+from sklearn_raacmm.network._width_search import LOOSE_KAPPA, robust_spread, search
 
 
 def data_of(X, y):
@@ -157,6 +158,7 @@ def test_robust_spread_is_the_standard_deviation_where_nothing_is_far_out():
 
 
 def test_a_width_at_its_bound_is_said(monkeypatch):
+    monkeypatch.setattr("sklearn_raacmm.network._width_objective.WIDTH_BOUNDS", (0.8, 1e3))
     monkeypatch.setattr(_width_search, "WIDTH_BOUNDS", (0.8, 1e3))
     X = np.sort(np.random.default_rng(0).uniform(-1, 1, (200, 1)), axis=0)
     with pytest.warns(ConvergenceWarning, match="width of feature 0 ended at its lower bound"):

@@ -1,0 +1,385 @@
+"""Numbers of `results.json` as the README and the pages show them.
+
+``benchmarks/make_results.py`` writes the file. Pages take numbers and tables from here when the
+site is built, as MyST substitutions such as ``{{ table_regressors }}``. The README is read without
+a build: it has them in blocks that :func:`write_readme` writes and a test compares.
+"""
+
+import json
+from pathlib import Path
+
+FILE = Path(__file__).resolve().parent / "results.json"
+README = FILE.parent.parent / "README.md"
+
+MIXES = ("gravity", "typical", "eccentricity")
+REAL = ("real, panda_3", "real, panda_2", "real, ur10")
+SEEDS = 3
+UNCORRECTED, PERFECT = "-: uncorrected", "-: perfect model"
+NEWRB = "pose angles: RBF network, newrb"
+ONE_WIDTH = "pose angles: RBF network, one width"
+THREE = "pose angles: RBF network"
+CARTESIAN = "pose angles: RBF network, Cartesian"
+ALL = "all joints, cos and sin: RBF network"
+LINEAR = "all joints: JointHarmonicRegressor"
+GUARDED = "all joints: ArmResidualRegressor"
+NAMES = {
+    UNCORRECTED: "none",
+    NEWRB: "paper's network, three inputs",
+    ONE_WIDTH: "one width, three inputs",
+    THREE: "`RBFNetRegressor`, three inputs",
+    "pose angles: kernel ridge": "kernel ridge, three inputs",
+    "pose angles: extra trees": "extra trees, three inputs",
+    ALL: "`RBFNetRegressor`, all joints",
+    LINEAR: "`JointHarmonicRegressor`",
+    PERFECT: "perfect model",
+}
+HEADLINE_ROWS = {
+    "simulated, gravity, seed 0": "simulated: gravity dominates",
+    "simulated, typical, seed 0": "simulated: both",
+    "simulated, eccentricity, seed 0": "simulated: eccentric encoders dominate",
+    "real, panda_3": "real: Franka Panda `panda_3`, {folds} placements",
+    "real, panda_2": "real: Franka Panda `panda_2`, {folds} placements",
+    "real, ur10": "real: UR10 against a laser tracker, {rows} poses",
+}
+
+
+class Results:
+    """The file, asked by data set and model."""
+
+    def __init__(self, contents):
+        self.few_poses = contents["few_poses"]
+        self.comparisons = contents["comparisons"]
+
+    def of(self, data, model):
+        """Measures of one model on one data set."""
+        return self.comparisons[data]["models"][model]
+
+    def has(self, data, model):
+        """Tell whether a model was run on a data set."""
+        return model in self.comparisons.get(data, {}).get("models", {})
+
+    def seeds(self, mix, model):
+        """Numbers of the individuals of a simulated arm on which a model was run."""
+        return [seed for seed in range(SEEDS) if self.has(simulated(mix, seed), model)]
+
+    def less(self, data, model, measure="mean_mm"):
+        """Reduction of a measure, in per cent of what was uncorrected."""
+        before = self.of(data, UNCORRECTED)[measure]
+        return 100 * (1 - self.of(data, model)[measure] / before)
+
+
+def read():
+    """Results of the file."""
+    return Results(json.loads(FILE.read_text(encoding="utf-8")))
+
+
+def simulated(mix, seed=0):
+    """Name of a simulated data set."""
+    return f"simulated, {mix}, seed {seed}"
+
+
+def markdown(head, rows):
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def listed(values):
+    """Numbers as a list in a sentence: 1, 2 and 3."""
+    texts = [f"{value:.0f}" for value in values]
+    return f"{', '.join(texts[:-1])} and {texts[-1]}"
+
+
+def span(values):
+    """The least and the largest of some numbers: 1 to 3."""
+    values = [round(value) for value in values]
+    return f"{min(values)} to {max(values)}"
+
+
+# -- the README -----------------------------------------------------------------------------------
+
+
+def headline_table(results):
+    """Mean deviations of the README's table."""
+    head = ["data", "uncorrected", "RBF network, three inputs", "RBF network, all joints"]
+    rows = []
+    for data, title in HEADLINE_ROWS.items():
+        digits = 3 if data in REAL else 4
+        title = title.format(**results.comparisons[data])
+        if results.has(data, PERFECT):
+            title += f"; a perfect model reaches {results.of(data, PERFECT)['mean_mm']:.{digits}f}"
+        values = (results.of(data, m)["mean_mm"] for m in (UNCORRECTED, THREE, ALL, LINEAR))
+        rows.append([title, *(f"{value:.{digits}f}" for value in values)])
+    return markdown([*head, "`JointHarmonicRegressor`"], rows)
+
+
+def readme_blocks(results):
+    """Text of each block of the README by its name."""
+    less = [results.less(data, LINEAR) for data in REAL]
+    mixes = [simulated(mix) for mix in MIXES]
+    reduced = {m: [results.less(data, m) for data in mixes] for m in (THREE, ALL, PERFECT)}
+    apart = max(
+        abs(results.of(data, GUARDED)["mean_mm"] - results.of(data, LINEAR)["mean_mm"])
+        for data in HEADLINE_ROWS
+    )
+    return {
+        "headline": (
+            "**On three real robots, at places that neither calibration nor model had seen, "
+            f"`JointHarmonicRegressor`\nreduced the mean deviation that calibration had left by "
+            f"{listed(less)} %** ([what to expect](#what-to-expect))."
+        ),
+        "table": headline_table(results),
+        "guarded": (
+            f"`ArmResidualRegressor` is within {max(apart, 0.0005):.3f} mm of "
+            "`JointHarmonicRegressor` on all six."
+        ),
+        "three inputs": (
+            "- **Three inputs see a part of it.** On the three simulated arms above the network "
+            "reduced the mean\n  deviation by "
+            f"{listed(reduced[THREE])} % with the paper's three angles and by "
+            f"{listed(reduced[ALL])} % with all joints;\n  a perfect model reduces it by "
+            f"{listed(reduced[PERFECT])} %."
+        ),
+    }
+
+
+def filled(text, results):
+    """Text of the README with its blocks made anew."""
+    for name, block in readme_blocks(results).items():
+        start, end = f"<!-- {name}: from doc/results.json -->\n", "\n<!-- end -->"
+        if text.count(start) != 1:
+            raise ValueError(f"README.md has {text.count(start)} blocks {name!r}, but needs one.")
+        before, rest = text.split(start)
+        text = before + start + block + rest[rest.index(end) :]
+    return text
+
+
+def write_readme():
+    """Write the README's blocks anew."""
+    README.write_text(filled(README.read_text(encoding="utf-8"), read()), encoding="utf-8")
+
+
+# -- the pages ------------------------------------------------------------------------------------
+
+
+def paper_table(results):
+    """The paper's measures on three simulated arms."""
+    head = ["simulated mix", "correction", "2S max / mean (mm)", "less", "of possible"]
+    head += ["300 mm max / mean (mm)", "500 mm max / mean (mm)", "500 mm mean, scaled (mm)"]
+    models = (UNCORRECTED, NEWRB, THREE, "pose angles: kernel ridge", ALL, LINEAR, PERFECT)
+    rows = []
+    for mix in MIXES:
+        for model in models:
+            r = results.of(simulated(mix), model)
+            share = [f"{100 * r[key]:.0f} %" if key in r else "" for key in ("less", "of_possible")]
+            rows.append([mix, NAMES[model], _pair(r, "two_s", 4), *share])
+            rows[-1] += [_pair(r, "length_300", 4), _pair(r, "length_500", 4)]
+            rows[-1] += [f"{r['scaled_mean_mm']:.4f}"]
+    return markdown(head, rows)
+
+
+def _pair(record, name, digits):
+    return f"{record[f'{name}_max_mm']:.{digits}f} / {record[f'{name}_mean_mm']:.{digits}f}"
+
+
+def individuals_table(results):
+    """Reduction of the mean 2S for several individuals of each simulated arm."""
+    models = (NEWRB, ONE_WIDTH, THREE, ALL, LINEAR, PERFECT)
+    rows = []
+    for mix in MIXES:
+        cells = [
+            " / ".join(
+                f"{results.less(simulated(mix, seed), model, 'two_s_mean_mm'):.0f}"
+                for seed in results.seeds(mix, model)
+            )
+            for model in models
+        ]
+        rows.append([mix, *(f"{cell} %" for cell in cells)])
+    return markdown(["simulated mix", *(NAMES[model] for model in models)], rows)
+
+
+def regressors_table(results):
+    """Every regressor on three simulated arms, with its costs."""
+    head = ["inputs", "regressor", *MIXES, "fit (s)", "predict (us/row)", "size (kB)", "numbers"]
+    rows = []
+    for model in results.comparisons[simulated("typical")]["models"]:
+        if not all(results.has(simulated(mix), model) for mix in MIXES):
+            continue
+        inputs, name = model.split(": ")
+        cells = []
+        for mix in MIXES:
+            r = results.of(simulated(mix), model)
+            share = f" ({100 * r['of_possible']:.0f} %)" if "of_possible" in r else ""
+            cells.append(f"{r['two_s_mean_mm']:.4f}{share}")
+        r = results.of(simulated("typical"), model)
+        costs = [""] * 4
+        if "fit_seconds" in r:
+            costs = [f"{r['fit_seconds']:.2g}", f"{1e6 * r['predict_seconds_per_row']:.0f}"]
+            costs += [f"{r['pickle_bytes'] / 1000:.0f}", f"{r['numbers']:.0f}"]
+        rows.append([inputs, name, *cells, *costs])
+    return markdown(head, _in_order(rows))
+
+
+def real_table(results):
+    """Every regressor on three real arms."""
+    head = ["inputs", "regressor"]
+    head += [f"{data.removeprefix('real, ')}: mean / max, 2S mean" for data in REAL]
+    rows = []
+    for model in results.comparisons[REAL[0]]["models"]:
+        if not all(results.has(data, model) for data in REAL):
+            continue
+        cells = []
+        for data in REAL:
+            r = results.of(data, model)
+            cells.append(f"{r['mean_mm']:.3f} / {r['max_mm']:.3f}, {r['two_s_mean_mm']:.3f}")
+        rows.append([*model.split(": "), *cells])
+    return markdown(head, _in_order(rows))
+
+
+def _in_order(rows):
+    """Uncorrected first, then by inputs and name, a perfect model last."""
+    order = ["pose angles", "theta2 to theta4", "all joints, cos and sin", "all joints"]
+
+    def key(row):
+        if row[0] == "-":
+            return (-1 if row[1] == "uncorrected" else 9, "")
+        return (order.index(row[0]), row[1])
+
+    return sorted(rows, key=key)
+
+
+def r2_table(results):
+    """R2 as it is and with one constant for each position."""
+    models = (THREE, "pose angles: extra trees", ALL, LINEAR, PERFECT)
+    rows = []
+    for model in models:
+        found = [results.of(simulated(mix), model) for mix in MIXES]
+        rows.append([NAMES[model], *(f"{r['r2']:.2f}, {r['r2_within']:.2f}" for r in found)])
+    return markdown(["model", *(f"{mix}: R2, within" for mix in MIXES)], rows)
+
+
+def published_table(results):
+    """A published result beside ours on similar data."""
+    random, unseen = results.few_poses["random"], results.few_poses["unseen goals"]
+    rows = [
+        [
+            "UR5, transformer with the robot's kinematics (arXiv 2506.22788)",
+            "579 of 724, drawn at random",
+            "-",
+            "0.2515 (0.15)",
+        ],
+        ["UR10, `JointHarmonicRegressor`", "579 of 724, drawn at random", *_few(random)],
+        ["UR10, `JointHarmonicRegressor`", "500, judged at goals without any pose", *_few(unseen)],
+    ]
+    head = ["robot and model", "poses to learn from", "before (mm)", "after: mean (sd) (mm)"]
+    return markdown(head, rows)
+
+
+def choice_table(results):
+    """What the choice of an estimator was worth on the real arms."""
+    models = {
+        UNCORRECTED: "calibrated only",
+        THREE: "the published inputs, `RBFNetRegressor`",
+        ALL: "all joints, `RBFNetRegressor`",
+        LINEAR: "`JointHarmonicRegressor`",
+        GUARDED: "`ArmResidualRegressor`",
+    }
+    rows = [
+        [title, *(f"{results.of(data, model)['mean_mm']:.3f}" for data in REAL)]
+        for model, title in models.items()
+    ]
+    return markdown(["estimator", *(data.removeprefix("real, ") for data in REAL)], rows)
+
+
+def _few(record):
+    return [
+        f"{record['uncorrected_mean_mm']:.3f}",
+        f"{record['mean_mm']:.3f} ({record['sd_mm']:.2f})",
+    ]
+
+
+def sentences(results):
+    """Single numbers and ranges of the pages by name."""
+    values = {}
+    names = {"three": THREE, "all": ALL, "linear": LINEAR, "perfect": PERFECT, "newrb": NEWRB}
+    names |= {"cartesian": CARTESIAN, "guarded": GUARDED}
+    two_s, length = "two_s_mean_mm", "length_{}_mean_mm"
+    for mix in MIXES:
+        for key, model in names.items():
+            data = simulated(mix)
+            if results.has(data, model):
+                values[f"less_{key}_{mix}"] = f"{results.less(data, model, two_s):.0f}"
+        pose = [m for m in results.comparisons[simulated(mix)]["models"] if _three_inputs(m)]
+        values[f"span_three_{mix}"] = span(
+            results.less(simulated(mix), m, two_s) for m in pose if "polynomial" not in m
+        )
+        values[f"cartesian_{mix}"] = " / ".join(
+            f"{-results.less(simulated(mix, seed), CARTESIAN, two_s):+.0f}"
+            for seed in results.seeds(mix, CARTESIAN)
+        )
+    sets = [simulated(mix) for mix in MIXES]
+    values["span_perfect"] = span(results.less(data, PERFECT, two_s) for data in sets)
+    possible = [100 * results.of(data, LINEAR)["of_possible"] for data in sets]
+    values["span_linear_possible"] = span(possible)
+    three = (NEWRB, THREE, "pose angles: kernel ridge")
+    for size in (300, 500):
+        measure = length.format(size)
+        values[f"span_linear_{size}"] = span(results.less(data, LINEAR, measure) for data in sets)
+    values["span_three_lengths"] = span(
+        results.less(d, m, length.format(size)) for d in sets for m in three for size in (300, 500)
+    )
+    values["span_linear_lengths"] = span(
+        results.less(d, LINEAR, length.format(size)) for d in sets for size in (300, 500)
+    )
+    values["span_linear_scaled"] = span(results.less(d, LINEAR, "scaled_mean_mm") for d in sets)
+    for name, key in (("random", "random"), ("unseen", "unseen goals")):
+        for end in ("low", "high"):
+            found = results.few_poses[key][f"{end}est_mean_mm"]
+            values[f"few_{name}_{end}"] = f"{found:.3f}"
+    for data in REAL:
+        name = data.removeprefix("real, ")
+        values[f"before_{name}"] = f"{results.of(data, UNCORRECTED)['mean_mm']:.3f}"
+        for key, model in names.items():
+            if results.has(data, model):
+                values[f"{key}_{name}"] = f"{results.of(data, model)['mean_mm']:.3f}"
+                values[f"less_{key}_{name}"] = f"{results.less(data, model):.0f}"
+    return values
+
+
+def _three_hundred(results):
+    """A sentence on as many poses as the paper has, where they have been run."""
+    few, many = simulated("typical"), f"{simulated('typical')}, 300 poses"
+    if not (results.has(many, NEWRB) and results.has(many, LINEAR)):
+        return ""
+    values = [
+        f"{1000 * results.of(data, model)['two_s_mean_mm']:.0f}"
+        for model in (UNCORRECTED, NEWRB, LINEAR)
+        for data in (few, many)
+    ]
+    return (
+        "With 300 poses at each position instead of 60, as the paper has them, the mean 2S on the "
+        "typical arm is {1} instead of {0} µm before the correction, {3} instead of {2} µm after "
+        "the paper's network, and {5} instead of {4} µm after `JointHarmonicRegressor`."
+    ).format(*values)
+
+
+def _three_inputs(model):
+    return model.startswith("pose angles") and "Cartesian" not in model
+
+
+def substitutions():
+    """Tables and numbers of the pages by name."""
+    results = read()
+    return {
+        "table_headline": headline_table(results),
+        "table_choice": choice_table(results),
+        "table_paper": paper_table(results),
+        "table_individuals": individuals_table(results),
+        "table_regressors": regressors_table(results),
+        "table_real": real_table(results),
+        "table_r2": r2_table(results),
+        "table_published": published_table(results),
+        "guarded": readme_blocks(results)["guarded"],
+        "sentence_300": _three_hundred(results),
+        **sentences(results),
+    }

@@ -1,0 +1,90 @@
+"""Check the built site without a network: ``python doc/check_site.py doc/_build/html``.
+
+Every local link has to lead to a file, and to an anchor of it where it names one. Nothing of the
+building machine or of a failed build may stand in the text: no path of the project's folder, no
+traceback, no number that was not filled in. Exit code 1 and one line for each finding otherwise.
+"""
+
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+PROJECT = Path(__file__).resolve().parent.parent
+# What must not be read on a page; sources of the package, shown as they are, are exempt.
+UNWANTED = {
+    "a path of the building machine": re.compile(
+        re.escape(str(PROJECT)) + r"\b|/home/\w|/tmp/\w|/root/\w"
+    ),
+    "a traceback": re.compile(r"Traceback \(most recent call last\):(?!\s+\.\.\.)"),
+    "a number that was not filled in": re.compile(r"\{\{ ?\w+ ?\}\}"),
+}
+
+
+class Page(HTMLParser):
+    """Links, anchors and text of one page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.anchors, self.words = [], set(), []
+        self._hidden = 0
+        self.feed(text)
+
+    def has(self, fragment):
+        """Tell whether a link to this place of the page finds it."""
+        return unquote(fragment) in self.anchors
+
+    def handle_starttag(self, tag, attributes):
+        """Collect links and anchors."""
+        self._hidden += tag in ("script", "style")
+        for name, value in attributes:
+            if name == "id" or (name == "name" and tag == "a"):
+                self.anchors.add(value)
+            elif name in ("href", "src") and value:
+                self.links.append(value)
+
+    def handle_endtag(self, tag):
+        """Leave scripts."""
+        self._hidden -= tag in ("script", "style")
+
+    def handle_data(self, data):
+        """Collect what is read."""
+        if not self._hidden:
+            self.words.append(data)
+
+
+def findings(folder):
+    """One line for each broken link and each unwanted text of a built site."""
+    folder = Path(folder).resolve()
+    pages = {
+        path: Page(path.read_text(encoding="utf-8"))
+        for path in sorted(folder.rglob("*.html"))
+        if "_static" not in path.relative_to(folder).parts  # files of the theme
+    }
+    if not pages:
+        yield f"{folder} holds no pages"
+    for path, page in pages.items():
+        name = path.relative_to(folder)
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            if target.is_dir():
+                target /= "index.html"
+            if not target.exists():
+                yield f"{name}: no file for the link {link}"
+            elif parts.fragment and target in pages and not pages[target].has(parts.fragment):
+                yield f"{name}: no anchor for the link {link}"
+        if name.parts[0] != "_modules":
+            text = "".join(page.words)
+            for what, pattern in UNWANTED.items():
+                if found := pattern.search(text):
+                    yield f"{name}: {what}: {text[found.start() : found.start() + 60]!r}"
+
+
+if __name__ == "__main__":
+    lines = list(findings(sys.argv[1]))
+    print(*lines, sep="\n", end="\n" if lines else "")
+    sys.exit(bool(lines))

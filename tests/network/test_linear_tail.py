@@ -1,0 +1,117 @@
+"""The ridge of the linear tail, against closed forms and linear models."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from sklearn.linear_model import LinearRegression, RidgeCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network._kernels import kernel_matrix
+from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem
+from sklearn_raacmm.network._training_data import TAIL_RIDGES, linear_ridge
+
+
+def linear(n, d, noise, seed=0, q=1):
+    rng = np.random.default_rng(seed)
+    X = rng.standard_normal((n, d)) * rng.uniform(0.1, 10, d) + 5
+    Y = X / X.std(axis=0) @ rng.standard_normal((d, q)) + 3
+    return X, Y + noise * rng.standard_normal((n, q))
+
+
+@pytest.mark.parametrize("noise", [0.1, 3.0])
+def test_ridge_makes_the_targets_most_probable(noise):
+    X, Y = linear(30, 8, noise, q=2)
+    Z, about = (X - X.mean(axis=0)) / X.std(axis=0), Y - Y.mean(axis=0)
+
+    def probability(ridge):
+        covariance = Z @ Z.T / ridge + np.eye(30)
+        total = 0.0
+        for y in about.T:
+            variance = y @ np.linalg.solve(covariance, y) / 30
+            total += multivariate_normal.logpdf(y, cov=variance * covariance)
+        return total
+
+    expected = max(TAIL_RIDGES[20:61], key=probability)
+    assert linear_ridge(Z, about, np.zeros(2), 30) == expected
+    assert 0.01 < expected / (8 * noise**2 / 8) < 100
+
+
+def test_full_network_is_the_posterior_with_linear_functions():
+    # Penalised least squares in closed form; the ridge of the tail is that of the linear model.
+    X, Y = linear(150, 3, 0.5, q=2)
+    Y += np.sin(3 * X[:, :1] / X[:, 0].std())
+    width = 0.3 * X.std(axis=0)
+    model = RBFNetRegressor(130, kernel="gaussian", length_scale=width, degree=1).fit(X, Y)
+
+    def columns(T):
+        radial = kernel_matrix(T / width, model.centers_ / width, "gaussian")
+        return np.hstack([np.ones((len(T), 1)), (T - X.mean(axis=0)) / X.std(axis=0), radial])
+
+    penalty = np.zeros((134, 134))
+    penalty[1:4, 1:4] = np.eye(3) * linear_ridge(
+        columns(X)[:, 1:4], Y - Y.mean(axis=0), np.zeros(2), 150
+    )
+    gram, T = columns(X).T @ columns(X), X[:20] + 0.1
+    rows = model.posterior_.design_triangle()
+    np.testing.assert_allclose(rows.T @ rows, gram + penalty, atol=1e-9 * gram.max())
+    mean = model.predict(T)
+    for i, alpha in enumerate(model.alpha_):
+        penalty[4:, 4:] = alpha * columns(model.centers_)[:, 4:]
+        weights = np.linalg.solve(gram + penalty, columns(X).T @ Y[:, i])
+        np.testing.assert_allclose(mean[:, i], columns(T) @ weights, rtol=1e-7)
+        left = Y[:, i] - columns(X) @ weights
+        objective = left @ left + weights @ penalty @ weights
+        assert model.noise_variance_[i] == pytest.approx(objective / 149, rel=1e-8)
+
+
+def test_rows_in_blocks_have_the_ridge_of_their_sample():
+    X, Y = linear(400, 5, 2.0, q=2)
+    Y[:, 1] *= 1e3
+    weights = np.random.default_rng(0).uniform(0.5, 2, 400)
+    problem = chunked_problem(ArrayChunks(X, Y, weights), 5, 1, 150, 1, ridged=True)
+    assert problem.tail_ridge == problem.sample.tail_ridge > 0
+    for one in (problem, problem.sample):
+        sums = one.reduce(
+            lambda block: (
+                block.basis.T @ block.basis,
+                block.basis.T @ block.targets,
+                np.square(block.targets).sum(axis=0),
+            ),
+            lambda a, b: tuple(x + y for x, y in zip(a, b, strict=True)),
+            12,
+        )
+        below = one.basis_rows.T @ one.basis_rows
+        np.testing.assert_allclose(sums[0] + below, np.eye(6), atol=1e-10)
+        np.testing.assert_allclose(one.projection, sums[1], rtol=1e-8)
+        left = sums[2] - np.square(sums[1]).sum(axis=0)
+        np.testing.assert_allclose(one.n_total * one.spread**2, left, rtol=1e-8)
+        assert one.tail_dof == pytest.approx(np.trace(sums[0]))
+
+
+def test_many_features_do_not_ruin_the_linear_part():
+    # 100 features of 150 rows: without a ridge the linear part alone follows the noise.
+    X, Y = linear(600, 100, 0.0)
+    y = Y[:, 0] / Y.std()
+    rng = np.random.default_rng(1)
+    observed = y + 0.5 * rng.standard_normal(600)
+    learn, test = slice(0, 150), slice(150, 600)
+    peer = make_pipeline(StandardScaler(), RidgeCV(np.logspace(-3, 3, 13)))
+    models = [RBFNetRegressor(degree=1, random_state=0), peer, LinearRegression()]
+    errors = [
+        np.sqrt(np.mean((m.fit(X[learn], observed[learn]).predict(X[test]) - y[test]) ** 2))
+        for m in models
+    ]
+    assert errors[0] < 1.05 * errors[1] < 0.8 * errors[2]
+    mean, std = models[0].predict(X[test], return_std=True)
+    inside = np.abs(observed[test] - mean) < 1.96 * std
+    assert 0.9 < inside.mean() < 0.98
+
+
+def test_a_given_ridge_leaves_the_linear_part_free():
+    X, Y = linear(60, 3, 1.0)
+    model = RBFNetRegressor(1, length_scale=1.0, alpha=1e9, degree=1).fit(X, Y)
+    np.testing.assert_allclose(model.predict(X), LinearRegression().fit(X, Y).predict(X), rtol=1e-7)
+    found = RBFNetRegressor(degree=1).fit(X, np.full(60, 2.0))
+    np.testing.assert_allclose(found.predict(X), np.full(60, 2.0), rtol=1e-14)

@@ -1,0 +1,97 @@
+"""What holds the site and the package's pages elsewhere together: links, recipe, results."""
+
+import json
+import re
+import runpy
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from sklearn_raacmm import __version__
+
+ROOT = Path(__file__).resolve().parent.parent
+DOC = ROOT / "doc"
+
+
+@pytest.fixture
+def results(monkeypatch):
+    monkeypatch.syspath_prepend(DOC)
+    import _results
+
+    yield _results
+    del sys.modules["_results"]
+
+
+def test_the_check_of_the_site_sees_what_is_broken(tmp_path):
+    findings = runpy.run_path(str(DOC / "check_site.py"))["findings"]
+    good = '<h1 id="top">A</h1><a href="b.html#there">b</a><a href="https://example.org/x">x</a>'
+    (tmp_path / "index.html").write_text(good, encoding="utf-8")
+    (tmp_path / "b.html").write_text('<p id="there"><a href="#top2">up</a>', encoding="utf-8")
+    assert list(findings(tmp_path)) == ["b.html: no anchor for the link #top2"]
+    bad = f'<a href="gone.html">g</a><img src="no.png"><p>{{{{ less }}}} {ROOT}/x</p>'
+    (tmp_path / "b.html").write_text(f'<p id="there">{bad}', encoding="utf-8")
+    found = list(findings(tmp_path))
+    assert len(found) == 4
+    assert sum("no file" in line for line in found) == 2
+    assert any("building machine" in line for line in found)
+    assert any("not filled in" in line for line in found)
+    assert list(findings(tmp_path / "empty")) != []
+
+
+def test_numbers_of_the_readme_are_those_of_the_results(results):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert results.filled(text, results.read()) == text, "run benchmarks/make_results.py"
+    # The check sees a number that was typed: another result gives another text.
+    contents = json.loads(results.FILE.read_text(encoding="utf-8"))
+    contents["comparisons"]["real, ur10"]["models"][results.LINEAR]["mean_mm"] *= 2
+    assert results.filled(text, results.Results(contents)) != text
+
+
+def test_every_number_that_a_page_takes_is_there(results):
+    known = results.substitutions()
+    for page in [*DOC.glob("*.md"), *DOC.glob("user_guide/*.md")]:
+        used = re.findall(r"\{\{ ?(\w+) ?\}\}", page.read_text(encoding="utf-8"))
+        assert set(used) <= set(known), page.name
+    assert known["less_linear_ur10"] in known["table_headline"] or known["table_real"]
+
+
+def test_what_the_pages_say_of_the_results_is_true(results):
+    """Sentences without a number of their own that the next measurement could make false."""
+    found = results.read()
+    for data in results.REAL:
+        models = found.comparisons[data]["models"]
+        others = [name for name in models if name not in (results.LINEAR, results.GUARDED)]
+        best = min(models[name]["mean_mm"] for name in others)
+        assert models[results.LINEAR]["mean_mm"] < best
+        # "All joints were better on every arm that we have tried."
+        assert models[results.ALL]["mean_mm"] < models[results.THREE]["mean_mm"]
+    # "The paper's 15 % lies in this range."
+    low, high = map(int, results.substitutions()["span_three_typical"].split(" to "))
+    assert low <= 15 <= high
+    for mix in results.MIXES:
+        data = results.simulated(mix)
+        # "All joints helped in every mix", "the two best models have by far the worst plain R2".
+        assert found.less(data, results.ALL, "two_s_mean_mm") > 20
+        assert found.of(data, results.ALL)["mean_mm"] < found.of(data, results.THREE)["mean_mm"]
+        assert found.of(data, results.LINEAR)["r2"] < 0 < found.of(data, results.ALL)["r2"]
+
+
+def test_the_recipe_asks_for_what_the_project_asks_for():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    assert f"version: {__version__}\n" in recipe
+    run, optional = recipe.split("  run:\n")[1].split("test:")[0].split("  run_constrained:\n")
+
+    def asked(text):
+        return {re.sub(r"[ -]|-base", "", line) for line in text.split("\n") if line.strip()}
+
+    def wanted(needs):
+        return {need.replace("-", "") for need in needs}
+
+    assert asked(run) == wanted([f"python{project['requires-python']}", *project["dependencies"]])
+    extras = project["optional-dependencies"]
+    assert asked(optional.replace("-base", "")) == wanted(extras["app"] + extras["examples"])
+    version = re.search(r"version = \{(\S+)\}", (DOC / "citing.md").read_text(encoding="utf-8"))[1]
+    assert version == __version__
