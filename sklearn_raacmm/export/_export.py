@@ -73,7 +73,8 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
           centre of the probe, through the arm's kinematics;
         - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
-        - ``double <name>_trust(const double joint_angles[N])``, of a model that fades: the share of the correction that is left, of its stages the smallest;
+        - ``double <name>_trust(const double joint_angles[N])``, of a model that fades: the share of
+          the correction that is left, of its stages the smallest;
         - ``const char *<name>_fingerprint(void)``.
 
         The first four return 0; 1 where less than half of a stage is left; 2 where the result is
