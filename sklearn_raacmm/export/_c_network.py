@@ -121,9 +121,9 @@ def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
 
     Returns
     -------
-    whole : ndarray of shape (k, k)
+    whole : ndarray of shape (r, k)
         Below 2^24: exact in single precision, in which the error was measured.
-    factor : ndarray of shape (k, 1)
+    factor : ndarray of shape (r, 1)
         None, None where single precision is not enough, as for data without noise.
     """
     rows = _rows_to_measure(step.centers_)
@@ -205,8 +205,8 @@ def _network_variance(numbers, step, with_noise, exact):
 
 def _spectral_sum(numbers, turn, shift, shrunk, whole, factor):
     """Tables of the posterior's directions, lines that compute g and h, and the sum over them."""
-    real, (k, p), n = numbers.real, shift.shape, _whole_vectors(len(turn))
-    fill = ((0, 0), (0, n - k))
+    real, (rank, p), n = numbers.real, shift.shape, _whole_vectors(len(turn))
+    fill = ((0, 0), (0, n - rank))
     note = "one row a centre, one column a direction"
     if whole is None:
         text = numbers.table("turn", np.pad(turn.T, fill), note)
@@ -219,7 +219,8 @@ def _spectral_sum(numbers, turn, shift, shrunk, whole, factor):
     sums = "g" if whole is None else "sums"
     lines = [
         f"{of_float} {sums}[{n}] = {{0}};",
-        f"for (int c = 0; c < {k}; ++c)",
+        # Centres that the kernel cannot tell apart have fewer directions than there are of them.
+        f"for (int c = 0; c < {turn.shape[1]}; ++c)",
         f"    for (int i = 0; i < {n}; ++i)",
         f"        {sums}[i] += turn[c][i] * ({of_float})phi[c];",
     ]

@@ -161,10 +161,11 @@ def posterior_spectrum(step):
 
     Returns
     -------
-    turn : ndarray of shape (k, k)
-    shift : ndarray of shape (k, p)
+    turn : ndarray of shape (rank, k)
+        The rank of the centres' kernel matrix is below k where rounding hides some directions.
+    shift : ndarray of shape (rank, p)
     tail : ndarray of shape (p, 1 + n_features)
-    shrunk : ndarray of shape (n_outputs, k)
+    shrunk : ndarray of shape (n_outputs, rank)
         ``1 / (spectrum + alpha)``.
     """
     posterior, k = step.posterior_, len(step.centers_)
