@@ -207,6 +207,7 @@ def check_correction(
     linear = replace(
         linear,
         half=max(linear.std_scale, 1.0) * linear.half,
+        gauge_free_half=max(linear.std_scale, 1.0) * linear.gauge_free_half,
         noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
     )
     labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
