@@ -105,7 +105,11 @@ def main():
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--doors", nargs="*", default=[], help="words of the doors to count")
     args = parser.parse_args()
-    started, passed, alarms, named = time.process_time(), Counter(), [], []
+    started, passed, named = time.process_time(), Counter(), []
+
+    def alarm(seed, door, sentence):
+        print(f"{MACHINES[seed % len(MACHINES)]}, seed {seed}, {door}: {sentence}", flush=True)
+
     for seed in range(args.first, args.first + args.runs):
         for door, enter in doors(seed):
             if args.doors and not any(word in door for word in args.doors):
@@ -115,16 +119,15 @@ def main():
                 try:
                     result = enter()
                 except Exception as error:  # whatever a user would see
-                    alarms.append((seed, door, f"{type(error).__name__}: {error}"))
+                    alarm(seed, door, f"{type(error).__name__}: {error}")
                     continue
-            alarms += [(seed, door, str(warning.message)) for warning in caught]
+            for warning in caught:
+                alarm(seed, door, str(warning.message))
             passed[door] += not caught
             if door.startswith("calibrate"):
                 named.append(len(result.outliers))
     for door, count in passed.items():
         print(f"{door:<24}{count:>5} of {args.runs} without a word")
-    for seed, door, sentence in alarms:
-        print(f"{MACHINES[seed % len(MACHINES)]}, seed {seed}, {door}: {sentence}")
     print(f"sets in which calibrate named rows: {np.count_nonzero(named)} of {len(named)}")
     print(f"{time.process_time() - started:.0f} s of CPU time")
 

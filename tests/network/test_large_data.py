@@ -8,7 +8,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _read_data
-from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem
+from sklearn_raacmm.network._large_data import ArrayChunks, _summarise, chunked_problem
 from sklearn_raacmm.network._training_data import merge, prepare
 
 
@@ -169,3 +169,13 @@ def test_bad_values_in_one_chunk_are_named(few_in_memory):
         model.fit(da.from_array(X, chunks=(500, -1)), Y, sample_weight=weights)
     with pytest.raises(ValueError, match=r"Sample weights must contain at least one non-zero"):
         model.fit(da.from_array(X, chunks=(500, -1)), Y, sample_weight=np.zeros(3000))
+
+
+@pytest.mark.parametrize(
+    ("size", "complete"), [(250, True), (249, False), (100, False), (40, False)]
+)
+def test_a_sample_of_a_block_says_whether_it_is_all_of_it(size, complete):
+    """Of 300 rows 250 have weight; of more than four times the size not all are sorted."""
+    summary = _summarise(*data(300), 0, 0, size)
+    assert summary.complete is complete
+    assert len(summary.sample.X) == size
