@@ -19,6 +19,8 @@ NAMES = {
             "sklearn.multioutput.MultiOutputRegressor",
             "sklearn.pipeline.Pipeline",
             "sklearn.preprocessing.StandardScaler",
+            "sklearn.preprocessing.TargetEncoder",
+            "sklearn.decomposition.TruncatedSVD",
             "sklearn.exceptions.NotFittedError",
             "sklearn.utils.Bunch",
             "sklearn.utils.metadata_routing.MetadataRequest",

@@ -66,7 +66,7 @@ class ControlChartDisplay:
         Parameters
         ----------
         path : str or path-like
-            Written by :meth:`CorrectionCheck.append_to`.
+            Written by :meth:`~sklearn_raacmm.CorrectionCheck.append_to`.
 
         axes : array-like of matplotlib Axes of shape (2, 1), default=None
             Axes to draw on. None: new ones.
