@@ -150,9 +150,9 @@ def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
     rng = np.random.default_rng(0)
     X = rng.uniform(-1, 1, (300, 2))
     y = np.sin(3 * X[:, 0]) * np.cos(2 * X[:, 1]) + 1e-3 * rng.normal(size=300)
-    model = RBFNetRegressor(kernel="gaussian", alpha=1e-10, random_state=0).fit(X, y)
+    model = RBFNetRegressor(kernel="gaussian", alpha=1e-8, length_scale=0.7).fit(X, y)
     assert len(model.posterior_.prior_root) < len(model.centers_)
     new = rng.uniform(-1.2, 1.2, (100, 2))
     expected = model.predict(new, return_std=True)[1]
     # What such directions hold is rounding: the two ways to the variance differ by so much.
-    np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=0.3)
+    np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=0.05)
