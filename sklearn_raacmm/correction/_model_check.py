@@ -101,7 +101,7 @@ class CorrectionCheck:
 @validate_params(
     {
         "false_alarm_rate": [Interval(Real, 0, 0.5, closed="neither")],
-        "refitted": ["array-like"],
+        "refitted": ["array-like", str],
         "arm": [Arm, None],
     },
     prefer_skip_nested_validation=True,
@@ -212,18 +212,8 @@ def check_correction(
     )
     labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
     lengths = _check_lengths(lengths, labels)
-    angles, y, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
-    joints = angles[:, : linear.arm.n_joints]
-    shown = (linear.arm if arm is None else arm).forward(joints) if lengths else angles[:, :3]
-    correction = copy(model).set_params(angle_unit="rad").predict(angles)
-    left = y - correction
-    kept = weights > 0
-    slipped = _slipped(linear, angles, left, codes, kept)
-    kept &= ~slipped
-    poses = _Poses(
-        linear, angles[kept], left[kept], (shown - correction)[kept], weights[kept],
-        None if codes is None else codes[kept], lengths,
-    )  # fmt: skip
+    today = check_new_poses(model, X, y, groups, sample_weight)
+    poses, slipped = _poses_of(linear, model, today, lengths, linear.arm if arm is None else arm)
     nuisance = poses.nuisance(refitted)
     n_rows = len(nuisance)
     freedom = n_rows - np.linalg.matrix_rank(nuisance) if nuisance.size else n_rows
@@ -249,6 +239,21 @@ def check_correction(
     kind = suspect if suspect in _ADVICE else "arm"
     rows = tuple(np.flatnonzero(slipped).tolist())
     return CorrectionCheck(holds, p_value, suspect, _ADVICE[kind], tests, rows, record)
+
+
+def _poses_of(linear, model, today, lengths, arm):
+    """Today's poses that count, and which of the rows have slipped."""
+    angles, y, weights, codes = today
+    shown = arm.forward(angles[:, : arm.n_joints]) if lengths else angles[:, :3]
+    correction = copy(model).set_params(angle_unit="rad").predict(angles)
+    left = y - correction
+    slipped = _slipped(linear, angles, left, codes, weights > 0)
+    kept = (weights > 0) & ~slipped
+    poses = _Poses(
+        linear, angles[kept], left[kept], (shown - correction)[kept], weights[kept],
+        None if codes is None else codes[kept], lengths,
+    )  # fmt: skip
+    return poses, slipped
 
 
 def _check_lengths(lengths, labels):
@@ -322,9 +327,9 @@ class _Poses(NamedTuple):
 
     def nuisance(self, refitted):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
-        refitted = set(refitted)
-        if not refitted <= {"base", "probe"}:
-            raise ValueError(f'refitted must name "base" or "probe", got {sorted(refitted)!r}.')
+        refitted = [refitted] if isinstance(refitted, str) else list(refitted)
+        if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
+            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r}.')
         place = place_columns(self.linear.arm, self.angles, with_base=True)
         parts = [np.empty((len(self.residual()), 0))]
         if "probe" in refitted:

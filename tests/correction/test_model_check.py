@@ -195,6 +195,9 @@ def test_bad_input(model):
     angles, y = rows(40, 0)
     with pytest.raises(ValueError, match="refitted must name"):
         check_correction(model, angles, y, refitted=["table"])
+    with pytest.raises(ValueError, match="refitted must name"):
+        check_correction(model, angles, y, refitted=angles)
+    assert check_correction(model, angles, y, refitted="base").record["n_poses"] == len(angles)
     with pytest.raises(ValueError, match="'false_alarm_rate' parameter"):
         check_correction(model, angles, y, false_alarm_rate=0)
     with pytest.raises(ValueError, match="3 poses have 9 coordinates for 9 freedoms"):
