@@ -119,7 +119,7 @@ def check(options):
     )
     for label, one, other in zip(np.unique(table.positions), before, after, strict=True):
         print(f"{label}: 2S {one:.4f} -> {other:.4f} mm")
-    _name_the_suspect(saved, measured, table, options)
+    changed = _name_the_suspect(saved, measured, table, options)
     expected = highest_mean(saved.facts["positions"]["after"], len(after))
     change = f"mean 2S {before.mean():.3f} -> {after.mean():.3f} mm"
     if after.mean() >= before.mean():
@@ -132,17 +132,20 @@ def check(options):
             "probe and base, or learn again."
         )
         return NO_HELP
-    print(f"It holds: {change}; expected below {expected:.3f} mm.")
+    verdict = "It still helps, but something has changed" if changed else "It holds"
+    print(f"{verdict}: {change}; expected below {expected:.3f} mm.")
     return OK
 
 
 def _name_the_suspect(saved, measured, table, options):
-    """Say what the model's posterior makes of today's poses, and keep the record."""
+    """Say what the model's posterior makes of today's poses, keep the record; whether one is."""
     linear = getattr(saved.model, "linear_model_", None)
     if linear is None or getattr(saved.model, "use_", "") == "none":
-        if options.record:
-            raise TableError("--record needs a model of causes; this correction has none in use.")
-        return
+        if options.record or options.chart:
+            raise TableError(
+                "--record and --chart need a model of causes; this correction has none in use."
+            )
+        return False
     angles, positions = in_rad(table), table.positions
     found = check_correction(
         saved.model, angles, position_residuals(measured, positions), groups=positions,
@@ -159,6 +162,7 @@ def _name_the_suspect(saved, measured, table, options):
         records = read_check_records(options.record) if options.record else [found.record]
         write_whole({options.chart: chart_of(records)})
         print(f"Written to {options.chart}")
+    return not found.holds
 
 
 def highest_mean(learnt, n):
