@@ -44,7 +44,8 @@ def frames_of(arm, row):
 
 
 def cross(u, v):
-    return mpmath.matrix([u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)])
+    turns = ((1, 2), (2, 0), (0, 1))
+    return mpmath.matrix([u[i] * v[j] - u[j] * v[i] for i, j in turns])
 
 
 def in_50_digits(model, row):

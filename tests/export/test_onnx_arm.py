@@ -127,7 +127,7 @@ def test_in_the_frame_of_the_azimuth(data):
     np.testing.assert_allclose(got, model.predict(data.data), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("target_opset", [13, 22])
+@pytest.mark.parametrize("target_opset", [13, 21])
 def test_opsets(data, target_opset):
     model = harmonics(data.arm).fit(data.data, data.target)
     converted = to_onnx(model, target_opset=target_opset)
