@@ -16,12 +16,7 @@ from sklearn_raacmm.error_model._extra import force_on_probe
 from sklearn_raacmm.error_model._fading import Fading, find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
-from sklearn_raacmm.error_model._left_out import (
-    LEAST_POSITIONS,
-    interval_scales,
-    leave_out,
-    with_honest_intervals,
-)
+from sklearn_raacmm.error_model._left_out import LEAST_POSITIONS, interval_scales, leave_out
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._orders import likely_gear_ratios
@@ -53,5 +48,4 @@ __all__ = [
     "predict_turns",
     "term_columns",
     "warn_where_unknown",
-    "with_honest_intervals",
 ]
