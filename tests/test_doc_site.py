@@ -57,6 +57,29 @@ def test_every_number_that_a_page_takes_is_there(results):
     assert known["less_linear_ur10"] in known["table_headline"] or known["table_real"]
 
 
+def test_the_command_says_what_has_moved(results, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import make_results
+
+    old = {"arm": {"model": {"mean_mm": 1.0, "max_mm": 2.0, "fit_seconds": 1.0, "made": "a"}}}
+    new = {"arm": {"model": {"mean_mm": 1.02, "max_mm": 2.01, "fit_seconds": 9.0, "made": "b"}}}
+    assert list(make_results.moved(old, new)) == ["arm / model / mean_mm: 1 -> 1.02"]
+    new["arm"]["other"] = {"mean_mm": 3.0}
+    assert list(make_results.moved(old, new))[1:] == ["arm / other / mean_mm: 3 (new)"]
+    assert make_results.rounded({"mean_mm": 0.1234567, "fit_seconds": 1.26, "r2": None}) == {
+        "mean_mm": 0.12346,
+        "fit_seconds": 1.3,
+    }
+    # All that the pages show is made by --all.
+    made = {(title, ": ".join(name)) for title, *_, names in make_results.data_sets(True, None)
+            for name in names}  # fmt: skip
+    assert {results.simulated(m, s) for m in results.MIXES for s in range(results.SEEDS)} <= {
+        title for title, _ in made
+    }
+    for data in results.REAL:
+        assert {(data, name) for name in (results.THREE, results.ALL, results.LINEAR)} <= made
+
+
 def test_what_the_pages_say_of_the_results_is_true(results):
     """Sentences without a number of their own that the next measurement could make false."""
     found = results.read()
