@@ -7,7 +7,7 @@ Make the file of results again
 the file and the README's tables, and says which numbers have moved.
 
 Without options it makes what the README shows, in about ten CPU minutes. ``--all`` makes all of it
-over night, ``--all --missing`` only what the file lacks, and ``--only panda --models ridge trees`` a
+over night, ``--all --missing`` only what the file lacks, ``--only panda --models ridge trees`` a
 part. Numbers that are not made again stay as they are; each entry says when it was made. Whoever
 stops the job with Ctrl-C keeps what was finished. Real data are downloaded the first time.
 """
