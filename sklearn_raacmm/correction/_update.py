@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.arm import one_warning, reach_mm
 from sklearn_raacmm.error_model import LinearModel, check_poses, interval_scales
 from sklearn_raacmm.utils import (
     centred,
@@ -22,6 +22,7 @@ from sklearn_raacmm.utils import (
     check_weights,
     encode_groups,
     one_blas_thread,
+    validate_params,
 )
 
 # Prior of tau: its median, and the standard deviation of its logarithm. A tenth is what
@@ -58,6 +59,8 @@ class _Change(NamedTuple):
 
 
 @one_blas_thread
+@validate_params({"date": [str, calendar, None]}, prefer_skip_nested_validation=True)
+@one_warning()
 def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None):
     """Bring a fitted correction up to date with few new poses, without the old data.
 
@@ -148,7 +151,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
     True
     """
     linear = linear_model_of(model, "updated")
-    if len(X) == 0:
+    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(X) == 0:
         return deepcopy(model)
     angles, residuals, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
     place = place_columns(linear.arm, angles, with_base=codes is None)
@@ -160,7 +163,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
             f"more than the {n_free} freedoms of base and tool: the model is kept as it was. "
             "Register only, or measure more poses.",
             UserWarning,
-            stacklevel=3,
+            stacklevel=5,
         )
         return deepcopy(model)
     linear = with_low_orders(linear)
@@ -175,7 +178,7 @@ def update_correction(model, X, y, *, groups=None, sample_weight=None, date=None
             f"model, the old ones did by {linear.noise_sd:.3g} mm: are they of this arm, and "
             "residuals in its base frame, registered through the correction?",
             UserWarning,
-            stacklevel=3,
+            stacklevel=5,
         )
     updated = deepcopy(model)
     updated.linear_model_ = replace(
@@ -254,7 +257,7 @@ def linear_model_of(model, done):
 
 def check_new_poses(model, X, y, groups, sample_weight):
     """Angles, residuals, weights and codes of new poses; each fault gets one clear sentence."""
-    angles = check_poses(model, X, stacklevel=6)
+    angles = check_poses(model, X, stacklevel=8)
     y = check_points(y, 3)
     if len(y) != len(angles):
         raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
