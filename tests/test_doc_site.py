@@ -40,6 +40,25 @@ def test_the_check_of_the_site_sees_what_is_broken(tmp_path):
     assert list(findings(tmp_path / "empty")) != []
 
 
+def test_every_example_is_in_a_section_of_the_gallery(monkeypatch):
+    monkeypatch.syspath_prepend(DOC)
+    import _sphinx
+
+    shown = [name for names in _sphinx.SECTIONS.values() for name in names]
+    assert sorted(shown) == sorted(path.stem for path in (ROOT / "examples").glob("plot_*.py"))
+    picture = '.. raw:: html\n\n    <div class="sphx-glr-thumbcontainer">\n:doc:`/x/{}`\n\n'
+    pictures = "".join(picture.format(name) for name in shown)
+    end = f".. thumbnail-parent-div-close\n\n{_sphinx._CLOSE}\nend"
+    text = _sphinx.with_sections(f"head\n{_sphinx._OPEN}\n{pictures}{end}")
+    assert [line[9:-1] for line in text.split("\n") if line[:5] == ":doc:"] == shown
+    assert all(f"{title}\n---" in text for title in _sphinx.SECTIONS)
+    assert text.startswith("head")
+    assert text.endswith("end")
+    assert text.count("<div") - text.count("</div") == len(shown)  # each picture's own is not shown
+    with pytest.raises(ValueError, match="1 examples are in no section"):
+        _sphinx.with_sections(f"{_sphinx._OPEN}\n{picture.format('plot_new')}{end}")
+
+
 def test_numbers_of_the_readme_are_those_of_the_results(results):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert results.filled(text, results.read()) == text, "run benchmarks/make_results.py"
