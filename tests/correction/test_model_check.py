@@ -204,3 +204,20 @@ def test_bad_input(model):
         check_correction(model, angles[:3], y[:3], refitted=["base", "probe"])
     with pytest.raises(TypeError, match="cannot be checked"):
         check_correction(RBFNetRegressor(max_centers=5).fit(angles, y), angles, y)
+
+
+@pytest.mark.parametrize("moved", ["base", "probe"])
+def test_only_what_was_refitted_is_no_change(model, moved):
+    """A shift of the base, or of the probe in its last frame, by three standard deviations."""
+    shift = np.array([0.04, -0.03, 0.05])
+
+    def change(angles, rng):
+        turned = ARM.frames(angles)[:, -1, :3, :3] @ shift
+        return shift if moved == "base" else turned
+
+    poses = rows(40, 7, change)
+    other = "probe" if moved == "base" else "base"
+    assert not check_correction(model, *poses).holds
+    assert not check_correction(model, *poses, refitted=[other]).holds
+    assert check_correction(model, *poses, refitted=[moved]).holds
+    assert check_correction(model, *poses, refitted=["base", "probe"]).holds
