@@ -207,7 +207,9 @@ def combinations(estimator, n=60):
             continue
         seen.add(repr(candidate))
         try:
-            clone(candidate).fit(X, y)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of radians taken for degrees
+                clone(candidate).fit(X, y)
         except ValueError:
             continue
         found.append(candidate)
