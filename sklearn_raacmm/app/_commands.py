@@ -79,7 +79,8 @@ def _learn(options, arm, table, lengths, facts):
     write_whole({out / "card.md": f"{card}\n## Verdict\n\n- {result.verdict}\n"})
     layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
     write_corrected(layout, result.correct, out / "corrected.csv")
-    print(result.scores)
+    # The verdict stands at the end, where it is seen without scrolling.
+    print(str(result.scores).removeprefix(f"{result.verdict}\n"))
     rows = table.rows[result.outliers["row"]].tolist()
     for row, (_, label, distance) in zip(rows[:10], result.outliers.tolist(), strict=False):
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")

@@ -47,6 +47,7 @@ from sklearn_raacmm.utils._sklearn import (
     fit_context,
     one_blas_thread,
     safe_indexing,
+    validate_parameter_constraints,
     validate_params,
 )
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
@@ -95,6 +96,7 @@ __all__ = [
     "share_of_means",
     "show",
     "stage",
+    "validate_parameter_constraints",
     "validate_params",
     "whole_fit",
     "write_whole",

@@ -15,6 +15,8 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
 CENTRED = 0.5
+# Share of a sum that is rounding.
+_ROUNDING = 1e-9
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -173,7 +175,8 @@ def share_of_means(y, codes, weights):
     n_free = total.sum() - used.sum()
     within = weights @ np.square(left).sum(axis=1) / max(n_free, 1e-300)
     between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
-    if not within > 0:
+    # Positions of one row each: their deviations from themselves are rounding.
+    if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
         return np.inf, np.inf, 1.0
     share = between.mean() / within
     by_chance = float(fdtr(q * used.sum(), q * n_free, share))
