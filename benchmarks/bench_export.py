@@ -15,6 +15,7 @@ import subprocess
 import tempfile
 import time
 import warnings
+from datetime import date
 from functools import partial
 from pathlib import Path
 
@@ -165,8 +166,8 @@ def table(n_rows):
         for label, cells in {**found, **sizes}.items()
     ]
     note = (
-        f"{platform.machine()}, one core, {n_rows} rows; all answers within {max(gaps):.0e} mm of "
-        "`predict`."
+        f"{platform.machine()}, one core, {n_rows} rows, {date.today().isoformat()}; "
+        f"all answers within {max(gaps):.0e} mm of `predict`."
     )
     return [*head, *body, "", note]
 
