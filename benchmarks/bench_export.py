@@ -3,7 +3,7 @@
     python benchmarks/bench_export.py            # prints the table
     python benchmarks/bench_export.py --write    # and puts it into doc/deployment.md
 
-C is timed in a loop in C, one row a call; `load_c`, ONNX and `predict` one row a call from Python.
+C is timed in a loop in C, one row per call; `load_c`, ONNX and `predict` one row a call from Python.
 CPU time of one thread, best of five. `gap` is the largest distance to `predict`, mm.
 """
 
@@ -111,10 +111,10 @@ def in_c(model, folder, X, expected):
 
 
 def in_python(model, X, expected):
-    """The same for ways that are called from Python, one row a call."""
+    """The same for ways that are called from Python, one row per call."""
     compiled = load_c(model)
     gap = np.abs(compiled.predict(X) - expected).max()
-    yield "`load_c`, one row a call", 1e6 * one_by_one(compiled.predict, X), gap
+    yield "`load_c`, one row per call", 1e6 * one_by_one(compiled.predict, X), gap
     yield "`load_c`, one batch", 1e6 * best(lambda: compiled.predict(X)) / len(X), gap
     try:
         import onnxruntime
@@ -130,8 +130,12 @@ def in_python(model, X, expected):
     else:
         gap = np.abs(session.run(None, {"X": X})[0] - expected).max()
         seconds = one_by_one(lambda row: session.run(None, {"X": row[None]}), X)
-        yield "ONNX, one row a call", 1e6 * seconds, gap
-    yield "`predict`, one row a call", 1e6 * one_by_one(lambda row: model.predict(row[None]), X), 0
+        yield "ONNX, one row per call", 1e6 * seconds, gap
+    yield (
+        "`predict`, one row per call",
+        1e6 * one_by_one(lambda row: model.predict(row[None]), X),
+        0,
+    )
     yield "`predict`, one batch", 1e6 * best(lambda: model.predict(X), 3) / len(X), 0
 
 
@@ -160,7 +164,7 @@ def table(n_rows):
                 source, _ = export_c(model, folder / "arm.c", std=std)
                 sizes.setdefault(label, {})[name] = f"{source.stat().st_size / 1e3:.0f}"
             sizes.setdefault("JSON, kB", {})[name] = f"{len(to_json(model)) / 1e3:.0f}"
-    head = [f"| µs a row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
+    head = [f"| µs per row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
     body = [
         f"| {label} | {' | '.join(cells.get(name, '-') for name in names)} |"
         for label, cells in {**found, **sizes}.items()
