@@ -10,6 +10,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     column_table,
     given_factors,
+    observed_columns,
     term_columns,
 )
 from sklearn_raacmm.error_model._extra import force_on_probe
@@ -45,6 +46,7 @@ __all__ = [
     "interval_scales",
     "leave_out",
     "likely_gear_ratios",
+    "observed_columns",
     "predict_turns",
     "term_columns",
     "warn_where_unknown",

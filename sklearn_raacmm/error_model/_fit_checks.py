@@ -36,6 +36,8 @@ _LARGEST_REACHES = 10.0
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
 _CENTRED = 0.5
+# Share of a sum that is rounding.
+_ROUNDING = 1e-9
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
 # A share between that and 1 is worth a warning where independent rows have one as small in fewer
@@ -194,7 +196,8 @@ def _share_of_means(y, codes, weights):
     n_free = total.sum() - used.sum()
     within = weights @ np.square(left).sum(axis=1) / max(n_free, 1e-300)
     between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
-    if not within > 0:
+    # Positions of one row each: their deviations from themselves are rounding.
+    if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
         return np.inf, np.inf, 1.0
     share = between.mean() / within
     by_chance = float(fdtr(3 * used.sum(), 3 * n_free, share))

@@ -45,6 +45,7 @@ from sklearn_raacmm.utils._sklearn import (
     fit_context,
     one_blas_thread,
     safe_indexing,
+    validate_parameter_constraints,
     validate_params,
 )
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
@@ -91,6 +92,7 @@ __all__ = [
     "safe_indexing",
     "show",
     "stage",
+    "validate_parameter_constraints",
     "validate_params",
     "whole_fit",
     "write_whole",
