@@ -4,7 +4,8 @@
     python benchmarks/bench_export.py --write    # and puts it into doc/deployment.md
 
 C is timed in a loop in C, one row per call; `load_c`, ONNX and `predict` one row
-per call from Python. CPU time of one thread, best of five. `gap` is the largest distance to `predict`, mm.
+per call from Python. CPU time of one thread, best of five. `gap` is the largest distance to
+`predict`, mm.
 """
 
 import argparse

@@ -218,7 +218,7 @@ def regressors_table(results):
         for mix in MIXES:
             r = results.of(simulated(mix), model)
             share = f" ({per_cent(100 * r['of_possible'])})" if "of_possible" in r else ""
-            cells.append(f"{1000 * r['two_s_mean_mm']:.1f}{share}".replace(" ", SPACE))
+            cells.append(f"{1000 * r['two_s_mean_mm']:.1f}{share}")
         r = results.of(simulated("typical"), model)
         costs = [""] * 4
         if "fit_seconds" in r:
@@ -246,7 +246,7 @@ def real_table(results):
 
 
 def _in_order(rows):
-    """Uncorrected first, then by inputs and name, a perfect model last."""
+    """Uncorrected first, then by inputs and name, a perfect model last; short names of the inputs."""
     order = ["pose angles", "theta2 to theta4", "all joints, cos and sin", "all joints"]
 
     def key(row):
@@ -254,7 +254,13 @@ def _in_order(rows):
             return (-1 if row[1] == "uncorrected" else 9, "")
         return (order.index(row[0]), row[1])
 
-    return sorted(rows, key=key)
+    short = {
+        "pose angles": "pose",
+        "theta2 to theta4": "theta2 to 4",
+        "all joints, cos and sin": "all, cos and sin",
+        "all joints": "all",
+    }
+    return [[short.get(inputs, inputs), *row] for inputs, *row in sorted(rows, key=key)]
 
 
 def r2_table(results):
