@@ -246,7 +246,7 @@ def real_table(results):
 
 
 def _in_order(rows):
-    """Uncorrected first, then by inputs and name, a perfect model last; short names of the inputs."""
+    """Uncorrected first, then by inputs (named shortly) and name, a perfect model last."""
     order = ["pose angles", "theta2 to theta4", "all joints, cos and sin", "all joints"]
 
     def key(row):
