@@ -122,6 +122,9 @@ def _add_arm(words):
             metavar=("SHOULDER", "UPPER", "FORE", "PROBE"),
             help=f"lengths in mm of a {'-'.join(layout)} arm",
         )  # fmt: skip
+    for place in ("elbow", "wrist"):
+        text = f"distance in mm at which the axes of the {place} pass each other (0)"
+        arm.add_argument(f"--{place}-offset", type=float, default=0.0, metavar="MM", help=text)
     arm.add_argument("--out", help="JSON file to write")
     arm.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
 

@@ -286,6 +286,9 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "arm.svg").read_text().lstrip().startswith("<?xml")
     assert main(["arm", "--lengths-223", "300", "420", "380", "120"]) == 0
     assert "2-2-3 arm" in capsys.readouterr().out
+    offsets = ["--elbow-offset", "62", "--wrist-offset", "40", "--out", f"{tmp_path}/own.json"]
+    assert main(["arm", "--lengths-222", "376", "750", "500", "98", *offsets]) == 0
+    assert Arm.from_json(tmp_path / "own.json").a.tolist() == [0, 62, 0, 40, 0, 0]
     answers = iter(["2-2-2", "300", "420,5", "380", "120"])
     monkeypatch.setattr(_commands.sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda _: next(answers))
