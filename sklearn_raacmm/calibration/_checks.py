@@ -11,7 +11,7 @@ from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
 from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, show
 
 # For warnings: each is given by a function that `calibrate` calls, which two decorators wrap.
 CALLER = 5
@@ -19,6 +19,9 @@ CALLER = 5
 _LENGTH_OUTLIER = 5.0
 # A picometre: smaller than any length is known, large enough to divide by.
 _LEAST_SD_MM = 1e-9
+# Standard errors by which a correction has to enlarge the scatter: of corrections that change
+# nothing on the average one in forty does by chance.
+_HARM = 2.0
 # What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
 # part of the reach; a reach.
 _FAR = 10.0
@@ -108,7 +111,7 @@ def check_arm_angles(arm, angles, angle_unit):
 def check_free(free):
     free = listed("free", free)
     if not all(isinstance(name, str) and name in FIELDS for name in free):
-        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r}.")
+        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {show(free)}.")
     return free
 
 
@@ -119,7 +122,8 @@ def check_length(entry, labels):
         length, sd = float(length), float(sd)
     except (TypeError, ValueError):
         raise ValueError(
-            f"each of lengths must be (label, label, length, standard deviation), got {entry!r}."
+            "each of lengths must be (label, label, length, standard deviation), got "
+            f"{show(entry)}."
         ) from None
     for label in (first, second):
         if label not in labels:
@@ -129,7 +133,7 @@ def check_length(entry, labels):
         raise ValueError(
             f"a length must join two different groups, it must be positive and at most "
             f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
-            f"got {entry!r}."
+            f"got {show(entry)}."
         )
     return labels.index(first), labels.index(second), length, sd
 
@@ -197,3 +201,22 @@ def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after)
         )
     if signs:
         warnings.warn(" ".join(signs), UserWarning, stacklevel=CALLER)
+
+
+def warn_of_harm(corrected, bare):
+    """Say that the points scatter more with a correction than without it.
+
+    Parameters
+    ----------
+    corrected, bare : ndarray of shape (n,)
+        Distances of the points with the correction and without, each with a fit of its own, mm.
+    """
+    more = corrected - bare
+    if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
+        warnings.warn(
+            f"With the correction the points scatter by {corrected.mean():.4g} mm, without it by "
+            f"{bare.mean():.4g} mm: do not use it here. Is it of this arm, and is the table that "
+            "of the arm that it was learnt with?",
+            UserWarning,
+            stacklevel=CALLER,
+        )

@@ -13,16 +13,19 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi, chi2
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.calibration import check_length
+from sklearn_raacmm.correction._linear_change import place_columns
 from sklearn_raacmm.correction._records import append_record
-from sklearn_raacmm.correction._update import check_new_poses, linear_model_of, place_columns
+from sklearn_raacmm.correction._update import check_new_poses, linear_model_of
 from sklearn_raacmm.error_model import LinearModel
 from sklearn_raacmm.utils import (
     Interval,
     encode_groups,
     group_means,
+    listed,
     one_blas_thread,
+    show,
     validate_params,
 )
 
@@ -103,9 +106,11 @@ class CorrectionCheck:
         "false_alarm_rate": [Interval(Real, 0, 0.5, closed="neither")],
         "refitted": ["array-like", str],
         "arm": [Arm, None],
+        "date": [str, calendar, None],
     },
     prefer_skip_nested_validation=True,
 )
+@one_warning()
 def check_correction(
     model,
     X,
@@ -126,8 +131,9 @@ def check_correction(
     model : JointHarmonicRegressor or ArmResidualRegressor
         Fitted model.
 
-    X : array-like of shape (n_samples, n_joints)
-        Joint angles of today's poses, in the unit that the model takes.
+    X : array-like of shape (n_samples, n_joints + n_extra)
+        Joint angles of today's poses, in the unit that the model takes; then the extra columns that
+        it was fitted with.
 
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
@@ -258,7 +264,7 @@ def _poses_of(linear, model, today, lengths, arm):
 
 def _check_lengths(lengths, labels):
     """Known lengths as (position, position, mm, mm), positions by their number."""
-    lengths = list(lengths)
+    lengths = listed("lengths", lengths)
     if lengths and labels is None:
         raise ValueError("lengths are between positions: give groups, the position of each pose.")
     return [check_length(entry, labels) for entry in lengths]
@@ -327,9 +333,9 @@ class _Poses(NamedTuple):
 
     def nuisance(self, refitted):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
-        refitted = [refitted] if isinstance(refitted, str) else list(refitted)
+        refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r}.')
+            raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
         place = place_columns(self.linear.arm, self.angles, with_base=True)
         parts = [np.empty((len(self.residual()), 0))]
         if "probe" in refitted:
@@ -345,7 +351,8 @@ class _Poses(NamedTuple):
 
     def causes(self):
         """What each cause would do to the poses: (m, k) columns by name."""
-        arm, angles = self.linear.arm, self.angles
+        arm = self.linear.arm
+        angles = self.angles[:, : arm.n_joints]  # without extra columns
         jacobian = arm.jacobian(angles)
         causes = {"probe": self.rows(place_columns(arm, angles, with_base=False))}
         points = arm.forward(angles)

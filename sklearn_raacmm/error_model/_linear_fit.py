@@ -226,7 +226,9 @@ class FitData(NamedTuple):
             return sums
         if self.codes is not None:
             touched = np.isin(self.codes, self.codes[touched])
-        if self.lengths or touched.mean() > _FEW_POSES:
+        # Poses that all had no weight, or all lose it, have no sums of their own.
+        empty = any(not np.any(self.weights * factor * touched) for factor in (old, new))
+        if self.lengths or empty or touched.mean() > _FEW_POSES:
             return self.sums(new, terms)
         less, more = (self.sums(factor * touched, terms)[0] for factor in (old, new))
         return sums_with_other_weights(sums[0], less, more), None
