@@ -15,8 +15,9 @@ from scipy.stats import chi, chi2
 
 from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.calibration import check_length
+from sklearn_raacmm.correction._linear_change import place_columns
 from sklearn_raacmm.correction._records import append_record
-from sklearn_raacmm.correction._update import check_new_poses, linear_model_of, place_columns
+from sklearn_raacmm.correction._update import check_new_poses, linear_model_of
 from sklearn_raacmm.error_model import LinearModel
 from sklearn_raacmm.utils import (
     Interval,
@@ -130,8 +131,9 @@ def check_correction(
     model : JointHarmonicRegressor or ArmResidualRegressor
         Fitted model.
 
-    X : array-like of shape (n_samples, n_joints)
-        Joint angles of today's poses, in the unit that the model takes.
+    X : array-like of shape (n_samples, n_joints + n_extra)
+        Joint angles of today's poses, in the unit that the model takes; then the extra columns that
+        it was fitted with.
 
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
@@ -349,7 +351,8 @@ class _Poses(NamedTuple):
 
     def causes(self):
         """What each cause would do to the poses: (m, k) columns by name."""
-        arm, angles = self.linear.arm, self.angles
+        arm = self.linear.arm
+        angles = self.angles[:, : arm.n_joints]  # without extra columns
         jacobian = arm.jacobian(angles)
         causes = {"probe": self.rows(place_columns(arm, angles, with_base=False))}
         points = arm.forward(angles)

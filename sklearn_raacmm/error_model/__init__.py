@@ -10,6 +10,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     column_table,
     given_factors,
+    observed_columns,
     term_columns,
 )
 from sklearn_raacmm.error_model._extra import force_on_probe
@@ -17,9 +18,9 @@ from sklearn_raacmm.error_model._fading import Fading, find_fading, warn_where_u
 from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
 from sklearn_raacmm.error_model._left_out import LEAST_POSITIONS, interval_scales, leave_out
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, constrained, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._orders import likely_gear_ratios
+from sklearn_raacmm.error_model._orders import likely_gear_ratios, smooth_shares
 from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 
@@ -37,6 +38,7 @@ __all__ = [
     "check_poses",
     "check_turns",
     "column_table",
+    "constrained",
     "find_fading",
     "fit_linear_model",
     "fit_points_and_turns",
@@ -45,7 +47,9 @@ __all__ = [
     "interval_scales",
     "leave_out",
     "likely_gear_ratios",
+    "observed_columns",
     "predict_turns",
+    "smooth_shares",
     "term_columns",
     "warn_where_unknown",
 ]

@@ -135,10 +135,15 @@ def errors_left_out(left_out, X, y, codes):
     """
     errors, std = np.empty_like(y), np.empty_like(y)
     for rows, rest in left_out:
-        own = None if codes is None else np.unique(codes[rows], return_inverse=True)[1].ravel()
+        if codes is None:
+            mean, std[rows] = rest.predict(X[rows], return_std=True)
+            errors[rows] = y[rows] - mean
+            continue
+        own = _codes_of(codes, rows)
         columns = centred(rest.columns(X[rows]), own)
         errors[rows] = centred(y[rows], own) - columns @ rest.coef
-        std[rows] = np.sqrt(np.square(columns @ rest.half).sum(axis=2))
+        dots = columns @ rest.half
+        std[rows] = np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
     return errors, std
 
 

@@ -206,6 +206,24 @@ def test_bad_input(model):
         check_correction(RBFNetRegressor(max_centers=5).fit(angles, y), angles, y)
 
 
+def test_models_with_extra_columns_are_checked():
+    """A backlash of joint 2 that the model knows is no change; a larger one is."""
+
+    def lagging(n, seed, arcsec):
+        angles, y = rows(n, seed)
+        direction = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], (n, 1))
+        y = y + ARM.jacobian(angles)[:, :, 1] * arcsec * ARCSEC * direction
+        return np.hstack([angles, direction]), y
+
+    model = JointHarmonicRegressor(ARM, max_order=4, extra=["direction 2"])
+    model.fit(*lagging(300, 0, 10))
+    assert check_correction(model, *lagging(40, 1, 10)).holds
+    assert not check_correction(model, *lagging(40, 1, 30)).holds
+    X, y = lagging(40, 1, 10)
+    y = y + knock(3, 20)(X[:, :6], None)
+    assert check_correction(model, X, y).suspect == "offset of joint 3"
+
+
 @pytest.mark.parametrize("moved", ["base", "probe"])
 def test_only_what_was_refitted_is_no_change(model, moved):
     """A shift of the base, or of the probe in its last frame, by three standard deviations."""

@@ -15,7 +15,8 @@ from sklearn_raacmm import (
     calibrate,
     update_correction,
 )
-from sklearn_raacmm.correction._update import place_columns, with_low_orders
+from sklearn_raacmm.correction import _linear_change
+from sklearn_raacmm.correction._linear_change import place_columns, with_low_orders
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
@@ -87,17 +88,17 @@ def test_very_many_poses_are_a_new_fit(model):
 
 def test_posterior_against_the_textbook(model):
     """With tau, noise and place fixed the change is that of one normal regression."""
-    from sklearn_raacmm.correction import _update
-
     linear = with_low_orders(model.linear_model_)
     angles, y = rows(40, 4, knock=15)
     columns, place = linear.columns(angles), place_columns(ARM, angles, with_base=True)
     residuals = y - columns @ linear.coef
-    change, *_ = _update._change(linear, columns, place, residuals, np.ones(40))
-    prior = _update._largest_change(linear)
-    tau = np.array([change.tau[f] for f in _update.parts_of(linear)])
+    fold = _linear_change._into_kinematics(linear, with_base=True)
+    change, *_ = _linear_change._change(
+        linear, columns, place, residuals, np.ones(40), fold, (0.0, 4.0)
+    )
+    prior = _linear_change._largest_change(linear)
+    tau = np.array([change.tau[f] for f in _linear_change.parts_of(linear)])
     P = linear.covariance + np.diag((tau * prior) ** 2)
-    fold = _update._into_kinematics(linear, with_base=True)
     P = P + 25.0 * fold @ fold.T
     A = columns.reshape(120, -1)
     S = A @ P @ A.T + change.noise_sd**2 * np.eye(120)
@@ -250,10 +251,8 @@ def test_an_update_is_no_reason_to_fade(model, n):
 
 
 def test_high_orders_change_by_no_more_than_there_is_of_them(model):
-    from sklearn_raacmm.correction import _update
-
     linear = with_low_orders(model.linear_model_)
-    largest, table = _update._largest_change(linear), np.asarray(linear.terms.harmonics)
+    largest, table = _linear_change._largest_change(linear), np.asarray(linear.terms.harmonics)
     n = len(table)
     high = np.flatnonzero(table[:, 1] > 8)
     assert len(high) > 0
@@ -261,3 +260,77 @@ def test_high_orders_change_by_no_more_than_there_is_of_them(model):
     assert_allclose(largest[2 * high], np.minimum(expected, linear.prior_sd["harmonics"]))
     low = np.repeat(table[:, 1] <= 8, 2)
     assert_allclose(largest[: 2 * n][low], linear.prior_sd["harmonics"])
+
+
+# -- extra columns and orientations ------------------------------------------------------------
+
+
+def warm_rows(n, seed, per_kelvin=1.0, lag=0.0):
+    """Residuals with the temperature and the direction of joint 2 as columns 7 and 8."""
+    angles, y = rows(n, seed)
+    rng = np.random.default_rng([seed, 1])
+    extra = np.column_stack([rng.uniform(15, 25, n), rng.choice([-1.0, 1.0], n)])
+    y = y + per_kelvin * 11.7e-6 * (extra[:, :1] - 20) * ARM.forward(angles)
+    y = y + ARM.jacobian(angles)[:, :, 1] * lag * ARCSEC * extra[:, 1:]
+    return np.hstack([angles, extra]), y
+
+
+@pytest.fixture(scope="module")
+def warm_model():
+    model = JointHarmonicRegressor(ARM, max_order=20, extra=["temperature", "direction 2"])
+    return model.fit(*warm_rows(500, 0, lag=6))
+
+
+def test_extra_columns_are_brought_up_to_date(warm_model):
+    """The backlash of joint 2 has grown: the update finds that, and that nothing else did."""
+    updated = update_correction(warm_model, *warm_rows(60, 1, lag=16))
+    X, y = warm_rows(300, 2, lag=16)
+    old, new = (np.linalg.norm(y - m.predict(X), axis=1).mean() for m in (warm_model, updated))
+    assert new < 0.5 * old
+    tau = updated.updates_[0]["tau"]
+    assert max(tau, key=tau.get) == "direction"
+    lags = {term["name"]: term["value"] for term in updated.terms_}
+    assert lags["joint 2 lags"] == pytest.approx(16, abs=1.5)
+
+
+def test_a_tool_that_the_model_does_not_know_is_refused():
+    angles, y = rows(200, 3)
+    tool = np.repeat([1.0, 2.0], 100)[:, None]
+    model = JointHarmonicRegressor(ARM, max_order=4, extra=["tool"])
+    model.fit(np.hstack([angles, tool]), y)
+    updated = update_correction(model, np.hstack([angles, tool])[::3], y[::3])
+    assert updated.predict(np.hstack([angles, tool])).shape == y.shape
+    with pytest.raises(ValueError, match="X has tool 3, of which the model knows nothing"):
+        update_correction(model, np.hstack([angles, tool + 1]), y)
+
+
+def turned_rows(n, seed, knock=0.0):
+    """Points, and how far the last link is turned by the same encoders."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2.5, 2.5, (n, 6))
+    turn = np.zeros_like(angles)
+    turn[:, 0], turn[:, 4] = 10 * np.sin(angles[:, 0]), (20 + knock) * np.cos(angles[:, 4])
+    axes = ARM.frames(angles)[:, :6, :3, 2]
+    y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
+    turns = np.einsum("nji,nj->ni", axes, turn * ARCSEC)
+    return angles, y + rng.normal(0, 0.01, y.shape), turns + rng.normal(0, 1e-5, y.shape)
+
+
+def test_orientations_are_brought_up_to_date_with_and_without_new_ones():
+    """Joint 5 hardly moves the probe, and turns it: with orientations its knock is seen well."""
+    angles, y, turns = turned_rows(400, 0)
+    model = JointHarmonicRegressor(ARM, max_order=4)
+    model.fit(angles, y, orientation_residuals=turns)
+    new, y_new, turns_new = turned_rows(60, 1, knock=30)
+    far, _, true = turned_rows(300, 2, knock=30)
+    by_points = update_correction(model, new, y_new)
+    by_both = update_correction(model, new, y_new, orientation_residuals=turns_new)
+    old, points, both = (
+        np.linalg.norm(true - m.predict_orientation(far), axis=1).mean()
+        for m in (model, by_points, by_both)
+    )
+    assert both < points < 0.6 * old
+    assert both < 2.5e-5  # of which the noise of the true turns is 1.6e-5
+    plain = JointHarmonicRegressor(ARM, max_order=4).fit(angles, y)
+    with pytest.raises(ValueError, match="the model was fitted without any"):
+        update_correction(plain, new, y_new, orientation_residuals=turns_new)

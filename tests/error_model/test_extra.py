@@ -14,7 +14,6 @@ from sklearn_raacmm import (
     ArmResidualRegressor,
     JointHarmonicRegressor,
     next_poses,
-    update_correction,
 )
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
@@ -262,8 +261,6 @@ def test_what_is_refused(lagging):
         model.predict(X[:, :6])
     card = describe(model, tools[:3], y[:3])
     assert card["training"]["rows"] == 3
-    with pytest.raises(ValueError, match=r"extra columns \(tool\) cannot be updated"):
-        update_correction(model, tools[:3], y[:3])
     constant = np.column_stack([X[:, :6], np.full(160, 20.0)])
     model.set_params(extra=["temperature"])
     with pytest.warns(UserWarning, match="'temperature' is 20 in all rows") as seen:
