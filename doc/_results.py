@@ -14,6 +14,7 @@ README = FILE.parent.parent / "README.md"
 MIXES = ("gravity", "typical", "eccentricity")
 REAL = ("real, panda_3", "real, panda_2", "real, ur10")
 SEEDS = 3
+SPACE = "\u00a0"  # between a number and its unit, so that no line ends there
 UNCORRECTED, PERFECT = "-: uncorrected", "-: perfect model"
 NEWRB = "pose angles: RBF network, newrb"
 ONE_WIDTH = "pose angles: RBF network, one width"
@@ -25,7 +26,6 @@ GUARDED = "all joints: ArmResidualRegressor"
 NAMES = {
     UNCORRECTED: "none",
     NEWRB: "paper's network, three inputs",
-    ONE_WIDTH: "one width, three inputs",
     THREE: "`RBFNetRegressor`, three inputs",
     "pose angles: kernel ridge": "kernel ridge, three inputs",
     "pose angles: extra trees": "extra trees, three inputs",
@@ -48,6 +48,7 @@ class Results:
 
     def __init__(self, contents):
         self.few_poses = contents["few_poses"]
+        self.authors = contents["authors"]
         self.comparisons = contents["comparisons"]
 
     def of(self, data, model):
@@ -82,6 +83,11 @@ def markdown(head, rows):
     """A table in Markdown."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def per_cent(value):
+    """A share, on one line with its sign."""
+    return f"{value:.0f}{SPACE}%"
 
 
 def listed(values):
@@ -164,22 +170,23 @@ def write_readme():
 
 def paper_table(results):
     """The paper's measures on three simulated arms."""
-    head = ["simulated mix", "correction", "2S max / mean (mm)", "less", "of possible"]
-    head += ["300 mm max / mean (mm)", "500 mm max / mean (mm)", "500 mm mean, scaled (mm)"]
+    head = ["mix", "correction", "2S max / mean", "less", "of possible"]
+    head += ["300 mm max / mean", "500 mm max / mean", "500 mm mean, scaled"]
     models = (UNCORRECTED, NEWRB, THREE, "pose angles: kernel ridge", ALL, LINEAR, PERFECT)
     rows = []
     for mix in MIXES:
         for model in models:
             r = results.of(simulated(mix), model)
-            share = [f"{100 * r[key]:.0f} %" if key in r else "" for key in ("less", "of_possible")]
-            rows.append([mix, NAMES[model], _pair(r, "two_s", 4), *share])
-            rows[-1] += [_pair(r, "length_300", 4), _pair(r, "length_500", 4)]
-            rows[-1] += [f"{r['scaled_mean_mm']:.4f}"]
+            share = [per_cent(100 * r[key]) if key in r else "" for key in ("less", "of_possible")]
+            rows.append([mix, NAMES[model], _pair(r, "two_s"), *share])
+            rows[-1] += [_pair(r, "length_300"), _pair(r, "length_500")]
+            rows[-1] += [f"{1000 * r['scaled_mean_mm']:.1f}"]
     return markdown(head, rows)
 
 
-def _pair(record, name, digits):
-    return f"{record[f'{name}_max_mm']:.{digits}f} / {record[f'{name}_mean_mm']:.{digits}f}"
+def _pair(record, name):
+    largest, mean = (1000 * record[f"{name}_{which}_mm"] for which in ("max", "mean"))
+    return f"{largest:.1f}{SPACE}/ {mean:.1f}"
 
 
 def individuals_table(results):
@@ -194,13 +201,14 @@ def individuals_table(results):
             )
             for model in models
         ]
-        rows.append([mix, *(f"{cell} %" for cell in cells)])
-    return markdown(["simulated mix", *(NAMES[model] for model in models)], rows)
+        rows.append([mix, *(f"{cell}{SPACE}%" for cell in cells)])
+    heads = ("paper's network", "one width", "widths by feature", "all joints", "linear", "perfect")
+    return markdown(["mix", *heads], rows)
 
 
 def regressors_table(results):
     """Every regressor on three simulated arms, with its costs."""
-    head = ["inputs", "regressor", *MIXES, "fit (s)", "predict (us/row)", "size (kB)", "numbers"]
+    head = ["inputs", "regressor", *MIXES, "fit (s)", "predict (µs)", "size (kB)", "numbers"]
     rows = []
     for model in results.comparisons[simulated("typical")]["models"]:
         if not all(results.has(simulated(mix), model) for mix in MIXES):
@@ -209,8 +217,8 @@ def regressors_table(results):
         cells = []
         for mix in MIXES:
             r = results.of(simulated(mix), model)
-            share = f" ({100 * r['of_possible']:.0f} %)" if "of_possible" in r else ""
-            cells.append(f"{r['two_s_mean_mm']:.4f}{share}")
+            share = f" ({per_cent(100 * r['of_possible'])})" if "of_possible" in r else ""
+            cells.append(f"{1000 * r['two_s_mean_mm']:.1f}{share}")
         r = results.of(simulated("typical"), model)
         costs = [""] * 4
         if "fit_seconds" in r:
@@ -223,7 +231,7 @@ def regressors_table(results):
 def real_table(results):
     """Every regressor on three real arms."""
     head = ["inputs", "regressor"]
-    head += [f"{data.removeprefix('real, ')}: mean / max, 2S mean" for data in REAL]
+    head += [f"{data.removeprefix('real, ')}: mean / max, 2S" for data in REAL]
     rows = []
     for model in results.comparisons[REAL[0]]["models"]:
         if not all(results.has(data, model) for data in REAL):
@@ -231,13 +239,14 @@ def real_table(results):
         cells = []
         for data in REAL:
             r = results.of(data, model)
-            cells.append(f"{r['mean_mm']:.3f} / {r['max_mm']:.3f}, {r['two_s_mean_mm']:.3f}")
+            cell = f"{r['mean_mm']:.3f} / {r['max_mm']:.3f}, {r['two_s_mean_mm']:.3f}"
+            cells.append(cell.replace(" ", SPACE))
         rows.append([*model.split(": "), *cells])
     return markdown(head, _in_order(rows))
 
 
 def _in_order(rows):
-    """Uncorrected first, then by inputs and name, a perfect model last."""
+    """Uncorrected first, then by inputs (named shortly) and name, a perfect model last."""
     order = ["pose angles", "theta2 to theta4", "all joints, cos and sin", "all joints"]
 
     def key(row):
@@ -245,7 +254,13 @@ def _in_order(rows):
             return (-1 if row[1] == "uncorrected" else 9, "")
         return (order.index(row[0]), row[1])
 
-    return sorted(rows, key=key)
+    short = {
+        "pose angles": "pose",
+        "theta2 to theta4": "theta2 to 4",
+        "all joints, cos and sin": "all, cos and sin",
+        "all joints": "all",
+    }
+    return [[short.get(inputs, inputs), *row] for inputs, *row in sorted(rows, key=key)]
 
 
 def r2_table(results):
@@ -275,6 +290,21 @@ def published_table(results):
     return markdown(head, rows)
 
 
+def authors_table(results):
+    """The calibration of the data's authors beside ours."""
+    left_out = {name: results.of("real, panda_3", name) for name in (UNCORRECTED, LINEAR)}
+    rows = [
+        ["the authors' calibrated URDF", "not stated", results.authors["theirs"]],
+        ["`calibrate`", "yes", results.authors["ours"]],
+        ["`calibrate`", "no", left_out[UNCORRECTED]],
+        ["`calibrate`, then `JointHarmonicRegressor`", "no", left_out[LINEAR]],
+    ]
+    return markdown(
+        ["from", "has seen the sockets it is judged at", "mean (mm)", "largest (mm)"],
+        [[*row, f"{r['mean_mm']:.3f}", f"{r['max_mm']:.3f}"] for *row, r in rows],
+    )
+
+
 def choice_table(results):
     """What the choice of an estimator was worth on the real arms."""
     models = {
@@ -302,7 +332,7 @@ def sentences(results):
     """Single numbers and ranges of the pages by name."""
     values = {}
     names = {"three": THREE, "all": ALL, "linear": LINEAR, "perfect": PERFECT, "newrb": NEWRB}
-    names |= {"cartesian": CARTESIAN, "guarded": GUARDED}
+    names |= {"cartesian": CARTESIAN, "guarded": GUARDED, "one_width": ONE_WIDTH}
     two_s, length = "two_s_mean_mm", "length_{}_mean_mm"
     for mix in MIXES:
         for key, model in names.items():
@@ -379,6 +409,7 @@ def substitutions():
         "table_real": real_table(results),
         "table_r2": r2_table(results),
         "table_published": published_table(results),
+        "table_authors": authors_table(results),
         "guarded": readme_blocks(results)["guarded"],
         "sentence_300": _three_hundred(results),
         **sentences(results),

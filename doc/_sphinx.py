@@ -74,27 +74,26 @@ def write_inventories(folder):
     return mapping
 
 
-class GalleryOrder:
-    """Order of the gallery: the main job, real arms, how the method works, then the network."""
-
-    FIRST = (
-        "plot_learn_correction",
-        "plot_own_csv",
-        "plot_simulated_arm",
-        "plot_real_arm",
-        "plot_real_tracker",
-        "plot_how_many_poses",
-        "plot_after_the_lab",
-        "plot_live_arm",
-        "plot_arm_poses",
-        "plot_compare_regressors",
+# Sections of the gallery and the examples of each, in order.
+SECTIONS = {
+    "Correct an arm": ("plot_learn_correction", "plot_own_csv", "plot_simulated_arm"),
+    "Real robots": ("plot_real_arm", "plot_real_tracker"),
+    "Plan, use and maintain": ("plot_how_many_poses", "plot_live_arm", "plot_after_the_lab"),
+    "The published method": (
         "plot_paper_figures",
-        "plot_periodicity",
-        "plot_rbf_network",
-        "plot_ols_path",
+        "plot_compare_regressors",
         "plot_grid_search",
-        "plot_newrb",
-    )
+        "plot_arm_poses",
+        "plot_periodicity",
+    ),
+    "The network by itself": ("plot_rbf_network", "plot_ols_path", "plot_newrb"),
+}
+_OPEN = '.. raw:: html\n\n    <div class="sphx-glr-thumbnails">\n'
+_CLOSE = ".. raw:: html\n\n    </div>\n"
+
+
+class GalleryOrder:
+    """Order of the gallery: that of its sections."""
 
     def __init__(self, source_folder):
         pass
@@ -102,5 +101,21 @@ class GalleryOrder:
     def __call__(self, filename):
         """Key to sort a file by."""
         stem = Path(filename).stem
-        place = self.FIRST.index(stem) if stem in self.FIRST else len(self.FIRST)
-        return place, stem
+        names = [name for section in SECTIONS.values() for name in section]
+        return names.index(stem) if stem in names else len(names), stem
+
+
+def with_sections(text):
+    """Text of the gallery's page, its pictures in one block for each section."""
+    head, rest = text.split(_OPEN)
+    pictures, tail = rest.split(".. thumbnail-parent-div-close")
+    start = '.. raw:: html\n\n    <div class="sphx-glr-thumbcontainer"'
+    pictures = [start + picture for picture in pictures.split(start)[1:]]
+    blocks = []
+    for title, names in SECTIONS.items():
+        own = [p for p in pictures if any(f"/{name}`" in p for name in names)]
+        pictures = [p for p in pictures if p not in own]
+        blocks.append(f"{title}\n{'-' * len(title)}\n\n{_OPEN}\n{''.join(own)}\n{_CLOSE}\n")
+    if pictures:
+        raise ValueError(f"{len(pictures)} examples are in no section of doc/_sphinx.py.")
+    return head + "\n".join(blocks) + tail.split(_CLOSE, 1)[1]

@@ -11,7 +11,7 @@ from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 DOC = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOC))
 from _results import substitutions  # noqa: E402
-from _sphinx import write_inventories  # noqa: E402
+from _sphinx import with_sections, write_inventories  # noqa: E402
 
 project = "sklearn_raacmm"
 author = "The sklearn_raacmm developers"
@@ -105,6 +105,13 @@ def of_the_package(app, env, node, contnode):
     return None
 
 
+def gallery_in_sections(app, docname, source):
+    """Put the gallery's pictures under the headings of their sections."""
+    if docname == "auto_examples/index":
+        source[0] = with_sections(source[0])
+
+
 def setup(app):
     """Connect to Sphinx."""
     app.connect("missing-reference", of_the_package)
+    app.connect("source-read", gallery_in_sections)

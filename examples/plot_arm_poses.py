@@ -2,9 +2,9 @@
 The poses of a single-point test
 ================================
 
-The probe sits in a cone while the elbow swings: the arm stands in many poses, all of which end at
-one point, or should. The residuals stand on that point like bristles, thousands of times longer
-than they are. To the right, the same poses after a correction by a model that has not seen this
+The probe sits in a cone while the elbow swings. The arm takes many poses, and all of them should
+end at one point. Lines from that point show the residuals, two thousand times as long as they are.
+To the right are the residuals that are left after a correction by a model that has not seen this
 position. With a window (or ``%matplotlib widget`` in a notebook) the mouse turns the arm.
 
 The data are simulated: one of 10 positions, with 60 poses. The script takes a few seconds.

@@ -2,15 +2,15 @@
 Which regressor?
 ================
 
-Six regressors in the same chain, on the same folds of positions of a simulated arm, with three
-inputs as in the paper and with all joints; and the linear model of the arm itself. The other
-methods of the literature are among them: polynomials, a database of residuals (nearest
-neighbours) and a perceptron.
+Six regressors in the same chain, on the same folds of positions of a simulated arm: once with
+three inputs as in the paper, and once with all joints. ``JointHarmonicRegressor``, the linear model
+of the arm itself, is shown beside them. The other methods of the literature are among the six:
+polynomials, a database of residuals (nearest neighbours) and a perceptron.
 
 The data are simulated: 10 positions with 40 poses each. The script takes about a minute. It
 runs on your own data if you fill ``angles``, ``points`` and ``groups`` from your table.
-``benchmarks/compare_regressors.py`` does this at length: every setting searched, costs, lengths,
-real arms.
+``benchmarks/compare_regressors.py`` does this at length. It searches every setting, and it measures
+costs, lengths and real arms.
 """
 
 import warnings
@@ -92,10 +92,10 @@ for inputs, (n, parameters) in INPUTS.items():
         steps = make_pipeline(PoseFeatures(arm, **parameters), StandardScaler(), regressor(n))
         model = CylindricalResidualTarget(steps, azimuth=arm.azimuth)
         results[inputs, name] = two_s(model)
-        print(f"{inputs:<24} {name:<20} {1e3 * results[inputs, name][0]:.1f} µm")
+        print(f"{inputs:<24} {name:<23} {1e3 * results[inputs, name][0]:.1f} µm")
 # This one fits an offset for each position, and has to know which rows are of one position.
 linear = two_s(JointHarmonicRegressor(arm), params={"groups": groups})
-print(f"{'all joints':<24} {'JointHarmonicRegressor':<20} {1e3 * linear[0]:.1f} µm")
+print(f"{'all joints':<24} {'JointHarmonicRegressor':<23} {1e3 * linear[0]:.1f} µm")
 
 # %%
 # The figure

@@ -2,13 +2,13 @@
 How many positions, how many poses
 ==================================
 
-How much must be measured before a correction is worth it, and where? On simulated arms,
-:class:`~sklearn_raacmm.JointHarmonicRegressor` learns from ever more positions of the cone, with
-few or many poses at each, and corrects positions that it has never seen. Then
-:func:`~sklearn_raacmm.next_poses` chooses the positions from those in reach, instead of chance.
+How much must be measured before a correction is worth it, and where? On simulated arms
+:class:`~sklearn_raacmm.JointHarmonicRegressor` learns from more and more positions of the cone,
+with few or many poses at each, and corrects positions that it has never seen. In the second part
+:func:`~sklearn_raacmm.next_poses` chooses the positions, and is compared with a random choice.
 
-The data are simulated: two arms. The script takes about a minute; with more arms in ``SEEDS`` the
-curves become smoother.
+The data are simulated: two arms. The script takes about a minute. The shaded areas reach from one
+arm to the other. With more arms in ``SEEDS`` the curves become smoother.
 """
 
 import matplotlib.pyplot as plt
@@ -44,11 +44,11 @@ def fitted(pool, positions, n_poses):
 # %%
 # More positions or more poses?
 # -----------------------------
-# 100 % is what a perfect model would take off; noise is all that it leaves.
+# 100 % is the reduction by a perfect model, which leaves nothing but noise.
 
-by_number = np.zeros((len(POSES), len(POSITIONS)))
-by_choice = np.zeros((2, LAST - FIRST + 1))
-for seed in SEEDS:
+by_number = np.zeros((len(SEEDS), len(POSES), len(POSITIONS)))
+by_choice = np.zeros((len(SEEDS), 2, LAST - FIRST + 1))
+for k, seed in enumerate(SEEDS):
     pool = make_single_point(max(POSITIONS), max(POSES), random_state=seed)
     test = make_single_point(12, 30, machine=pool.simulation.machine, random_state=seed + 1000)
     before = deviation(test, 0.0)
@@ -61,20 +61,20 @@ for seed in SEEDS:
     order = np.random.default_rng(seed).permutation(max(POSITIONS))
     for i, n_poses in enumerate(POSES):
         for j, n in enumerate(POSITIONS):
-            by_number[i, j] += share(fitted(pool, order[:n], n_poses)) / len(SEEDS)
+            by_number[k, i, j] = share(fitted(pool, order[:n], n_poses))
     # One position at a time: at random, or where the model knows least.
     chosen = order[:FIRST].tolist()
     for i in range(LAST - FIRST + 1):
-        by_choice[0, i] += share(fitted(pool, order[: FIRST + i], 20)) / len(SEEDS)
+        by_choice[k, 0, i] = share(fitted(pool, order[: FIRST + i], 20))
         model = fitted(pool, chosen, 20)
-        by_choice[1, i] += share(model) / len(SEEDS)
+        by_choice[k, 1, i] = share(model)
         rest = ~np.isin(pool.groups, chosen)
         chosen += next_poses(model, pool.data[rest], 1, groups=pool.groups[rest])[0].tolist()
 
 print("poses" + "".join(f"{n:>6}" for n in POSITIONS) + "  positions")
-for n_poses, row in zip(POSES, by_number, strict=True):
+for n_poses, row in zip(POSES, by_number.mean(axis=0), strict=True):
     print(f"{n_poses:>5}" + "".join(f"{value:>5.0f}%" for value in row))
-for name, row in zip(("at random", "chosen"), by_choice, strict=True):
+for name, row in zip(("at random", "chosen"), by_choice.mean(axis=0), strict=True):
     print(f"{name:<10}" + "".join(f"{value:>5.0f}%" for value in row))
 
 # %%
@@ -82,12 +82,21 @@ for name, row in zip(("at random", "chosen"), by_choice, strict=True):
 # ----------
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained", sharey=True)
-for n_poses, row in zip(POSES, by_number, strict=True):
-    left.plot(POSITIONS, row, marker="o", label=f"{n_poses} poses at each")
-left.set(xlabel="positions", ylabel="deviation taken off (% of possible)", xticks=POSITIONS)
+
+
+def curve(ax, x, shares, color, marker, label):
+    """Mean over the arms, and the range of the arms."""
+    ax.fill_between(x, shares.min(axis=0), shares.max(axis=0), color=color, alpha=0.15, lw=0)
+    ax.plot(x, shares.mean(axis=0), color=color, marker=marker, label=label)
+
+
+styles = (("#E69F00", "s"), ("#009E73", "^"), ("#0072B2", "o"))
+for i, (n_poses, (color, marker)) in enumerate(zip(POSES, styles, strict=True)):
+    curve(left, POSITIONS, by_number[:, i], color, marker, f"{n_poses} poses at each")
+left.set(xlabel="positions", ylabel="reduction (% of what is possible)", xticks=POSITIONS)
 numbers = np.arange(FIRST, LAST + 1)
-right.plot(numbers, by_choice[1], marker="o", label="chosen by next_poses")
-right.plot(numbers, by_choice[0], marker="o", color="0.5", label="at random")
+curve(right, numbers, by_choice[:, 1], "#0072B2", "o", "chosen by next_poses")
+curve(right, numbers, by_choice[:, 0], "0.4", "s", "at random")
 right.set(xlabel="positions, 20 poses at each", xticks=numbers)
 for ax in (left, right):
     ax.axhline(100, color="0.2", linestyle="--", linewidth=1)

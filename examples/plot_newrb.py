@@ -3,8 +3,8 @@ Coming from MATLAB's newrb
 ==========================
 
 ``net = newrb(P, T, goal, spread, MN)`` adds radial neurons until the mean squared error is down to
-``goal``. ``RBFNetRegressor`` does the same when told to, and has better answers to what ``newrb``
-leaves to you. How the arguments translate:
+``goal``. ``RBFNetRegressor`` does the same when told to, and finds by itself what
+``newrb`` leaves to you. How the arguments translate:
 
 =========  ==================================================================================
 newrb      RBFNetRegressor
@@ -29,7 +29,7 @@ import numpy as np
 from sklearn_raacmm import RBFNetRegressor
 
 rng = np.random.default_rng(0)
-P = np.sort(rng.uniform(-1, 1, 60))[None, :]  # MATLAB's way: one column a sample
+P = np.sort(rng.uniform(-1, 1, 60))[None, :]  # MATLAB's way: one column per sample
 
 
 def truth(x):
@@ -69,10 +69,10 @@ print(f"largest difference to least squares on radbas: {difference:.1e}")
 # %%
 # Without the guesses
 # -------------------
-# Goal and spread have to be guessed. A spread of 0.4 happens to be a good guess here, better than
-# what the defaults find; a spread of 0.05 leaves 60 samples to be fitted one by one, with their
-# noise. Which of the two it is, the error on the samples does not say. The defaults find width,
-# ridge and size from the data, and say how sure they are.
+# Goal and spread have to be guessed. A spread of 0.4 is a good guess here, even better than what
+# the defaults find. With a spread of 0.05 the network follows the noise. Both reach the goal on the
+# samples, so that the error there does not show which one is right. The defaults find width, ridge
+# and size from the data, and the band shows two standard deviations.
 
 default = RBFNetRegressor(random_state=0).fit(P.T, T.ravel())
 x = np.linspace(-1, 1, 500)
@@ -87,14 +87,14 @@ for ax, width in zip(axes, (0.05, 0.4), strict=False):
         selection="newrb",
     ).fit(P.T, T.ravel())
     error = np.sqrt(np.mean((model.predict(x[:, None]) - truth(x)) ** 2))
-    ax.plot(x, model.predict(x[:, None]), color="tab:orange")
+    ax.plot(x, model.predict(x[:, None]), color="#D55E00")
     ax.set_title(
         f"newrb, spread {width:g}, goal 0.005:\n{len(model.centers_)} neurons, error {error:.3f}"
     )
 mean, std = default.predict(x[:, None], return_std=True, with_noise=False)
 error = np.sqrt(np.mean((mean - truth(x)) ** 2))
-axes[2].fill_between(x, mean - 2 * std, mean + 2 * std, color="tab:blue", alpha=0.25, lw=0)
-axes[2].plot(x, mean, color="tab:blue")
+axes[2].fill_between(x, mean - 2 * std, mean + 2 * std, color="#0072B2", alpha=0.25, lw=0)
+axes[2].plot(x, mean, color="#0072B2")
 axes[2].set_title(f"RBFNetRegressor():\n{len(default.centers_)} neurons, error {error:.3f}")
 for ax in axes:
     ax.plot(P.ravel(), T.ravel(), ".", color="0.4", ms=4)

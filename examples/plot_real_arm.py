@@ -4,8 +4,8 @@ A real arm against itself
 
 A Franka Panda held a ball in sockets and moved through many poses: the single-point test of a
 measuring arm, done with a real arm by the authors of MUKCa. Each of the six placements of the
-sockets is left out once. The arm is calibrated and the models are fitted on the other five; what
-they predict at the placement left out is subtracted there.
+sockets is left out once. The arm is calibrated and the models are fitted on the other five. Their
+predictions are subtracted at the placement left out.
 
 The data are real: 387 poses of the arm ``panda_3``. They are not part of this package and are
 downloaded the first time. The script takes about half a minute.

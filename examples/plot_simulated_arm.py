@@ -2,11 +2,11 @@
 A simulated arm, before and after
 =================================
 
-The single-point test of a measuring arm: the probe sits in a cone while the elbow swings, and all
-points should coincide. The arm has been calibrated; what is left comes from eccentric encoders,
-bending tubes and heat. Two models learn it from the joint angles: the paper's network, which sees
-three angles of the pose, and :class:`~sklearn_raacmm.ArmResidualRegressor`, which knows the arm's
-geometry and guards itself.
+In the single-point test of a measuring arm the probe sits in a cone while the elbow swings, and all
+points should coincide. The arm has been calibrated. What is left comes from eccentric encoders,
+bending tubes and heat. Two models learn it from the joint angles. The paper's network sees three
+angles of the pose. :class:`~sklearn_raacmm.ArmResidualRegressor` knows the arm's geometry, and
+corrects only where this helps.
 
 Each position is corrected by models that were fitted on the other positions. The data are
 simulated: 10 positions with 40 poses each. The script takes about 20 seconds.

@@ -6,6 +6,7 @@ are errors in this suite, so that none can come from deep inside NumPy.
 """
 
 import re
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -274,6 +275,7 @@ SAME = {
 NARROW = {"float32": np.float32, "float16": np.float16, "integers": int, "unsigned": np.uint16}
 # What is wrong, and what the sentence says, at whichever door.
 SHAPE = "shape|dim|columns|features|number|array|must hold|sample|empty|rows|must be between"
+NO_ARRAY = "must be an array|must hold numbers|'length_scale' parameter"
 WRONG = {
     "NaN": (with_second(np.nan), "NaN|nan|finite"),
     "infinity": (with_second(np.inf), "inf|finite"),
@@ -287,6 +289,9 @@ WRONG = {
     "text inside": (with_second("one"), "must hold numbers|could not convert|float"),
     "text": (lambda x: "angles", "must hold|convert|scalar|array|1 dimension|str|samples|features"),
     "a data set": (lambda x: {"data": x}, "must be an array, got dict"),
+    "a path": (lambda x: Path("angles.csv"), NO_ARRAY),
+    "a generator": (iter, NO_ARRAY),
+    "a number of many digits": (lambda x: 10**400, r"above 1e\+50|must hold numbers"),
     "sparse": (
         lambda x: scipy.sparse.csr_array(x.reshape(len(x), -1) if x.ndim > 2 else np.atleast_2d(x)),
         "[Ss]parse|must hold numbers|length_scale",

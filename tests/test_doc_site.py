@@ -40,6 +40,25 @@ def test_the_check_of_the_site_sees_what_is_broken(tmp_path):
     assert list(findings(tmp_path / "empty")) != []
 
 
+def test_every_example_is_in_a_section_of_the_gallery(monkeypatch):
+    monkeypatch.syspath_prepend(DOC)
+    import _sphinx
+
+    shown = [name for names in _sphinx.SECTIONS.values() for name in names]
+    assert sorted(shown) == sorted(path.stem for path in (ROOT / "examples").glob("plot_*.py"))
+    picture = '.. raw:: html\n\n    <div class="sphx-glr-thumbcontainer">\n:doc:`/x/{}`\n\n'
+    pictures = "".join(picture.format(name) for name in shown)
+    end = f".. thumbnail-parent-div-close\n\n{_sphinx._CLOSE}\nend"
+    text = _sphinx.with_sections(f"head\n{_sphinx._OPEN}\n{pictures}{end}")
+    assert [line[9:-1] for line in text.split("\n") if line[:5] == ":doc:"] == shown
+    assert all(f"{title}\n---" in text for title in _sphinx.SECTIONS)
+    assert text.startswith("head")
+    assert text.endswith("end")
+    assert text.count("<div") - text.count("</div") == len(shown)  # each picture's own is not shown
+    with pytest.raises(ValueError, match="1 examples are in no section"):
+        _sphinx.with_sections(f"{_sphinx._OPEN}\n{picture.format('plot_new')}{end}")
+
+
 def test_numbers_of_the_readme_are_those_of_the_results(results):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert results.filled(text, results.read()) == text, "run benchmarks/make_results.py"
@@ -55,6 +74,29 @@ def test_every_number_that_a_page_takes_is_there(results):
         used = re.findall(r"\{\{ ?(\w+) ?\}\}", page.read_text(encoding="utf-8"))
         assert set(used) <= set(known), page.name
     assert known["less_linear_ur10"] in known["table_headline"] or known["table_real"]
+
+
+def test_the_command_says_what_has_moved(results, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import make_results
+
+    old = {"arm": {"model": {"mean_mm": 1.0, "max_mm": 2.0, "fit_seconds": 1.0, "made": "a"}}}
+    new = {"arm": {"model": {"mean_mm": 1.02, "max_mm": 2.01, "fit_seconds": 9.0, "made": "b"}}}
+    assert list(make_results.moved(old, new)) == ["arm / model / mean_mm: 1 -> 1.02"]
+    new["arm"]["other"] = {"mean_mm": 3.0}
+    assert list(make_results.moved(old, new))[1:] == ["arm / other / mean_mm: 3 (new)"]
+    assert make_results.rounded({"mean_mm": 0.1234567, "fit_seconds": 1.26, "r2": None}) == {
+        "mean_mm": 0.12346,
+        "fit_seconds": 1.3,
+    }
+    # All that the pages show is made by --all.
+    made = {(title, ": ".join(name)) for title, *_, names in make_results.data_sets(True, None)
+            for name in names}  # fmt: skip
+    assert {results.simulated(m, s) for m in results.MIXES for s in range(results.SEEDS)} <= {
+        title for title, _ in made
+    }
+    for data in results.REAL:
+        assert {(data, name) for name in (results.THREE, results.ALL, results.LINEAR)} <= made
 
 
 def test_what_the_pages_say_of_the_results_is_true(results):

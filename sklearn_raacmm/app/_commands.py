@@ -31,6 +31,9 @@ from sklearn_raacmm.utils import write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program.
 OK, BAD_INPUT, NO_HELP = 0, 2, 3
+# Scatter after calibration beyond which the arm's table is probably wrong, mm: measuring arms have
+# hundredths, the real robots of the tests 0.2 to 0.4.
+_MUCH_SCATTER = 1.0
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
 _FALSE_ALARM = 0.01
 
@@ -79,12 +82,19 @@ def _learn(options, arm, table, lengths, facts):
     write_whole({out / "card.md": f"{card}\n## Verdict\n\n- {result.verdict}\n"})
     layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
     write_corrected(layout, result.correct, out / "corrected.csv")
-    print(result.scores)
+    # The verdict stands at the end, where it is seen without scrolling.
+    print(str(result.scores).removeprefix(f"{result.verdict}\n"))
     rows = table.rows[result.outliers["row"]].tolist()
     for row, (_, label, distance) in zip(rows[:10], result.outliers.tolist(), strict=False):
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
     print()
     print(result.verdict)
+    scatter = result.calibration.scatter_after_mm
+    if scatter > _MUCH_SCATTER:
+        print(
+            f"But the points scatter by {scatter:.1f} mm after calibration. The table of the arm "
+            "is probably wrong: look at the notes above before you use the correction."
+        )
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
     written = "report.html, model.skops, arm.json, correction.json, card.md, corrected.csv"
@@ -214,7 +224,9 @@ def arm(options):
     """Show an arm, and write its file."""
     if options.lengths_222 or options.lengths_223:
         layout = "2-2-2" if options.lengths_222 else "2-2-3"
-        shown = Arm.from_lengths(layout, *(options.lengths_222 or options.lengths_223))
+        lengths = options.lengths_222 or options.lengths_223
+        offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
+        shown = Arm.from_lengths(layout, *lengths, **offsets)
     elif options.source and Path(options.source).suffix.lower() == ".urdf":
         shown = Arm.from_urdf(options.source, base=options.base, tip=options.tip)
     elif options.source:

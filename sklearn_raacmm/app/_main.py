@@ -63,8 +63,8 @@ def _parser():
     )
     parser.add_argument("--version", action="version", version=__version__)
     words = parser.add_subparsers(dest="word", required=True, metavar="WORD")
-    learn = _word(words, "learn", "calibrate an arm, learn the rest, judge it, write a report")
-    learn.add_argument("table", help="CSV or XLSX: one row a pose, joint angles and position")
+    learn = _word(words, "learn", "calibrate an arm, learn a correction, judge it, report")
+    learn.add_argument("table", help="CSV or XLSX, one row per pose: joint angles and position")
     learn.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
     _add_learning(learn, out=None)
     _add_columns(learn)
@@ -90,13 +90,13 @@ def _parser():
     export = _word(words, "export", "write a correction for other software")
     _add_model(export)
     export.add_argument("--c", metavar="FOLDER", help="C source and header")
-    export.add_argument("--onnx", metavar="FILE", help="ONNX, of models that have this form")
+    export.add_argument("--onnx", metavar="FILE", help="ONNX file to write")
     export.add_argument("--name", default="arm_correction", help="name of the C functions")
     export.add_argument("--std", action="store_true", help="standard deviations in C, too")
 
     _add_arm(words)
 
-    demo = _word(words, "demo", "the main job on a simulated arm, with its report")
+    demo = _word(words, "demo", "learn the correction of a simulated arm, with a report")
     _add_learning(demo, out="raacmm-demo")
     demo.set_defaults(
         angles=None, position=None, unit=None, points=None, lengths=None, length_sd=None,
@@ -112,7 +112,7 @@ def _word(words, name, text):
 
 
 def _add_arm(words):
-    arm = _word(words, "arm", "show an arm and write its file; asks where nothing is given")
+    arm = _word(words, "arm", "show an arm and write its file; without an arm it asks")
     arm.add_argument("source", nargs="?", help="arm file, URDF, or name of a built-in arm")
     arm.add_argument("--base", help="first link of a URDF's chain")
     arm.add_argument("--tip", help="last link of a URDF's chain")
@@ -122,14 +122,19 @@ def _add_arm(words):
             metavar=("SHOULDER", "UPPER", "FORE", "PROBE"),
             help=f"lengths in mm of a {'-'.join(layout)} arm",
         )  # fmt: skip
+    for place in ("elbow", "wrist"):
+        text = f"distance in mm at which the axes of the {place} pass each other (0)"
+        arm.add_argument(f"--{place}-offset", type=float, default=0.0, metavar="MM", help=text)
     arm.add_argument("--out", help="JSON file to write")
     arm.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
 
 
 def _add_learning(parser, out):
     parser.add_argument("--out", required=out is None, default=out, help="folder to write into")
-    parser.add_argument("--limit-2s", type=float, metavar="MM", help="limit of the mean 2S: PASS?")
-    parser.add_argument("--folds", type=int, help="times that positions are left out (5)")
+    parser.add_argument(
+        "--limit-2s", type=float, metavar="MM", help="limit of the mean 2S to judge by"
+    )
+    parser.add_argument("--folds", type=int, help="times that some positions are left out (5)")
     parser.add_argument("--jobs", type=int, help="folds computed at the same time (1)")
     parser.add_argument("--open", action="store_true", help="open the report in the browser")
 

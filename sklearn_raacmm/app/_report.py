@@ -16,7 +16,7 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._figures import figures_of
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import articulated_location_error, length_error
-from sklearn_raacmm.utils import write_whole
+from sklearn_raacmm.utils import show, write_whole
 
 # Rows shown of tables that may be long.
 _MOST_ROWS = 40
@@ -123,7 +123,7 @@ def judge_limit(scores, limit):
     if scores.measure != "2S":
         raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
     if not 0 < limit < np.inf:
-        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r}.")
+        raise ValueError(f"the limit of 2S must be a positive number in mm, got {show(limit)}.")
     mean, low, high = scores.summary["after"]
     word = "PASS" if high <= limit else "FAIL" if low > limit else "OPEN"
     what = {

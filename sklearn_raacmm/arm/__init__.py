@@ -5,7 +5,7 @@
 
 from sklearn_raacmm.arm._arm import Arm
 from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles, one_warning
-from sklearn_raacmm.arm._given import arm_for, arm_or_built_in
+from sklearn_raacmm.arm._given import arm_for, arm_or_built_in, check_arm
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     carried,
@@ -28,6 +28,7 @@ __all__ = [
     "arm_or_built_in",
     "carried",
     "check_angles",
+    "check_arm",
     "cross",
     "dh_theta",
     "frame_columns",

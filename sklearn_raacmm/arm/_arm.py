@@ -141,11 +141,11 @@ class Arm:
             raise ValueError(f"joint_signs must be -1 or 1 each, got {show(self.joint_signs)}.")
         if not (isinstance(self.convention, str) and self.convention in ("standard", "modified")):
             raise ValueError(
-                f"convention must be 'standard' or 'modified', got {self.convention!r}."
+                f"convention must be 'standard' or 'modified', got {show(self.convention)}."
             )
         # Unpaired surrogates, which only escapes in JSON can bring, cannot be written to a file.
         if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
-            raise ValueError(f"name must be a string of whole characters, got {self.name!r}.")
+            raise ValueError(f"name must be a string of whole characters, got {show(self.name)}.")
         if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
             raise ValueError(
                 f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "

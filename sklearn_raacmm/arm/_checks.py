@@ -65,7 +65,7 @@ def check_angles(angles, n_joints, angle_unit, stacklevel=3):
     Warns where the unit is most likely another one: degrees given as radians or the reverse.
     """
     if not (isinstance(angle_unit, str) and angle_unit in ("rad", "deg")):
-        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {angle_unit!r}.")
+        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {show(angle_unit)}.")
     angles = floats("angles", angles)
     if angles.ndim != 2 or angles.shape[1] != n_joints:
         raise ValueError(

@@ -10,6 +10,12 @@ from sklearn_raacmm.arm._arm import Arm
 _BUILT_IN = "aacmm6"
 
 
+def check_arm(arm):
+    """Refuse what is no arm."""
+    if not isinstance(arm, Arm):
+        raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
+
+
 def arm_or_built_in(arm, owner, stacklevel=3):
     """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
     if arm is not None:

@@ -11,7 +11,7 @@ from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
 from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, show
 
 # For warnings: each is given by a function that `calibrate` calls, which two decorators wrap.
 CALLER = 5
@@ -111,7 +111,7 @@ def check_arm_angles(arm, angles, angle_unit):
 def check_free(free):
     free = listed("free", free)
     if not all(isinstance(name, str) and name in FIELDS for name in free):
-        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r}.")
+        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {show(free)}.")
     return free
 
 
@@ -122,7 +122,8 @@ def check_length(entry, labels):
         length, sd = float(length), float(sd)
     except (TypeError, ValueError):
         raise ValueError(
-            f"each of lengths must be (label, label, length, standard deviation), got {entry!r}."
+            "each of lengths must be (label, label, length, standard deviation), got "
+            f"{show(entry)}."
         ) from None
     for label in (first, second):
         if label not in labels:
@@ -132,7 +133,7 @@ def check_length(entry, labels):
         raise ValueError(
             f"a length must join two different groups, it must be positive and at most "
             f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
-            f"got {entry!r}."
+            f"got {show(entry)}."
         )
     return labels.index(first), labels.index(second), length, sd
 

@@ -16,7 +16,7 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
-from sklearn_raacmm.correction._scores import CorrectionScores, scores_of
+from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.utils import write_whole
 
@@ -251,6 +251,14 @@ def learn_correction(
     >>> points.shape, std.shape
     ((5, 3), (5, 3))
     """
+    check_judging(
+        "learn_correction",
+        angle_unit=angle_unit,
+        model=model,
+        cv=cv,
+        n_jobs=n_jobs,
+        progress=progress,
+    )
     data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
     calibration = _calibrated(data, angles, angle_unit)
     scores = scores_of(data, calibration, model, cv, n_jobs, progress)

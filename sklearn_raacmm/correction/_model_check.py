@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi, chi2
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._linear_change import place_columns
 from sklearn_raacmm.correction._records import append_record
@@ -23,7 +23,9 @@ from sklearn_raacmm.utils import (
     Interval,
     encode_groups,
     group_means,
+    listed,
     one_blas_thread,
+    show,
     validate_params,
 )
 
@@ -107,9 +109,11 @@ class CorrectionCheck:
         "false_alarm_rate": [Interval(Real, 0, 0.5, closed="neither")],
         "refitted": ["array-like", str],
         "arm": [Arm, None],
+        "date": [str, calendar, None],
     },
     prefer_skip_nested_validation=True,
 )
+@one_warning()
 def check_correction(
     model,
     X,
@@ -263,7 +267,7 @@ def _poses_of(linear, model, today, lengths, arm):
 
 def _check_lengths(lengths, labels):
     """Known lengths as (position, position, mm, mm), positions by their number."""
-    lengths = list(lengths)
+    lengths = listed("lengths", lengths)
     if lengths and labels is None:
         raise ValueError("lengths are between positions: give groups, the position of each pose.")
     return [check_length(entry, labels) for entry in lengths]
@@ -333,9 +337,9 @@ class _Poses(NamedTuple):
 
     def nuisance(self, refitted):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
-        refitted = [refitted] if isinstance(refitted, str) else list(refitted)
+        refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r}.')
+            raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
         place = place_columns(self.linear.arm, self.angles, with_base=True)
         parts = [np.empty((len(self.residual()), 0))]
         if "probe" in refitted:

@@ -14,7 +14,7 @@ from sklearn.cluster import KMeans
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model import JointHarmonicRegressor
@@ -38,8 +38,7 @@ class Data:
 
     @classmethod
     def checked(cls, arm, angles, positions, points, lengths, angle_unit):
-        if not isinstance(arm, Arm):
-            raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
+        check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
         angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi

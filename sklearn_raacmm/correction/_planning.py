@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.correction._linear_change import place_columns
 from sklearn_raacmm.error_model import check_poses
-from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means
+from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means, listed, show
 
 # What is known before any pose of the place of base and probe, of lengths and of angles: as in
 # `calibrate`. Noise of a coordinate where no model says it, mm: beside wide priors its size hardly
@@ -121,7 +121,7 @@ def next_poses(
     True
     """
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
-        raise ValueError(f'criterion must be "I" or "D", got {criterion!r}.')
+        raise ValueError(f'criterion must be "I" or "D", got {show(criterion)}.')
     design = _design_of_model(model) if free is None else _design_of_arm(model, free, groups)
     X = _check_poses(model, X)
     if groups is None:
@@ -174,14 +174,13 @@ def _design_of_model(model):
 
 def _design_of_arm(model, free, groups):
     """Base, probe and fields of an arm, as `calibrate` would find them."""
-    free = [free] if isinstance(free, str) else list(free)
-    known = ("base", *FIELDS)
-    if not free or not set(free) <= set(known):
-        raise ValueError(f"free must name some of {', '.join(known)}, got {free!r}.")
+    free, known = listed("free", free), ("base", *FIELDS)
+    if not free or not all(isinstance(name, str) and name in known for name in free):
+        raise ValueError(f"free must name some of {', '.join(known)}, got {show(free)}.")
     linear = getattr(model, "linear_model_", None)
     arm = model if linear is None else linear.arm
     if not isinstance(arm, Arm):
-        raise TypeError(f"next_poses with free needs an Arm or a fitted model, got {model!r}.")
+        raise TypeError(f"next_poses with free needs an Arm or a fitted model, got {show(model)}.")
     n = arm.n_joints
     field = np.repeat(np.array(FIELDS), [n, n, n, n, 3])
     taken = np.flatnonzero(np.isin(field, free))

@@ -5,7 +5,10 @@
 
 import csv
 import json
+from os import PathLike
 from pathlib import Path
+
+from sklearn_raacmm.utils import show
 
 # What a record holds, in the order of the columns, and what each value is.
 _FIELDS = {
@@ -59,6 +62,8 @@ def read_check_records(path):
     >>> from sklearn_raacmm import read_check_records
     >>> records = read_check_records("checks_of_arm_7.csv")  # doctest: +SKIP
     """
+    if not isinstance(path, str | PathLike):
+        raise TypeError(f"path must be the path of a file of records, got {show(path)}.")
     path = Path(path)
     text = path.read_text(encoding="utf-8-sig")
     records = []

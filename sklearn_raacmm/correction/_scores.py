@@ -6,6 +6,7 @@
 import warnings
 from dataclasses import dataclass, field
 from html import escape
+from numbers import Integral
 
 import numpy as np
 from sklearn.model_selection import GroupKFold, check_cv
@@ -13,7 +14,16 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
-from sklearn_raacmm.utils import centred, encode_groups, group_means
+from sklearn_raacmm.utils import (
+    HasMethods,
+    StrOptions,
+    centred,
+    encode_groups,
+    group_means,
+    listed,
+    show,
+    validate_parameter_constraints,
+)
 
 # Folds of the default split: each takes a calibration and a fit of the model.
 _N_FOLDS = 5
@@ -22,6 +32,14 @@ _N_FOLDS = 5
 _N_DRAWS = 4000
 # That all positions improve by chance has a probability of 1/16 with four, 1/32 with five.
 _FEWEST_POSITIONS = 5
+# What the functions that judge a correction take besides data.
+_OPTIONS = {
+    "angle_unit": [StrOptions({"rad", "deg"})],
+    "model": [HasMethods(["fit", "predict", "get_params"]), None],
+    "cv": ["cv_object"],
+    "n_jobs": [Integral, None],
+    "progress": [callable, None],
+}
 _Z95 = 1.959964  # the standard normal quantile of 97.5 %
 
 
@@ -215,9 +233,22 @@ def cross_validate_correction(
     >>> scores.helps, scores.measure
     (True, '2S')
     """
+    check_judging(
+        "cross_validate_correction",
+        angle_unit=angle_unit,
+        model=model,
+        cv=cv,
+        n_jobs=n_jobs,
+        progress=progress,
+    )
     data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
     calibration = data.calibrate(np.arange(len(data.angles)))
     return scores_of(data, calibration, model, cv, n_jobs, progress)
+
+
+def check_judging(function, **options):
+    """Refuse options of a function that judges corrections, before anything is computed."""
+    validate_parameter_constraints(_OPTIONS, options, caller_name=function)
 
 
 # -- the folds ------------------------------------------------------------------------------------
@@ -275,6 +306,13 @@ def _folds(data, kept, cv):
         )
     if cv is None or isinstance(cv, int | np.integer):
         cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
+    elif not hasattr(cv, "split"):
+        cv = listed("cv", cv)
+        if not all(_are_rows(pair, len(codes)) for pair in cv):
+            raise ValueError(
+                "cv must be a whole number, a splitter, or pairs of the rows to fit on and to "
+                f"leave out, got {show(cv)}."
+            )
     splits = list(check_cv(cv).split(data.angles, groups=blocks))
     times = np.zeros(len(codes), dtype=int)
     for train, test in splits:
@@ -288,6 +326,15 @@ def _folds(data, kept, cv):
     if np.any(times != 1):
         raise ValueError("cv must leave out each row exactly once.")
     return [(np.intersect1d(train, kept), np.intersect1d(test, kept)) for train, test in splits]
+
+
+def _are_rows(pair, n_rows):
+    """Whether these are two arrays of numbers of rows."""
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        return False
+    pair = [np.asarray(rows) for rows in pair]
+    whole = all(rows.ndim == 1 and rows.dtype.kind in "iu" for rows in pair)
+    return whole and all(((rows >= 0) & (rows < n_rows)).all() for rows in pair)
 
 
 def _one_fold(data, model, train, test):

@@ -9,7 +9,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, check_angles, dh_theta, frame_columns
+from sklearn_raacmm.arm import Arm, check_angles, check_arm, dh_theta, frame_columns
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.utils import align, centred, encode_groups
 
@@ -95,6 +95,7 @@ def search_table(arm, angles, positions=None, points=None, *, angle_unit="rad"):
     >>> search_table(wrong, test.data, test.groups).change
     'joint 4 reversed'
     """
+    check_arm(arm)
     given = _scatter(arm, angles, positions, points, angle_unit)
     raw = np.asarray(angles, dtype=float)
     rows = _some_rows(raw, positions)

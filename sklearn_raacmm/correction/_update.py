@@ -11,6 +11,7 @@ from datetime import date as calendar
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_raacmm.arm import one_warning
 from sklearn_raacmm.correction._linear_change import (
     LEAST_NOISE_MM,
     NewPoses,
@@ -18,7 +19,13 @@ from sklearn_raacmm.correction._linear_change import (
     n_coordinates,
 )
 from sklearn_raacmm.error_model import LinearModel, check_poses, check_turns
-from sklearn_raacmm.utils import check_points, check_weights, encode_groups, one_blas_thread
+from sklearn_raacmm.utils import (
+    check_points,
+    check_weights,
+    encode_groups,
+    one_blas_thread,
+    validate_params,
+)
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to.
 _STRANGE = 10.0
@@ -27,6 +34,8 @@ _TRIED = 200
 
 
 @one_blas_thread
+@validate_params({"date": [str, calendar, None]}, prefer_skip_nested_validation=True)
+@one_warning()
 def update_correction(
     model, X, y, *, groups=None, sample_weight=None, orientation_residuals=None, date=None
 ):
@@ -125,7 +134,7 @@ def update_correction(
     True
     """
     linear = linear_model_of(model, "updated")
-    if len(X) == 0:
+    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(X) == 0:
         return deepcopy(model)
     angles, residuals, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
     turns = check_turns(orientation_residuals, len(angles), codes)
@@ -142,7 +151,7 @@ def update_correction(
             f"more than the {n_free} freedoms of base and tool: the model is kept as it was. "
             "Register only, or measure more poses.",
             UserWarning,
-            stacklevel=3,
+            stacklevel=5,
         )
         return deepcopy(model)
     network = _unfaded(model, angles) - linear.predict(angles)[0]
@@ -155,7 +164,7 @@ def update_correction(
             f"model, the old ones did by {linear.noise_sd:.3g} mm: are they of this arm, and "
             "residuals in its base frame, registered through the correction?",
             UserWarning,
-            stacklevel=3,
+            stacklevel=5,
         )
     updated = deepcopy(model)
     updated.linear_model_ = changed.model
@@ -232,7 +241,7 @@ def linear_model_of(model, done):
 
 def check_new_poses(model, X, y, groups, sample_weight):
     """Angles, residuals, weights and codes of new poses; each fault gets one clear sentence."""
-    angles = check_poses(model, X, stacklevel=6)
+    angles = check_poses(model, X, stacklevel=8)
     y = check_points(y, 3)
     if len(y) != len(angles):
         raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")

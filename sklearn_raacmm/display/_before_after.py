@@ -65,7 +65,7 @@ class RepeatabilityDisplay:
         The figure.
 
     unit_ : str
-        Unit of the figure: "µm" where all values are below 0.1 mm, else "mm".
+        Unit of the figure: "µm" where the values are below 0.1 mm on average, else "mm".
 
     Notes
     -----
@@ -287,7 +287,7 @@ class LengthErrorDisplay:
         The figure.
 
     unit_ : str
-        Unit of the figure: "µm" where all errors are below 0.1 mm, else "mm".
+        Unit of the figure: "µm" where the errors are below 0.1 mm on average, else "mm".
 
     Examples
     --------

@@ -14,7 +14,8 @@ AFTER = {"color": "#0072B2", "marker": "D", "linestyle": "", "markersize": 5}
 FLOOR = {"color": "0.2", "marker": "_", "linestyle": "", "markersize": 10}
 # How far before and after stand to the left and right of their place, so that neither hides.
 SHIFT = 0.12
-# Largest value up to which a figure is in micrometres, mm.
+# Mean size of the values up to which a figure is in micrometres, mm. The mean, because one outlier
+# says nothing of the size of the others.
 _MICROMETRES_UP_TO = 0.1
 
 
@@ -51,15 +52,15 @@ def axes_grid(axes, shape, **options):
 
 def unit_of(values):
     """One unit for a figure: how many of it a mm has, and its name."""
-    largest = np.max(np.abs(values), initial=0.0)
-    return (1000.0, "µm") if largest < _MICROMETRES_UP_TO else (1.0, "mm")
+    size = np.mean(np.abs(values)) if np.size(values) else 0.0
+    return (1000.0, "µm") if size < _MICROMETRES_UP_TO else (1.0, "mm")
 
 
 def marks(ax, place, values, label, style, unit, kwargs=None, interval=None):
     """Draw a value (mm) at each place, with its interval (n, 2) where that is known."""
     factor, name = unit
     mean = factor * np.mean(np.abs(values))
-    digits = ".1f" if name == "µm" else ".4f"
+    digits = ".1f" if name == "µm" else ".3f"
     style = style | {"label": f"{label}: {mean:{digits}} {name}"} | (kwargs or {})
     (drawn,) = ax.plot(place, factor * np.asarray(values), **style)
     if interval is not None:

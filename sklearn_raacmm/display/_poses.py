@@ -8,9 +8,15 @@ from numbers import Real
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, arm_or_built_in
+from sklearn_raacmm.arm import arm_or_built_in, check_arm
 from sklearn_raacmm.display._drawing import AFTER, BEFORE, pyplot, subtract
-from sklearn_raacmm.utils import check_option, check_points, check_whole_number, deviations_by_group
+from sklearn_raacmm.utils import (
+    check_option,
+    check_points,
+    check_whole_number,
+    deviations_by_group,
+    show,
+)
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
 _BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
@@ -157,8 +163,7 @@ class ArmPosesDisplay:
             If shapes differ, values are not finite, or the axes are flat.
         """
         arm = arm_or_built_in(arm, cls.__name__)
-        if not isinstance(arm, Arm):
-            raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
+        check_arm(arm)
         chains = arm_chains(arm, X, angle_unit)
         y = check_points(y, n_coordinates=3)
         if len(y) != len(chains):
@@ -210,7 +215,9 @@ class ArmPosesDisplay:
         if isinstance(magnification, str):
             check_option("magnification", magnification, ("auto",))
         elif not (isinstance(magnification, Real) and 0 < magnification < np.inf):
-            raise ValueError(f'magnification must be "auto" or positive, got {magnification!r}.')
+            raise ValueError(
+                f'magnification must be "auto" or positive, got {show(magnification)}.'
+            )
         if ax is None:
             ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")
         tips = self.chains[:, -1]

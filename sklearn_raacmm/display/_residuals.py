@@ -50,7 +50,7 @@ class ResidualDisplay:
         The figure.
 
     unit_ : str
-        Unit of the figure: "µm" where all residuals are below 0.1 mm, else "mm".
+        Unit of the figure: "µm" where the residuals are below 0.1 mm on average, else "mm".
 
     Examples
     --------

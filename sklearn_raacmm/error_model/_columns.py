@@ -344,6 +344,71 @@ def _vectors(arm, angles):
     return vectors, places
 
 
+class FactoredColumns(NamedTuple):
+    """Columns of the model at n poses, those of many waves of one joint as factors.
+
+    The waves of a joint share the vector by which a turn about its axis moves the probe. Products
+    with the columns are therefore taken with the waves first: one number for each pose, not three.
+    """
+
+    runs: list  # of (first, last column, vector (n, 3), waves (n, k))
+    rest: np.ndarray  # (n, 3, m) the columns after the runs
+
+    def dot(self, coef):
+        """``columns @ coef``, (n, 3)."""
+        out = self.rest @ coef[len(coef) - self.rest.shape[2] :]
+        for start, end, vector, waves in self.runs:
+            out += vector * (waves @ coef[start:end])[:, None]
+        return out
+
+    def squares(self, root):
+        """Squared lengths of ``columns @ root``, (n, 3).
+
+        Parameters
+        ----------
+        root : ndarray of shape (n_columns, r)
+            Rows need not be full: zeros before the first and after the last column that any of a
+            run's rows has are not multiplied.
+        """
+        if not self.runs:
+            dots = self.rest @ root
+            return np.einsum("ncr,ncr->nc", dots, dots)
+        n, _, m = self.rest.shape
+        vectors = np.stack([vector for *_, vector, _ in self.runs], axis=2)
+        shared = np.zeros((n, len(self.runs), root.shape[1]))
+        for i, (start, end, _, waves) in enumerate(self.runs):
+            used = _filled(root[start:end])
+            shared[:, i, used] = waves @ root[start:end, used]
+        dots = vectors @ shared
+        own = root[len(root) - m :]
+        used = _filled(own)
+        dots[:, :, used] += self.rest @ own[:, used]
+        return np.einsum("ncr,ncr->nc", dots, dots)
+
+
+def _filled(rows):
+    """Columns from the first to the last one that is not all zeros."""
+    some = np.flatnonzero(rows.any(axis=0))
+    return slice(some[0], some[-1] + 1) if len(some) else slice(0, 0)
+
+
+def factored_columns(arm, angles, terms, of_turns=False):
+    """Columns as :func:`term_columns` or :func:`turn_columns` gives them, not multiplied out.
+
+    Parameters
+    ----------
+    arm, angles, terms
+        As for :func:`term_columns`.
+    of_turns : bool, default=False
+        Whether the columns of the orientation are asked for.
+
+    Returns
+    -------
+    FactoredColumns
+    """
+    return _factored(arm, angles, _plan_of(arm, terms), terms, of_turns, None)
+
+
 def term_columns(arm, angles, terms):
     """Columns of the model at some poses.
 
@@ -398,8 +463,21 @@ def observed_columns(arm, angles, terms, turn_mm):
 
 def _columns(arm, angles, terms, of_turns):
     """Columns of points in mm, or of turns in rad."""
+    plan = _plan_of(arm, terms)
+    out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
+    found = _factored(arm, angles, plan, terms, of_turns, out[:, :, plan.rest :])
+    for start, end, vector, waves in found.runs:
+        np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
+    return out
+
+
+def _plan_of(arm, terms):
     pairs = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
-    plan = _planned(arm, pairs, *terms[1:])
+    return _planned(arm, pairs, *terms[1:])
+
+
+def _factored(arm, angles, plan, terms, of_turns, out):
+    """`FactoredColumns` by a plan; its `rest` is written to `out`, where that is given."""
     angles, values = angles[:, : arm.n_joints], angles[:, arm.n_joints :]
     vectors, places = _vectors(arm, angles)
     effect = vectors
@@ -410,10 +488,10 @@ def _columns(arm, angles, terms, of_turns):
     wave = np.empty((len(angles), 2 * phase.shape[1]))
     np.cos(phase, out=wave[:, 0::2])
     np.sin(phase, out=wave[:, 1::2])
-    out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
-    for start, end, which, unit in plan.runs:
-        turn = effect[:, :, which, None] * unit
-        np.multiply(turn, wave[:, None, start:end], out=out[:, :, start:end])
+    runs = [
+        (start, end, effect[:, :, which] * unit, wave[:, start:end])
+        for start, end, which, unit in plan.runs
+    ]
     factor = np.tile(plan.unit, (len(angles), 1))
     if terms.target and of_turns:
         factor[:, -3:] = ARCSEC
@@ -428,8 +506,8 @@ def _columns(arm, angles, terms, of_turns):
         columns, by, reference, of_tool = plan.given
         given = values[:, by]
         factor[:, columns] *= np.where(of_tool, given == reference, given - reference)
-    np.multiply(np.take(effect, plan.which, axis=2), factor[:, None], out=out[:, :, plan.rest :])
-    return out
+    rest = np.multiply(np.take(effect, plan.which, axis=2), factor[:, None], out=out)
+    return FactoredColumns(runs, rest)
 
 
 def scale_direction(arm, terms):

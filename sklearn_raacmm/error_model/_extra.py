@@ -48,7 +48,7 @@ def parsed(name, n_joints):
 def check_extra(extra, n_joints):
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
-        raise ValueError(f"extra must be a list of names, one for each column, got {extra!r}.")
+        raise ValueError(f"extra must be a list of names, one for each column, got {show(extra)}.")
     names = tuple(extra)
     found = [parsed(name, n_joints) for name in names]
     for i, one in enumerate(found):

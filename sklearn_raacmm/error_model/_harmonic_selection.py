@@ -28,9 +28,11 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dtrtri
 
+from sklearn_raacmm.error_model._order_scan import columns_of
+
 # Rounds of the choice, and steps of the variances in each, at most. Both stop by the evidence:
 # few problems take more than 5 and 30.
-MAX_CHOICES, _MAX_STEPS = 10, 100
+MAX_CHOICES, MAX_STEPS = 10, 100
 # Rise of the evidence, in nats, that is not worth another step: it moves no coefficient by more
 # than a few per cent of its standard deviation.
 _SMALL_RISE = 0.01
@@ -56,6 +58,10 @@ _NO_SIZE = 1e-7
 _RIDGES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
 # Harmonics are guessed to be so many, for the first choice.
 _GUESSED_PAIRS = 12
+# Candidates whose rise of the evidence is so far, in nats, below the lowest price are put aside:
+# most of them in a model that is nearly complete. Chosen harmonics raise others by far less. That
+# pays where more candidates than this may join.
+_HOPELESS, _MANY = 8.0, 12
 # Of the next best candidates, how many are named as likely to be asked for next.
 _LIKELY = 48
 
@@ -67,7 +73,7 @@ class Posterior(NamedTuple):
     smooth: np.ndarray  # (k,) which of them are there as parts of a smooth function only
     gains: np.ndarray  # (k,) log Bayes factor of each, beside all others
     coef: np.ndarray  # (m + 2 k,) of the columns that are always in, then of the chosen pairs
-    root: np.ndarray  # (m + 2 k, m + 2 k) R with covariance = inv(R.T @ R)
+    half: np.ndarray  # (m + 2 k, m + 2 k) with covariance = half @ half.T
     prior_variance: np.ndarray  # (n_families + 1,) the last one of the smooth function
     prior: np.ndarray  # (m + 2 k,) variance of each coefficient before any data
     noise_variance: float
@@ -194,7 +200,7 @@ class Problem:
                 variance[f] = self.start * self.n / size if size > 0 else 1.0
         return variance
 
-    def find_variances(self, pairs, smooth, share, variance, noise, max_steps=_MAX_STEPS):
+    def find_variances(self, pairs, smooth, share, variance, noise, max_steps=MAX_STEPS):
         """Coefficients of a fixed choice at the variances of highest evidence."""
         part = self.part(pairs, smooth, share)
         found = posterior_of(part, variance, noise)
@@ -270,17 +276,19 @@ def posterior_of(part, variance, noise):
         r = r + weighted @ part.lengths.errors
         fixed += precision @ np.square(part.lengths.errors) - np.log(precision).sum()
     S[np.diag_indices(len(S))] += 1 / prior
-    root = _root(S) if len(S) else S
-    coef = cho_solve((root, False), r, check_finite=False) if len(S) else r
-    inverse = dtrtri(root)[0] if len(S) else S
-    determined = 1 - np.square(inverse).sum(axis=1) / prior
+    # The last column is eliminated first: those that are always in then have the shortest rows of
+    # `half`, which makes standard deviations cheap (see `FactoredColumns`).
+    root = _root(S[::-1, ::-1]) if len(S) else S
+    coef = cho_solve((root, False), r[::-1], check_finite=False)[::-1] if len(S) else r
+    half = dtrtri(root)[0][::-1] if len(S) else S
+    determined = 1 - np.einsum("ij,ij->i", half, half) / prior
     volume = 2 * np.log(root.diagonal()).sum() + np.log(prior).sum()
     return Posterior(
         pairs=None,
         smooth=None,
         gains=None,
         coef=coef,
-        root=root,
+        half=half,
         prior_variance=variance,
         prior=prior,
         noise_variance=float(noise),
@@ -338,12 +346,6 @@ def _without_rounding(sums):
     return sums._replace(gram=root @ root.T, moment=clean(sums.moment), cross=clean(sums.cross))
 
 
-def columns_of(pairs):
-    """Cosine and sine columns of some candidates."""
-    pairs = np.asarray(pairs, dtype=int)
-    return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
-
-
 def extend(problem, pairs, variance, noise, prices, known=None):
     """Chosen pairs and those that raise the evidence by more than their price, at given variances.
 
@@ -352,7 +354,8 @@ def extend(problem, pairs, variance, noise, prices, known=None):
     r_b' inv(S_b) r_b / 2 - log det(v S_b) / 2, v its prior variance.
 
     S is never formed nor downdated as a whole: as in a pivoted Cholesky factorisation, the factor's
-    rows and the pairs' own 2 x 2 blocks suffice.
+    rows and the pairs' own 2 x 2 blocks suffice. Candidates that would have to rise by 8 nats and
+    more are put aside until the next choice, which looks at all of them again.
     """
     known = (pairs, *alone(pairs)) if known is None else known
     try:
@@ -360,22 +363,27 @@ def extend(problem, pairs, variance, noise, prices, known=None):
     except LinAlgError:  # so little noise that only rounding is left of the others
         return pairs
     chosen = pairs.tolist()
-    alive = np.ones(left.n_pairs, dtype=bool)
+    alive = np.ones(len(left.pairs), dtype=bool)
     alive[known[0]] = False
+    rise = left.gains()[0] - prices(pairs).min()
+    if np.count_nonzero(rise[alive] > 0) > _MANY:
+        left.keep(alive & (rise > -_HOPELESS))
+        alive = np.ones(len(left.pairs), dtype=bool)
     while alive.any():
         gain, sound = left.gains()
         alive &= sound
-        net = np.where(alive, gain - prices(np.array(chosen, dtype=int)), -np.inf)
+        net = gain - prices(np.array(chosen, dtype=int))[left.pairs]
+        net = np.where(alive, net, -np.inf)
         best = int(np.argmax(net))
         if not net[best] > 0:
             break
         likely = np.argsort(-net, kind="stable")[: min(_LIKELY, np.count_nonzero(net > 0))]
         alive[best] = False
         try:
-            left.take(best, likely.tolist())
+            left.take(best, left.pairs[likely].tolist())
         except LinAlgError:
             continue
-        chosen.append(best)
+        chosen.append(int(left.pairs[best]))
     return np.sort(np.array(chosen, dtype=int))
 
 
@@ -410,8 +418,7 @@ def gains_of(found):
     first = found.n_always
     if not n_waves:
         return np.empty(0)
-    half = dtrtri(found.root)[0][first:]
-    half = half.reshape(n_waves // 2, 2, -1)
+    half = found.half[first:].reshape(n_waves // 2, 2, -1)
     covariance = half @ half.swapaxes(1, 2)
     coef = found.coef[first:].reshape(-1, 2)
     fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)
@@ -426,7 +433,8 @@ class Leftover:
         sums, lengths = problem.sums, problem.lengths
         self.problem, self.noise = problem, noise
         self.prior = variance[problem.harmonic]
-        self.n_pairs = sums.own.shape[1]
+        self.pairs = np.arange(sums.own.shape[1])  # the candidates at hand
+        self.columns = slice(None)  # theirs, of those of `sums`
         S, r = sums.gram / noise, sums.moment / noise
         cross, own = sums.cross / noise, sums.own / noise
         self.r = sums.candidate_moment / noise
@@ -448,7 +456,7 @@ class Leftover:
             self._add(_root(S), cross, r)
         if len(pairs):
             prior = np.repeat(share * np.where(smooth, variance[-1], self.prior), 2)
-            block, *products = self._left_of(columns_of(pairs), pairs, (), prior)
+            block, *products = self._left_of(pairs, (), prior)
             self._add(cholesky(block, check_finite=False), *products)
 
     def _add(self, root, rows, r):
@@ -464,15 +472,25 @@ class Leftover:
         parts = (cos, cos), (sin, sin), (cos, sin)
         self.own = self.own - [np.einsum("kc,kc->c", a, b) for a, b in parts]
 
-    def take(self, pair, likely):
-        """Move a candidate to the chosen ones; LinAlgError if only rounding is left of it."""
-        columns = [2 * pair, 2 * pair + 1]
-        block, *products = self._left_of(columns, [pair], likely, self.prior)
+    def keep(self, which):
+        """Put the other candidates aside; `which` is a mask of those at hand."""
+        columns = columns_of(np.flatnonzero(which))
+        self.pairs, self.columns = self.pairs[which], columns_of(self.pairs[which])
+        rows = np.empty((2 * len(self.pairs) + 64, len(columns)))
+        self.factor = np.concatenate([self.factor[: self.size, columns], rows])
+        self.own, self.r = self.own[:, which], self.r[columns]
+        if self.lengths is not None:
+            self.lengths = self.lengths[:, columns]
+
+    def take(self, number, likely):
+        """Move a candidate at hand to the chosen ones; LinAlgError if only rounding is left."""
+        block, *products = self._left_of([number], likely, self.prior)
         self._add(cholesky(block, check_finite=False), *products)
 
-    def _left_of(self, columns, pairs, likely, prior):
-        """Own block, rows of the penalised Gram matrix and products of some candidates."""
-        rows = self.problem.sums.rows(pairs, likely) / self.noise
+    def _left_of(self, numbers, likely, prior):
+        """Own block, rows of the penalised Gram matrix and products of some candidates at hand."""
+        columns = columns_of(numbers)
+        rows = self.problem.sums.rows(self.pairs[numbers], likely)[:, self.columns] / self.noise
         if self.lengths is not None:
             rows = rows + self.lengths[:, columns].T @ self.lengths
         known = self.factor[: self.size]

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
@@ -22,7 +21,11 @@ from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._families import IDLE_VARIANCE, least_of_the_idle
 from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmonics
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._order_scan import candidate_sums
+from sklearn_raacmm.error_model._order_scan import (
+    candidate_sums,
+    sums_of_pairs,
+    sums_with_other_weights,
+)
 from sklearn_raacmm.error_model._orders import (
     offered_harmonics,
     order_prices,
@@ -45,6 +48,8 @@ _ROBUST_ROUNDS = 4
 # those chosen while outliers counted fully are a worse beginning than none.
 _MAX_CHOICES = 3
 _SETTLED_WEIGHT = 0.05
+# Where less than this share of the poses is concerned, two sums over them cost less than a new one.
+_FEW_POSES = 0.4
 # Points and turns are weighed anew by what the model leaves of them, at most so often, and until
 # the ratio of their noises changes by less than this share.
 _TURN_ROUNDS = 4
@@ -155,29 +160,28 @@ def _fit(data):
     found = None
     for _ in range(_MAX_CHOICES):
         found = offer.choose(*sums, found)
-        model, settled, found = _settle(data, factor, found, offer.terms_of(found))
-        moved = np.abs(settled - factor).max()
-        factor = settled
-        if moved > 0:
-            sums = data.sums(factor, offer.terms)
+        model, settled, found = _settle(data, factor, sums, found, offer)
+        sums = data.sums_after(sums, factor, settled, offer.terms)
+        moved, factor = np.any(settled != factor), settled
         smooth = offer.with_smooth(*sums, found)
         if smooth is not None:
-            return _settle_smooth(data, factor, smooth, offer)
-        if moved < _SETTLED_WEIGHT:
+            return _settle_smooth(data, factor, sums, smooth, offer)
+        if not moved:
             break
     return model, factor
 
 
-def _settle_smooth(data, factor, found, offer):
+def _settle_smooth(data, factor, sums, found, offer):
     """Model beside a smooth function, and the weights of the poses; lines are chosen once more."""
     for rounds in (_ROBUST_ROUNDS // 2, _ROBUST_ROUNDS):
-        model, settled, found = _settle(data, factor, found, offer.terms_of(found), rounds)
-        moved, factor = np.abs(settled - factor).max(), settled
-        if moved < _SETTLED_WEIGHT:
+        model, settled, found = _settle(data, factor, sums, found, offer, rounds)
+        if rounds < _ROBUST_ROUNDS and np.any(settled != factor):
+            sums = data.sums_after(sums, factor, settled, offer.terms)
+            found = offer.choose_beside_smooth(*sums, found)
+        elif np.all(settled == factor):
             break
-        if rounds < _ROBUST_ROUNDS:
-            found = offer.choose_beside_smooth(*data.sums(factor, offer.terms), found)
-    return model, factor
+        factor = settled
+    return model, settled
 
 
 class FitData(NamedTuple):
@@ -213,6 +217,20 @@ class FitData(NamedTuple):
         if not lengths:
             return sums, None
         return sums, length_equations(self.arm, X, weights, codes, terms, lengths)
+
+    def sums_after(self, sums, old, new, terms):
+        """`sums` at the factors `new`, from those at `old`: few poses are summed up again."""
+        touched = old != new
+        if not touched.any():
+            return sums
+        if self.codes is not None:
+            touched = np.isin(self.codes, self.codes[touched])
+        # Poses that all had no weight, or all lose it, have no sums of their own.
+        empty = any(not np.any(self.weights * factor * touched) for factor in (old, new))
+        if self.lengths or empty or touched.mean() > _FEW_POSES:
+            return self.sums(new, terms)
+        less, more = (self.sums(factor * touched, terms)[0] for factor in (old, new))
+        return sums_with_other_weights(sums[0], less, more), None
 
     def prior_variance(self):
         """Variance of each family, NaN where it is to be found."""
@@ -298,21 +316,26 @@ def constrained(model, X, weights, codes, keep_scale=True):
     return _without_gauge(model, columns)
 
 
-def _settle(data, factor, found, terms, rounds=_ROBUST_ROUNDS):
-    """Weights of the poses, and the model at these weights, harmonics being chosen."""
+def _settle(data, factor, sums, found, offer, rounds=_ROBUST_ROUNDS):
+    """Weights of the poses, and the model at these weights, harmonics being chosen.
+
+    `sums` are those of all that is offered, at the weights `factor`.
+    """
+    terms = offer.terms_of(found)
     family = term_names(data.arm, terms)[1]
     shares = smooth_shares(terms.harmonics[:, 1])
     model = model_of(data, factor, found, terms)
     if data.options.loss == "squared":
         return model, factor, found
+    sums = sums_of_pairs(sums[0], found.pairs), None
     for _ in range(rounds):
-        new = _pose_weights(data, model, factor)
-        if np.abs(new - factor).max() < _SETTLED_WEIGHT:
+        old, new = factor, _pose_weights(data, model, factor)
+        factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
+        if np.all(factor == old):
             break
-        factor = new
-        sums, lengths = data.sums(factor, terms)
-        start = found.prior_variance, found.noise_variance
-        found = refit(sums, family, HARMONIC, data.prior_variance(), found, shares, lengths, start)
+        sums = data.sums_after(sums, old, factor, terms)
+        start, known = (found.prior_variance, found.noise_variance), data.prior_variance()
+        found = refit(sums[0], family, HARMONIC, known, found, shares, sums[1], start)
         model = model_of(data, factor, found, terms)
     return model, factor, found
 
@@ -343,7 +366,7 @@ def model_of(data, factor, found, terms):
     """Value of a posterior, with columns in the order harmonics by joint, other terms."""
     n_pairs = len(terms.harmonics)
     order = np.roll(np.arange(len(found.coef)), 2 * n_pairs)
-    half = solve_triangular(found.root, np.eye(len(order)), check_finite=False)[order]
+    half = found.half[order]
     families = set(term_names(data.arm, terms)[1].tolist())
     if data.options.max_order or n_pairs:
         families.add(HARMONIC)

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,15 +12,18 @@ from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     Terms,
+    factored_columns,
     other_columns,
     term_columns,
     term_names,
-    turn_columns,
 )
 from sklearn_raacmm.utils import check_shapes, chunks
 
-# Poses predicted at a time.
-_CHUNK = 2048
+# Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
+# 2^18 with 177 and 769 columns.
+_CHUNK = 2**17
+# A root of which more than this share is not zero is worth being made a triangle.
+_FULL = 0.6
 
 _HARMONIC_DTYPE = np.dtype(
     [
@@ -100,6 +104,11 @@ class LinearModel:
     noise_scale: float = 1.0
     turn_mm: float = 0.0
 
+    def __getstate__(self):
+        state = dict(vars(self))
+        state.pop("_std_root", None)  # it is made of the others
+        return state
+
     def __setstate__(self, state):
         vars(self).update(state)
         pairs = np.asarray(self.terms.harmonics)
@@ -169,21 +178,37 @@ class LinearModel:
             That of the posterior, mm, without noise, of what the test can show; None where it is
             not asked for. :meth:`widened` makes intervals of it that hold.
         """
-        return self._posterior(term_columns, angles, return_std)
+        return self._posterior(angles, return_std, False)
 
     def predict_turn(self, angles, return_std=False):
         """As `predict`, of the orientation of the last link: rotation vectors in rad."""
-        return self._posterior(turn_columns, angles, return_std)
+        return self._posterior(angles, return_std, True)
 
-    def _posterior(self, columns_of, angles, return_std):
+    def _posterior(self, angles, return_std, of_turns):
         mean = np.empty((len(angles), 3))
         std = np.empty((len(angles), 3)) if return_std else None
-        for rows in chunks(len(angles), _CHUNK):
-            columns = columns_of(self.arm, angles[rows], self.terms)
-            mean[rows] = columns @ self.coef
+        for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
+            columns = factored_columns(self.arm, angles[rows], self.terms, of_turns)
+            mean[rows] = columns.dot(self.coef)
             if return_std:
-                std[rows] = np.sqrt(np.square(columns @ self.gauge_free_half).sum(axis=2))
+                std[rows] = np.sqrt(columns.squares(self._std_root))
         return mean, std
+
+    @cached_property
+    def _std_root(self):
+        """Root of the covariance that standard deviations are made of, with many zeros.
+
+        The columns that are multiplied for x, y and z each, those after the harmonics, have the
+        shortest rows of a triangle.
+        """
+        half = self.gauge_free_half
+        if np.count_nonzero(half) <= _FULL * half.size:
+            return half
+        n_waves = 2 * len(self.terms.harmonics)
+        order = np.roll(np.arange(len(half)), -n_waves)
+        root = np.empty((len(half), min(half.shape)))
+        root[order] = np.linalg.qr(half[order].T, mode="r").T
+        return root
 
     def widened(self, std, with_noise=False):
         """Standard deviations whose intervals hold at positions that were left out of the fit.

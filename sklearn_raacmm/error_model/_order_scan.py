@@ -130,6 +130,56 @@ def sums_of_the_others(parts):
     return found
 
 
+def sums_with_other_weights(sums, less, more):
+    """Sums after the weights of some poses have changed.
+
+    Parameters
+    ----------
+    sums : CandidateSums
+        Over all poses.
+    less, more : CandidateSums
+        Over the poses whose weights have changed, with their old and their new ones; of the same
+        columns, and of whole positions where these have offsets.
+
+    Returns
+    -------
+    CandidateSums
+    """
+    parts = [a - b + c for a, b, c in zip(sums[:-1], less[:-1], more[:-1], strict=True)]
+    rows = _GramRows(
+        lambda pairs: sums.rows(pairs) - less.rows(pairs) + more.rows(pairs), sums.cross.shape[1]
+    )
+    return CandidateSums(*parts, rows)
+
+
+def sums_of_pairs(sums, pairs):
+    """Sums with some of the candidates only.
+
+    Parameters
+    ----------
+    sums : CandidateSums
+    pairs : ndarray of shape (k,)
+        Indices of the candidates.
+
+    Returns
+    -------
+    CandidateSums
+    """
+    columns = columns_of(pairs)
+    return sums._replace(
+        cross=sums.cross[:, columns],
+        own=sums.own[:, pairs],
+        candidate_moment=sums.candidate_moment[columns],
+        rows=lambda some, likely=(): sums.rows(pairs[np.asarray(some, dtype=int)])[:, columns],
+    )
+
+
+def columns_of(pairs):
+    """Cosine and sine columns of some candidates."""
+    pairs = np.asarray(pairs, dtype=int)
+    return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
+
+
 class _GramRows:
     """Rows of the candidates' Gram matrix, summed up when first asked for and kept."""
 

@@ -7,6 +7,8 @@ from numbers import Integral, Real
 
 import numpy as np
 
+from sklearn_raacmm.utils import show
+
 # Orders up to this are common: eccentric discs (1, 2), poles, teeth. Higher ones come from gears
 # and motor encoders, on some arms only.
 COMMON_ORDER = 72
@@ -100,7 +102,7 @@ def _geared_orders(gear_ratio, n_joints):
             "ratio for all joints, or one for each (0 where it is unknown)."
         )
     if not np.all(np.isfinite(ratios) & (ratios >= 0)):
-        raise ValueError(f"gear_ratio must be finite and 0 or more, got {gear_ratio!r}.")
+        raise ValueError(f"gear_ratio must be finite and 0 or more, got {show(gear_ratio)}.")
     found = []
     for ratio in np.broadcast_to(ratios, n_joints).tolist():
         orders = ratio * _MULTIPLES

@@ -18,6 +18,7 @@ from scipy.linalg import LinAlgError
 
 from sklearn_raacmm.error_model._harmonic_selection import (
     MAX_CHOICES,
+    MAX_STEPS,
     Leftover,
     Problem,
     alone,
@@ -33,6 +34,8 @@ _LEAST_RISE = 16.0
 # It is tried where that much of it is promised; sizes of its variance that are tried for that,
 # relative to that of the harmonics.
 _LEAST_PROMISE, _SMOOTH_SIZES = 10.0, 10.0 ** np.arange(-4.0, 0.5, 0.5)
+# Steps of the variances between two looks at which pairs have become needless.
+_STEPS_WHILE_LEAVING = 1
 
 
 def add_smooth(sums, family, harmonic, prior_variance, prices, lengths, found, shares):
@@ -146,15 +149,33 @@ def _beside_smooth(problem, pairs, variance, noise, prices, shares):
     """
     tried = set()
     for _ in range(MAX_CHOICES):
-        found = problem.find_variances(*_joined(pairs, shares), variance, noise)
+        found = _without_needless(problem, pairs, variance, noise, prices, shares)
         variance, noise = found.prior_variance, found.noise_variance
-        found = found._replace(gains=gains_of(found))
+        pairs = found.pairs[~found.smooth]
         tried.add(frozenset(pairs.tolist()))
-        pairs = pairs[_worth(found, prices)]
         pairs = extend(problem, pairs, variance, noise, prices, _joined(pairs, shares))
         if frozenset(pairs.tolist()) in tried:
             break
     return found
+
+
+def _without_needless(problem, pairs, variance, noise, prices, shares):
+    """Posterior of a smooth function and those of some pairs that are worth their price beside it.
+
+    The variances follow a few steps at a time while pairs leave, and settle at the end.
+    """
+    steps = _STEPS_WHILE_LEAVING
+    while True:
+        found = problem.find_variances(*_joined(pairs, shares), variance, noise, max_steps=steps)
+        variance, noise = found.prior_variance, found.noise_variance
+        found = found._replace(gains=gains_of(found))
+        worth = _worth(found, prices)
+        if not worth.all():
+            pairs, steps = pairs[worth], _STEPS_WHILE_LEAVING
+        elif steps < MAX_STEPS:
+            steps = MAX_STEPS
+        else:
+            return found
 
 
 def _worth(found, prices):

@@ -112,7 +112,7 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
         raise ValueError("y and groups describe rows of X, which is None.")
     whole = isinstance(n_folds, int | np.integer) and not isinstance(n_folds, bool)
     if not whole or n_folds < 0 or n_folds == 1:
-        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {n_folds!r}.")
+        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {show(n_folds)}.")
     arm, unit = _arm(model)
     first = next(leaves(model)).estimator
     then = "".join(f", then {name}" for name in extra_of(model))

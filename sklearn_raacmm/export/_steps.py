@@ -19,6 +19,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import force_on_probe
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+from sklearn_raacmm.utils import show
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
@@ -64,7 +65,7 @@ def leaves(model, path=None):
 def check_fitted(model):
     """Refuse a class, or an estimator that is not fitted, with one sentence."""
     if isinstance(model, type) or not hasattr(model, "fit"):
-        raise TypeError(f"model must be a fitted estimator, got {model!r}.")
+        raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
     for path, step in leaves(model):
         try:
             check_is_fitted(step)

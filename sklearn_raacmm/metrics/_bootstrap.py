@@ -3,12 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Real
+
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.metrics._repeatability import single_point_repeatability
-from sklearn_raacmm.utils import check_option, check_points, check_whole_number, encode_groups
+from sklearn_raacmm.utils import check_option, check_points, check_whole_number, encode_groups, show
 
 _ROWS_AT_ONCE = 250_000  # about 20 MB with their labels
 
@@ -76,8 +78,8 @@ def repeatability_interval(
     check_option("statistic", statistic, ("2s", "max", "mean"))
     check_option("aggregate", aggregate, ("mean", "max", None))
     check_whole_number("n_resamples", n_resamples, 2)
-    if not 0 < probability < 1:
-        raise ValueError(f"probability must be between 0 and 1, got {probability!r}.")
+    if not (isinstance(probability, Real) and 0 < probability < 1):
+        raise ValueError(f"probability must be between 0 and 1, got {show(probability)}.")
     points = check_points(points)
     options = {"statistic": statistic, "aggregate": None}
     single_point_repeatability(points, groups, **options)  # refuses what cannot be judged

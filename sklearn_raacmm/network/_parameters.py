@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm.network._width_objective import ALPHA_BOUNDS, WIDTH_BOUNDS
-from sklearn_raacmm.utils import LARGEST, floats
+from sklearn_raacmm.utils import LARGEST, floats, show
 
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
 _MAX_RANGE = 1e6
@@ -36,7 +36,7 @@ def check_length_scale(length_scale, n_features):
         )
     if not np.all(width >= 1 / LARGEST):
         raise ValueError(
-            f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r}."
+            f"length_scale must be positive, at least {1 / LARGEST:g}; got {show(length_scale)}."
         )
     return np.broadcast_to(width, n_features).copy()
 
@@ -73,7 +73,7 @@ def check_alpha(alpha, n_outputs):
             f"{n_outputs} outputs."
         )
     if not np.all((ridge >= 0) & np.isfinite(ridge)):
-        raise ValueError(f"alpha must not be negative, and finite; got {alpha!r}.")
+        raise ValueError(f"alpha must not be negative, and finite; got {show(alpha)}.")
     return np.broadcast_to(ridge, n_outputs).copy()
 
 

@@ -11,7 +11,7 @@ here are reconstructions, checked numerically.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, carried, check_angles, dh_theta
+from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, carried, check_angles, check_arm, dh_theta
 
 _ORIGIN = (0.0, 0.0, 0.0)
 
@@ -119,6 +119,7 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
 
 def _corners(arm, angles, angle_unit):
     """Shoulder, elbow and wrist, (3, n) each, mm."""
+    check_arm(arm)
     angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
     first, last = arm.pose_frames
     # The axis of joint i runs through the origin of frame i - 1, in the modified convention of i.

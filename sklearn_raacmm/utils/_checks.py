@@ -3,7 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from numbers import Integral
+from collections.abc import Sequence
+from numbers import Integral, Real
+from types import NoneType
 
 import numpy as np
 from scipy.sparse import issparse
@@ -14,11 +16,14 @@ from sklearn_raacmm.utils._sklearn import check_sample_weight
 
 # Smaller numbers can be squared, summed and squared again without overflow.
 LARGEST = 1e50
+# What has no method that makes an array may still be numbers; None and dicts get sentences of their
+# own.
+_MAY_BE_ARRAYS = (Sequence, Real, NoneType, dict)
 
 
 def show(value, limit=60):
-    """Representation of a value, short enough for a sentence."""
-    text = repr(value)
+    """Representation of a value in one line, short enough for a sentence."""
+    text = " ".join(repr(value).split())
     return text if len(text) <= limit else text[:limit] + "..."
 
 
@@ -34,6 +39,12 @@ def refuse_disguised(name, value):
             f"{name} must be an array, got {type(value).__name__}: of a data set, give its arrays, "
             "such as data and target."
         )
+    if isinstance(value, str | bytes):
+        raise ValueError(f"{name} must hold numbers, got {show(value)}.")
+    if not (hasattr(value, "__array__") or isinstance(value, _MAY_BE_ARRAYS) or issparse(value)):
+        raise TypeError(f"{name} must be an array, got {show(value)}.")
+    if isinstance(value, Integral) and abs(int(value)) > LARGEST:  # too long for a float, perhaps
+        raise ValueError(f"{name} holds a number above {LARGEST:g}, got {show(value)}.")
     if _kinds(value) & {"m", "M"}:
         raise ValueError(f"{name} must hold numbers, got dates or times.")
 
@@ -146,7 +157,7 @@ def check_weights(sample_weight, X):
 def check_option(name, value, options):
     """Refuse what is not one of the options."""
     if not (value is None or isinstance(value, str)) or value not in options:
-        raise ValueError(f"{name}={value!r} is not one of {', '.join(map(repr, options))}.")
+        raise ValueError(f"{name}={show(value)} is not one of {', '.join(map(repr, options))}.")
 
 
 def listed(name, value):
@@ -154,7 +165,7 @@ def listed(name, value):
     try:
         return [value] if isinstance(value, str) else list(value)
     except TypeError:
-        raise ValueError(f"{name} must be a list, got {value!r}.") from None
+        raise ValueError(f"{name} must be a list, got {show(value)}.") from None
 
 
 def check_whole_number(name, value, low, high=None):

@@ -5,7 +5,13 @@
 
 from sklearn.base import _fit_context as fit_context
 from sklearn.utils import _safe_indexing as safe_indexing
-from sklearn.utils._param_validation import HasMethods, Interval, StrOptions, validate_params
+from sklearn.utils._param_validation import (
+    HasMethods,
+    Interval,
+    StrOptions,
+    validate_parameter_constraints,
+    validate_params,
+)
 from sklearn.utils.parallel import _threadpool_controller_decorator
 from sklearn.utils.validation import (
     _check_feature_names as check_feature_names,
@@ -31,6 +37,7 @@ __all__ = [
     "fit_context",
     "one_blas_thread",
     "safe_indexing",
+    "validate_parameter_constraints",
     "validate_params",
 ]
 

@@ -19,6 +19,17 @@ def model(**options):
     return JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False, **options)
 
 
+def test_positions_of_one_pose_each_have_no_offsets():
+    """Their deviations from themselves are rounding; means of one row say nothing of a mean."""
+    rng = np.random.default_rng(1)
+    for weights in (np.ones(300), rng.uniform(0.1, 3, 300), np.full(300, 0.3)):
+        groups = rng.permutation(300)
+        assert _check_offsets("auto", NOISE, weights, groups) is None
+        found = model().fit(ANGLES, NOISE, groups=groups, sample_weight=weights)
+        assert not found.offsets_
+        assert found.noise_sd_ == pytest.approx(0.05, rel=0.1)
+
+
 @pytest.mark.parametrize(("n_positions", "n_left"), [(60, 4), (100, 3)])
 def test_deviations_from_means_of_more_rows_are_warned_of(n_positions, n_left):
     """Of ten rows at each position few are left: that all ten have mean 0 hardly shows."""
@@ -89,7 +100,7 @@ def test_weights_that_are_no_repeats_are_told(scale):
     """With inverse variances nothing would be noise; too large ones ended in a LinAlgError."""
     weights = scale * np.arange(1.0, 41)
     for estimator in (
-        JointHarmonicRegressor(ARM, max_order=10),
+        JointHarmonicRegressor(ARM, max_order=2),
         ArmResidualRegressor(ARM, harmonics=model(), use="harmonics"),
     ):
         with pytest.warns(UserWarning, match=r"the 40 rows are worth .* rows"):

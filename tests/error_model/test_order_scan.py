@@ -7,13 +7,20 @@ from scipy.stats import multivariate_normal
 
 from sklearn_raacmm import Arm, JointHarmonicRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import LinearOptions, _order_scan, fit_linear_model
+from sklearn_raacmm.error_model import (
+    LinearOptions,
+    _harmonic_selection,
+    _order_scan,
+    fit_linear_model,
+)
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns
 from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmonics
 from sklearn_raacmm.error_model._order_scan import (
     CandidateSums,
     candidate_sums,
+    sums_of_pairs,
     sums_of_the_others,
+    sums_with_other_weights,
 )
 from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import Lengths
@@ -105,6 +112,41 @@ def test_sums_of_the_others_are_those_of_their_poses():
             assert_allclose(getattr(found, name), expected, atol=atol, err_msg=name)
         for asked in ([3, 40], [40, 7]):
             assert_allclose(found.rows(asked), others.rows(asked), atol=1e-10 * others.own.max())
+
+
+@pytest.mark.parametrize("with_offsets", [False, True])
+def test_sums_follow_weights_that_change(with_offsets):
+    """Two sums over the poses concerned, and a choice of candidates, are a sum from the start."""
+    rng = np.random.default_rng(6)
+    theta, y, old = draw_angles(80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
+    codes = np.arange(80) // 10
+    touched = codes < 3
+    new = np.where(touched, rng.uniform(0.5, 2, 80), old)
+    new[:10] = 0  # a whole position is lost
+    offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
+    terms = Terms(offered, True, True, True)
+
+    def sums(weights, rows):
+        rows = rows & (weights > 0)
+        own = np.unique(codes[rows], return_inverse=True)[1] if with_offsets else None
+        return candidate_sums(ARM, theta[rows], y[rows], weights[rows], own, offered, terms)
+
+    every = np.ones(80, dtype=bool)
+    found = sums_with_other_weights(sums(old, every), sums(old, touched), sums(new, touched))
+    expected, pairs = sums(new, every), np.array([2, 50, 51])
+    columns = np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
+    assert found.n_observations == pytest.approx(expected.n_observations)
+    for name in ("gram", "moment", "square"):
+        value = getattr(expected, name)
+        assert_allclose(getattr(found, name), value, atol=1e-10 * np.abs(value).max())
+    some = sums_of_pairs(found, pairs)
+    size = expected.own.max()
+    assert_allclose(some.cross, expected.cross[:, columns], atol=1e-10 * np.abs(some.cross).max())
+    assert_allclose(some.own, expected.own[:, pairs], atol=1e-10 * size)
+    assert_allclose(some.candidate_moment, expected.candidate_moment[columns], atol=1e-9)
+    for asked in ([2, 0], [0, 1]):
+        rows = expected.rows(pairs[asked])[:, columns]
+        assert_allclose(some.rows(asked), rows, atol=1e-10 * size)
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "panda"])
@@ -203,6 +245,29 @@ def test_evidence_is_that_of_the_normal_distribution():
     assert values[0] == pytest.approx(values[1], abs=1e-6)
 
 
+def test_candidates_that_are_put_aside_change_no_choice(monkeypatch):
+    rng = np.random.default_rng(8)
+    A, H = rng.normal(size=(300, 4)), rng.normal(size=(300, 160))
+    y = A @ rng.normal(size=4) + H[:, ::5] @ rng.normal(scale=0.3, size=32)
+    y += rng.normal(scale=0.5, size=300)
+    chosen, sizes = [], []
+    keep = _harmonic_selection.Leftover.keep
+    monkeypatch.setattr(
+        _harmonic_selection.Leftover,
+        "keep",
+        lambda self, which: (sizes.append(which.mean()), keep(self, which))[1],
+    )
+    for many in (4, 1000):
+        monkeypatch.setattr(_harmonic_selection, "_MANY", many)
+        rest = np.ones(4, int), 0, np.full(3, np.nan), lambda chosen: np.full(80, 9.0)
+        found = select_harmonics(sums_of(A, H, y), *rest)
+        chosen.append(found.pairs.tolist())
+    assert sizes  # some were put aside, in the first of the two
+    assert min(sizes) < 0.5
+    assert chosen[0] == chosen[1]
+    assert len(chosen[0]) > 8
+
+
 def test_variances_are_a_maximum_of_the_evidence():
     A, H, y, found = toy_problem(1)
     best = log_evidence(A, H, y, found.pairs, found.prior_variance, found.noise_variance)
@@ -227,7 +292,8 @@ def test_posterior_is_ridge_in_closed_form():
     precision = columns.T @ columns / found.noise_variance + np.diag(1 / prior)
     coef = np.linalg.solve(precision, columns.T @ y / found.noise_variance)
     assert_allclose(found.coef, coef, rtol=1e-8)
-    assert_allclose(found.root.T @ found.root, precision, rtol=1e-8, atol=1e-8)
+    covariance = np.linalg.inv(precision)
+    assert_allclose(found.half @ found.half.T, covariance, rtol=1e-8, atol=1e-8 * covariance.max())
     waves = columns[:, 4:]
     again = refit(
         sums_of(A, waves, y), np.ones(4, int), 0, np.full(3, np.nan), found, np.ones(2), None,

@@ -56,6 +56,11 @@ def models(data):
     return {name: model.fit(data.data, data.target) for name, model in found.items()}
 
 
+@pytest.fixture(scope="module")
+def guarded_text(models):
+    return to_json(models["guarded"])
+
+
 @pytest.mark.parametrize(
     "name", ["outermost", "pipeline", "linear", "guarded", "clipped", "search"]
 )
@@ -207,8 +212,8 @@ def fading(node):
         (lambda node: node["state"].update(joints=["all"]), "'joints' parameter"),
     ],
 )
-def test_damaged_stages_are_refused(models, change, message):
-    text = to_json(models["guarded"])
+def test_damaged_stages_are_refused(guarded_text, change, message):
+    text = guarded_text
     with pytest.raises(ValueError, match=message) as error:
         from_json(changed(text, change))
     assert "holds no model that can be built" in str(error.value)

@@ -1,0 +1,74 @@
+"""Columns that are kept as factors, and standard deviations that are made of them."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm, JointHarmonicRegressor
+from sklearn_raacmm.error_model import LinearModel, Terms, term_columns
+from sklearn_raacmm.error_model._columns import factored_columns, turn_columns
+
+ARM = Arm.from_name("ur10", joint_signs=[1, -1, 1, 1, 1, -1], probe=(3.0, -8.0, 120.0))
+EXTRA = (("temperature", (20.0,)), ("direction 2", (0.0,)), ("tool", (1.0, 2.0)))
+
+
+def some_model(n_orders, rng, triangle=True, extra=()):
+    """Model of random numbers with so many orders of each joint."""
+    pairs = np.array([(j, k) for j in range(6) for k in range(1, n_orders + 1)])
+    terms = Terms(pairs.reshape(-1, 2), True, True, True, extra)
+    n = term_columns(ARM, np.zeros((1, 6 + len(extra))), terms).shape[2]
+    half = np.triu(rng.normal(size=(n, n)))[::-1]
+    half = np.concatenate([half[-2 * len(pairs) :], half[: -2 * len(pairs)]])
+    if not triangle:
+        half = half @ np.linalg.qr(rng.normal(size=(n, n)))[0]
+    coef = rng.normal(size=n)
+    return LinearModel(ARM, terms, coef, half, 1.0, {}, False, 0.0, np.zeros(len(pairs)), half)
+
+
+@pytest.mark.parametrize("n_orders", [0, 3, 30])  # few and many: two ways of computing
+@pytest.mark.parametrize("extra", [(), EXTRA])
+def test_factors_are_the_columns(n_orders, extra):
+    rng = np.random.default_rng(n_orders)
+    model = some_model(n_orders, rng, extra=extra)
+    values = [rng.uniform(15, 30, 40), rng.choice([-1.0, 1.0], 40), rng.choice([1.0, 2.0], 40)]
+    X = np.column_stack([rng.uniform(-3, 3, (40, 6)), *values[: len(extra)]])
+    for of_turns, columns in enumerate((term_columns, turn_columns)):
+        explicit = columns(ARM, X, model.terms)
+        found = factored_columns(ARM, X, model.terms, of_turns=bool(of_turns))
+        mean, dots = explicit @ model.coef, explicit @ model.half
+        assert_allclose(found.dot(model.coef), mean, atol=1e-12 * np.abs(mean).max())
+        assert_allclose(found.squares(model.half), np.square(dots).sum(axis=2), rtol=1e-11)
+
+
+@pytest.mark.parametrize("n_orders", [3, 30])
+def test_standard_deviations_need_no_full_root(n_orders):
+    """A root that is full, as after a gauge was taken out, becomes a triangle."""
+    rng = np.random.default_rng(5)
+    model = some_model(n_orders, rng, triangle=False)
+    X = rng.uniform(-3, 3, (300, 6))
+    expected = np.sqrt(np.square(model.columns(X) @ model.half).sum(axis=2))
+    assert_allclose(model.predict(X, return_std=True)[1], expected, rtol=1e-11)
+    assert np.count_nonzero(model._std_root) < 0.6 * model.half.size
+    other = replace(model, gauge_free_half=2 * model.half)  # what was kept belongs to one model
+    assert_allclose(other.predict(X, return_std=True)[1], 2 * expected, rtol=1e-11)
+    again = pickle.loads(pickle.dumps(model))
+    assert "_std_root" not in vars(again)
+    assert_allclose(again.predict(X, return_std=True)[1], expected, rtol=1e-11)
+
+
+def test_the_posterior_of_a_fit_is_a_triangle():
+    """Columns that are no harmonics, which cost most, have the shortest rows."""
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (150, 6))
+    y = np.einsum("nij,nj->ni", ARM.jacobian(X), 3e-5 * np.cos(5 * X))
+    y += rng.normal(scale=0.003, size=y.shape)
+    model = JointHarmonicRegressor(ARM, max_order=8).fit(X, y).linear_model_
+    n = len(model.coef)
+    assert len(model.terms.harmonics) >= 5
+    assert np.count_nonzero(model.half) <= n * (n + 1) / 2
+    assert model._std_root is model.gauge_free_half
+    others = model.half[2 * len(model.terms.harmonics) :]
+    assert np.count_nonzero(others) <= len(others) * (len(others) + 1) / 2

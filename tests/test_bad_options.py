@@ -1,0 +1,184 @@
+"""Options of the public functions given what they cannot take: one sentence, on the caller's line.
+
+Arrays are in ``test_bad_input.py``.
+"""
+
+import contextlib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    JointHarmonicRegressor,
+    check_correction,
+    cross_validate_correction,
+    elbow_angle,
+    learn_correction,
+    next_poses,
+    read_check_records,
+    search_table,
+    update_correction,
+)
+from sklearn_raacmm.datasets import ArmErrors, make_single_point
+from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
+from sklearn_raacmm.utils import floats, show
+
+TEST = make_single_point(6, 8, random_state=0)
+DATA = TEST.nominal_arm, TEST.data, TEST.groups
+MANY = np.zeros((24, 9))
+
+
+@pytest.fixture(scope="module")
+def model():
+    small = JointHarmonicRegressor(TEST.arm, max_order=1, gravity=False, wobble=False)
+    return small.fit(TEST.data, TEST.target, groups=TEST.groups)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "sentence"),
+    [
+        ("angle_unit", MANY, "'angle_unit' parameter of .* a str among"),
+        ("model", [], r"'model' parameter of .* an object implementing 'fit'"),
+        ("model", JointHarmonicRegressor, "provide an instance"),
+        ("model", JointHarmonicRegressor(max_order=-1), "'max_order' parameter of JointHarmonicRe"),
+        ("cv", 1, "'cv' parameter of .* an int in the range"),
+        ("cv", "folds", "'cv' parameter"),
+        ("cv", [1], r"cv must be a whole number, a splitter, or pairs .* got \[1\]"),
+        ("cv", np.array(3), r"cv must be a list, got array\(3\)"),
+        ("cv", [([0, 1], [2], [3])], "pairs of the rows"),
+        ("cv", [([0, 1], [48])], "pairs of the rows"),
+        ("cv", [([0.0, 1.0], [2.0, 3.0])], "pairs of the rows"),
+        ("n_jobs", "all", "'n_jobs' parameter of .* an instance of 'int'"),
+        ("progress", "yes", "'progress' parameter of .* a callable"),
+    ],
+)
+@pytest.mark.parametrize("judge", [learn_correction, cross_validate_correction])
+def test_the_doors_that_judge(judge, option, value, sentence):
+    with pytest.raises((ValueError, TypeError), match=sentence):
+        judge(*DATA, **{option: value})
+
+
+@pytest.mark.parametrize("arm", [None, "aacmm6", MANY])
+@pytest.mark.parametrize(
+    "door",
+    [
+        lambda arm: learn_correction(arm, *DATA[1:]),
+        lambda arm: search_table(arm, *DATA[1:]),
+        lambda arm: elbow_angle(arm, TEST.data),
+    ],
+)
+def test_what_is_no_arm(door, arm):
+    with pytest.raises(TypeError, match=f"arm must be an Arm, got {type(arm).__name__}"):
+        door(arm)
+
+
+@pytest.mark.parametrize("free", [1, [["a"]], [], ["length"], [None], MANY])
+def test_what_to_plan_for(free):
+    with pytest.raises(ValueError, match=r"^free must (name some of base, a, .*|be a list), got"):
+        next_poses(TEST.arm, TEST.data, 3, free=free)
+
+
+@pytest.mark.parametrize("date", [20240131, ["2024-01-31"], np.datetime64("2024-01-31")])
+@pytest.mark.parametrize("door", [update_correction, check_correction])
+def test_what_is_no_date(model, door, date):
+    with pytest.raises(ValueError, match="'date' parameter"):
+        door(model, TEST.data, TEST.target, groups=TEST.groups, date=date)
+
+
+@pytest.mark.parametrize("nothing", ["", {}])
+def test_only_an_array_without_rows_is_no_new_pose(model, nothing):
+    np.testing.assert_array_equal(
+        update_correction(model, [], []).predict(TEST.data), model.predict(TEST.data)
+    )
+    with pytest.raises((ValueError, TypeError), match=r"X must (be an array|hold numbers), got"):
+        update_correction(model, nothing, TEST.target)
+
+
+def test_text_is_no_list(model):
+    options = {"groups": TEST.groups}
+    with pytest.raises(ValueError, match="each of lengths must be"):
+        check_correction(model, TEST.data, TEST.target, **options, lengths="")
+    with pytest.raises(ValueError, match="'refitted' parameter"):
+        check_correction(model, TEST.data, TEST.target, **options, refitted=3)
+
+
+@pytest.mark.parametrize("path", [None, 3, ["a.csv"], b"a.csv"])
+def test_what_is_no_path_of_records(path):
+    with pytest.raises(TypeError, match="path must be the path of a file of records, got"):
+        read_check_records(path)
+
+
+@pytest.mark.parametrize("probability", [None, "0.9", [0.9], np.array([0.9, 0.5]), 1, np.nan])
+def test_what_is_no_probability(probability):
+    with pytest.raises(ValueError, match="probability must be between 0 and 1, got"):
+        repeatability_interval(TEST.points, TEST.groups, probability=probability)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: Arm.from_name("aacmm6").replace(convention=MANY),
+        lambda: Arm.from_name("aacmm6").replace(name=MANY),
+        lambda: TEST.arm.forward(TEST.data, angle_unit=MANY),
+        lambda: single_point_repeatability(TEST.points, TEST.groups, aggregate=MANY),
+        lambda: next_poses(TEST.arm, TEST.data, 3, free=["probe"], criterion=MANY),
+        lambda: ArmErrors(sag_um=MANY),
+    ],
+)
+def test_a_large_value_does_not_fill_the_screen(call):
+    with pytest.raises(ValueError) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("value", [Path("a.csv"), {1.0}, iter([1.0]), len, Arm, 1j, object()])
+def test_what_is_no_array(value):
+    with pytest.raises(TypeError, match="points must be an array, got"):
+        single_point_repeatability(value)
+    with pytest.raises(TypeError, match="angles must be an array, got"):
+        TEST.arm.forward(value)
+
+
+def test_a_number_of_many_digits():
+    with pytest.raises(ValueError, match=r"angles holds a number above 1e\+50, got 1000.*\.\.\."):
+        floats("angles", 10**400)
+    assert len(show(10**400)) < 70
+
+
+@pytest.mark.parametrize(
+    "door",
+    [
+        lambda model, X: learn_correction(DATA[0], X, TEST.groups),
+        lambda model, X: cross_validate_correction(DATA[0], X, TEST.groups),
+        lambda model, X: update_correction(model, X, TEST.target, groups=TEST.groups),
+        lambda model, X: check_correction(model, X, TEST.target, groups=TEST.groups),
+        lambda model, X: next_poses(model, X, 3, groups=TEST.groups),
+        lambda model, X: elbow_angle(TEST.arm, X),
+    ],
+    ids=["learn", "judge", "update", "check", "plan", "elbow"],
+)
+def test_degrees_are_warned_of_once_on_the_line_of_the_call(model, door):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with contextlib.suppress(ValueError):  # such data are of no arm
+            door(model, np.rad2deg(TEST.data))
+    told = [warning for warning in caught if "more than two turns" in str(warning.message)]
+    assert [Path(warning.filename).name for warning in told] == [Path(__file__).name]
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_poses_that_are_not_known_are_warned_of_on_the_line_of_the_call(both):
+    model = JointHarmonicRegressor(TEST.arm, max_order=1, gravity=False)
+    if both:
+        model = ArmResidualRegressor(TEST.arm, harmonics=model, use="harmonics")
+    rng = np.random.default_rng(0)
+    near, far = rng.uniform(-0.1, 0.1, (30, 6)), rng.uniform(-3, 3, (50, 6))
+    model.fit(near, 0.05 * np.sin(9 * near[:, 1:4]))
+    with pytest.warns(UserWarning, match="50 of 50 poses lie where the model knows li") as caught:
+        model.predict(far)
+    assert [Path(warning.filename).name for warning in caught] == [Path(__file__).name]
