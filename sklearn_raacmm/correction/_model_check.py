@@ -210,15 +210,7 @@ def check_correction(
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
     """
-    linear = linear_model_of(model, "checked")
-    # Never narrower than the posterior: tests of squares bear no tails that are longer than normal
-    # ones, which a factor below 1 makes up for in intervals.
-    linear = replace(
-        linear,
-        half=max(linear.std_scale, 1.0) * linear.half,
-        gauge_free_half=max(linear.std_scale, 1.0) * linear.gauge_free_half,
-        noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
-    )
+    linear = _widened(linear_model_of(model, "checked"))
     labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
     lengths = _check_lengths(lengths, labels)
     today = check_new_poses(model, X, y, groups, sample_weight)
@@ -248,6 +240,21 @@ def check_correction(
     kind = suspect if suspect in _ADVICE else "arm"
     rows = tuple(np.flatnonzero(slipped).tolist())
     return CorrectionCheck(holds, p_value, suspect, _ADVICE[kind], tests, rows, record)
+
+
+def _widened(linear):
+    """The model as uncertain as positions left out ask for.
+
+    Never narrower than the posterior: tests of squares bear no tails that are longer than normal
+    ones, which a factor below 1 makes up for in intervals.
+    """
+    wider = max(linear.std_scale, 1.0)
+    return replace(
+        linear,
+        half=wider * linear.half,
+        gauge_free_half=wider * linear.gauge_free_half,
+        noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
+    )
 
 
 def _poses_of(linear, model, today, lengths, arm):
