@@ -3,8 +3,9 @@
     python benchmarks/bench_export.py            # prints the table
     python benchmarks/bench_export.py --write    # and puts it into doc/deployment.md
 
-C is timed in a loop in C, one row a call; `load_c`, ONNX and `predict` one row a call from Python.
-CPU time of one thread, best of five. `gap` is the largest distance to `predict`, mm.
+C is timed in a loop in C, one row per call; `load_c`, ONNX and `predict` one row
+per call from Python. CPU time of one thread, best of five. `gap` is the largest distance to
+`predict`, mm.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import subprocess
 import tempfile
 import time
 import warnings
+from datetime import date
 from functools import partial
 from pathlib import Path
 
@@ -110,10 +112,10 @@ def in_c(model, folder, X, expected):
 
 
 def in_python(model, X, expected):
-    """The same for ways that are called from Python, one row a call."""
+    """The same for ways that are called from Python, one row per call."""
     compiled = load_c(model)
     gap = np.abs(compiled.predict(X) - expected).max()
-    yield "`load_c`, one row a call", 1e6 * one_by_one(compiled.predict, X), gap
+    yield "`load_c`, one row per call", 1e6 * one_by_one(compiled.predict, X), gap
     yield "`load_c`, one batch", 1e6 * best(lambda: compiled.predict(X)) / len(X), gap
     try:
         import onnxruntime
@@ -129,8 +131,12 @@ def in_python(model, X, expected):
     else:
         gap = np.abs(session.run(None, {"X": X})[0] - expected).max()
         seconds = one_by_one(lambda row: session.run(None, {"X": row[None]}), X)
-        yield "ONNX, one row a call", 1e6 * seconds, gap
-    yield "`predict`, one row a call", 1e6 * one_by_one(lambda row: model.predict(row[None]), X), 0
+        yield "ONNX, one row per call", 1e6 * seconds, gap
+    yield (
+        "`predict`, one row per call",
+        1e6 * one_by_one(lambda row: model.predict(row[None]), X),
+        0,
+    )
     yield "`predict`, one batch", 1e6 * best(lambda: model.predict(X), 3) / len(X), 0
 
 
@@ -159,14 +165,14 @@ def table(n_rows):
                 source, _ = export_c(model, folder / "arm.c", std=std)
                 sizes.setdefault(label, {})[name] = f"{source.stat().st_size / 1e3:.0f}"
             sizes.setdefault("JSON, kB", {})[name] = f"{len(to_json(model)) / 1e3:.0f}"
-    head = [f"| µs a row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
+    head = [f"| µs per row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
     body = [
         f"| {label} | {' | '.join(cells.get(name, '-') for name in names)} |"
         for label, cells in {**found, **sizes}.items()
     ]
     note = (
-        f"{platform.machine()}, one core, {n_rows} rows; all answers within {max(gaps):.0e} mm of "
-        "`predict`."
+        f"{platform.machine()}, one core, {n_rows} rows, {date.today().isoformat()}; "
+        f"all answers within {max(gaps):.0e} mm of `predict`."
     )
     return [*head, *body, "", note]
 

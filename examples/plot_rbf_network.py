@@ -43,8 +43,8 @@ two = RBFNetRegressor(random_state=0).fit(X, z)
 print(f"2-D: {len(two.centers_)} centres of {len(X)} rows, widths {two.length_scale_.round(2)}")
 
 # %%
-# The mean and its standard deviation. Red: the centres. In the corner without data the standard
-# deviation is large.
+# The mean and its standard deviation. Red: the centres. The standard deviation grows outside the
+# data, and a little in the gap around x1 = x2 = 1.
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), width_ratios=[1.4, 1, 1], layout="constrained")
 line = np.linspace(-5, 5, 400)[:, None]

@@ -293,6 +293,8 @@ def _find_header(dialect, n_joints):
     if not data:
         raise TableError(f"{dialect.path}: no row with {n_joints} numbers was found.")
     width = len(data[0][1])
+    above, damaged = _without_damaged(above, dialect, n_joints)
+    data = damaged + data
     if above:
         number, cells = above[-1]
         texts = [cell for cell in cells if isinstance(cell, str) and cell]
@@ -309,6 +311,19 @@ def _find_header(dialect, n_joints):
             return [str(cell) or f"column {i}" for i, cell in enumerate(cells, 1)], number, data
         return [f"column {i}" for i in range(1, width + 1)], number, data
     return [f"column {i}" for i in range(1, width + 1)], 0, data
+
+
+def _without_damaged(above, dialect, n_joints):
+    """Rows down to the names, and those below: data with a fault, which is reported on reading."""
+    named = 0
+    for i, (_, cells) in enumerate(above):
+        n_numbers = sum(dialect.number(cell) is not None for cell in cells)
+        n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_numbers
+        if n_texts >= n_joints and n_numbers == 0:
+            named = i + 1
+        elif named and n_numbers:
+            return above[:named], above[named:]
+    return above, []
 
 
 def _is_unit(cell):

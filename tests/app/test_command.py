@@ -178,12 +178,28 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, t
     assert chart.count("harmonics of joint 4") == 1
 
 
+def test_a_suspect_changes_the_exit_code(
+    learned, machine, other_make, tmp_path, capsys, monkeypatch
+):
+    """Where the mean 2S alone would pass, as it is taken to do here, the suspect decides."""
+    monkeypatch.setattr(_commands, "highest_mean", lambda *_: 1.0)
+    folder, *_ = learned
+    machine.rng = np.random.default_rng(9)
+    readings, cones = machine.test(5, 12)
+    readings[:, 3] += 2.5e-4 * np.cos(readings[:, 3])
+    other_make.write_log(tmp_path / "today.csv", readings, cones)
+    assert main(["check", f"{tmp_path}/today.csv", "--model", str(folder)]) == 3
+    out = capsys.readouterr().out
+    assert "It still helps, but something has changed" in out
+    assert "Suspect: harmonics of joint 4" in out
+
+
 def test_checks_raise_a_false_alarm_once_in_a_hundred():
     rng = np.random.default_rng(0)
     alarms = 0
     for _ in range(4000):
         learnt, today = rng.normal(0.02, 0.004, 10), rng.normal(0.02, 0.004, 5)
-        alarms += today.mean() > _commands.highest_mean(learnt, 5)
+        alarms += today.mean() > _commands.highest_mean(learnt, 5, 0.01)
     assert 0.006 < alarms / 4000 < 0.014
 
 
@@ -270,6 +286,9 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "arm.svg").read_text().lstrip().startswith("<?xml")
     assert main(["arm", "--lengths-223", "300", "420", "380", "120"]) == 0
     assert "2-2-3 arm" in capsys.readouterr().out
+    offsets = ["--elbow-offset", "62", "--wrist-offset", "40", "--out", f"{tmp_path}/own.json"]
+    assert main(["arm", "--lengths-222", "376", "750", "500", "98", *offsets]) == 0
+    assert Arm.from_json(tmp_path / "own.json").a.tolist() == [0, 62, 0, 40, 0, 0]
     answers = iter(["2-2-2", "300", "420,5", "380", "120"])
     monkeypatch.setattr(_commands.sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda _: next(answers))

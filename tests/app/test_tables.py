@@ -128,6 +128,8 @@ def test_spreadsheets(tmp_path):
         ("u;v;q1;q2\na;b;100;2\na;b;100;2\n", "which column holds the label"),
         ("k;q1;q2\nA;100;2\nA;nan;2\n", "row 3, column 'q1': 'nan' is not a number"),
         ("k;q1;q2\nA;100;2\n\nA;100;\n", "row 4, column 'q2': is empty"),
+        ("k;q1;q2\nA;x;2\nA;100;2\n", "row 2, column 'q1': 'x' is not a number"),
+        ("k;q1;q2\n;deg;deg\nA;;2\nA;100;2\n", r"row 3, column 'q1 \[deg\]': is empty"),
         ("k;q1;q2\nA;1,5;99\nA;1.5;99,5\n", "row 3, column 'q1': '1.5' .* decimal comma"),
         ("k;q1;q2\nA;100;2\n;100;3\n", "row 3, column 'k': the label is missing"),
         ("k;q1;q2\nA;100;2\nA;100\n", "row 3 has 2 cells, the table 3 columns"),
