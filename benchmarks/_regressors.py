@@ -171,6 +171,8 @@ def run(name, fold, max_gp_rows=1000):
         model = search.best_estimator_
     elif isinstance(model, JointHarmonicRegressor | ArmResidualRegressor):
         model.fit(X, y, groups=positions)
+    elif isinstance(model.regressor[-1], RBFNetRegressor):
+        model.fit(X, y, rbfnetregressor__groups=positions)
     else:
         fit(model, X, y, None)
     seconds = time.process_time() - start

@@ -18,6 +18,7 @@ from sklearn_raacmm.correction import (
     next_poses,
     read_check_records,
     search_table,
+    transfer_correction,
     update_correction,
 )
 from sklearn_raacmm.error_model import JointHarmonicRegressor
@@ -57,5 +58,6 @@ __all__ = [
     "read_check_records",
     "search_table",
     "shoulder_wrist_distance",
+    "transfer_correction",
     "update_correction",
 ]

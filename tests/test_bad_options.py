@@ -12,6 +12,7 @@ import pytest
 
 from sklearn_raacmm import (
     Arm,
+    ArmResidualRegressor,
     JointHarmonicRegressor,
     check_correction,
     cross_validate_correction,
@@ -168,3 +169,16 @@ def test_degrees_are_warned_of_once_on_the_line_of_the_call(model, door):
             door(model, np.rad2deg(TEST.data))
     told = [warning for warning in caught if "more than two turns" in str(warning.message)]
     assert [Path(warning.filename).name for warning in told] == [Path(__file__).name]
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_poses_that_are_not_known_are_warned_of_on_the_line_of_the_call(both):
+    model = JointHarmonicRegressor(TEST.arm, max_order=1, gravity=False)
+    if both:
+        model = ArmResidualRegressor(TEST.arm, harmonics=model, use="harmonics")
+    rng = np.random.default_rng(0)
+    near, far = rng.uniform(-0.1, 0.1, (30, 6)), rng.uniform(-3, 3, (50, 6))
+    model.fit(near, 0.05 * np.sin(9 * near[:, 1:4]))
+    with pytest.warns(UserWarning, match="50 of 50 poses lie where the model knows li") as caught:
+        model.predict(far)
+    assert [Path(warning.filename).name for warning in caught] == [Path(__file__).name]

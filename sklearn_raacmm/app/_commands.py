@@ -34,7 +34,7 @@ OK, BAD_INPUT, NO_HELP = 0, 2, 3
 # Scatter after calibration beyond which the arm's table is probably wrong, mm: measuring arms have
 # hundredths, the real robots of the tests 0.2 to 0.4.
 _MUCH_SCATTER = 1.0
-# Chance that a check finds a fault in a correction that is right.
+# Chance that a check finds a fault in a correction that is right, by any of its tests.
 _FALSE_ALARM = 0.01
 
 
@@ -129,8 +129,10 @@ def check(options):
     )
     for label, one, other in zip(np.unique(table.positions), before, after, strict=True):
         print(f"{label}: 2S {one:.4f} -> {other:.4f} mm")
-    changed = _name_the_suspect(saved, measured, table, options)
-    expected = highest_mean(saved.facts["positions"]["after"], len(after))
+    has_causes = _has_causes(saved.model, options)
+    rate = _FALSE_ALARM / (1 + has_causes)
+    changed = has_causes and _name_the_suspect(saved, measured, table, options, rate)
+    expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
     change = f"mean 2S {before.mean():.3f} -> {after.mean():.3f} mm"
     if after.mean() >= before.mean():
         print(f"It does not hold: {change}. Calibrate and learn again.")
@@ -138,28 +140,32 @@ def check(options):
     if after.mean() > expected:
         print(
             f"It helps less than it did: {change}; the mean of {len(after)} positions like those "
-            f"that it was judged at would be below {expected:.3f} mm in 99 of 100 tests. Look at "
-            "probe and base, or learn again."
+            f"that it was judged at would be below {expected:.3f} mm in {1 / rate - 1:.0f} of "
+            f"{1 / rate:.0f} tests. Look at probe and base, or learn again."
         )
         return NO_HELP
     verdict = "It still helps, but something has changed" if changed else "It holds"
     print(f"{verdict}: {change}; expected below {expected:.3f} mm.")
-    return OK
+    return NO_HELP if changed else OK
 
 
-def _name_the_suspect(saved, measured, table, options):
+def _has_causes(model, options):
+    """Whether the correction uses a model of causes, which the options may need."""
+    linear = getattr(model, "linear_model_", None)
+    has_causes = linear is not None and getattr(model, "use_", "") != "none"
+    if not has_causes and (options.record or options.chart):
+        raise TableError(
+            "--record and --chart need a model of causes; this correction has none in use."
+        )
+    return has_causes
+
+
+def _name_the_suspect(saved, measured, table, options, rate):
     """Say what the model's posterior makes of today's poses, keep the record; whether one is."""
-    linear = getattr(saved.model, "linear_model_", None)
-    if linear is None or getattr(saved.model, "use_", "") == "none":
-        if options.record or options.chart:
-            raise TableError(
-                "--record and --chart need a model of causes; this correction has none in use."
-            )
-        return False
     angles, positions = in_rad(table), table.positions
     found = check_correction(
         saved.model, angles, position_residuals(measured, positions), groups=positions,
-        false_alarm_rate=_FALSE_ALARM,
+        false_alarm_rate=rate,
     )  # fmt: skip
     if not found.holds:
         print(f"Suspect: {found.suspect} (p = {found.p_value:.2g}). {found.advice}")
@@ -175,14 +181,16 @@ def _name_the_suspect(saved, measured, table, options):
     return not found.holds
 
 
-def highest_mean(learnt, n):
-    """Mean that n new positions exceed once in a hundred tests, if they are like those learnt.
+def highest_mean(learnt, n, rate):
+    """Mean that n new positions exceed at a given rate, if they are like those learnt.
 
     Parameters
     ----------
     learnt : array-like of shape (n_positions,)
         2S of the positions left out, mm.
     n : int
+    rate : float
+        One for once in a hundred tests is 0.01.
 
     Returns
     -------
@@ -190,7 +198,7 @@ def highest_mean(learnt, n):
         In mm: the one-sided prediction limit of a mean of normal values.
     """
     learnt = np.asarray(learnt)
-    quantile = stats.t.ppf(1 - _FALSE_ALARM, len(learnt) - 1)
+    quantile = stats.t.ppf(1 - rate, len(learnt) - 1)
     spread = learnt.std(ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
     return float(learnt.mean() + quantile * spread)
 

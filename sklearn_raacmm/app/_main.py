@@ -13,7 +13,9 @@ import warnings
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app import _commands
 
-_EPILOG = "Exit codes: 0 done, 2 bad input, 3 the correction does not help (or no longer holds)."
+_EPILOG = (
+    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change."
+)
 
 
 def main(arguments=None):
@@ -27,7 +29,8 @@ def main(arguments=None):
     Returns
     -------
     int
-        0: done; 2: bad input, said in one sentence; 3: the correction does not help.
+        0: done; 2: bad input, said in one sentence; 3: the correction does not help, or a
+        check found that it no longer holds or that something has changed.
     """
     options = _parser().parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):

@@ -4,7 +4,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
+from dataclasses import replace
 from numbers import Real
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from sklearn_raacmm.calibration._checks import (
     check_free,
     check_problem,
     warn_of_few_rows,
+    warn_of_harm,
     warn_of_what_no_arm_is,
     warn_of_wrong_lengths,
 )
@@ -140,7 +143,7 @@ def calibrate(
         with the rest of the data, if the fit did not converge, or if it makes no sense: points
         that scatter by more than 2 % of the reach or twice as much as before, a parameter ten prior
         standard deviations from its nominal value (20 mm or 0.2 rad with "auto"), an arm that
-        reaches less than 20 mm.
+        reaches less than 20 mm; if the points scatter more with the correction than without it.
 
     Notes
     -----
@@ -186,28 +189,9 @@ def calibrate(
     )
     problem.correction = corrections
 
-    names, nominal = _parameters(arm, tool_labels)
-    found = (prior_length_mm, prior_angle_rad)
-    start = [guess if sd == "auto" else sd for sd, guess in zip(found, _GUESSES, strict=True)]
-    kind = np.array([2 if n.startswith("probe") else int(is_angle(n)) for n in names])
-    prior_sd = np.array([*start, prior_probe_mm])[kind]
-    families = [
-        (np.flatnonzero(kind == i), _GUESSES[i], _LEAST[i], _MOST[i])
-        for i, sd in enumerate(found)
-        if sd == "auto"
-    ]
-    field_of = np.array([name.split("[")[0].rstrip("0123456789") for name in names])
-    is_probe = kind == 2
-    is_free = np.isin(field_of, list(set(free) - {"probe"})) | (is_probe & ("probe" in free))
-
-    fit = Fit(arm, angles, problem, nominal, prior_sd, loss, families)
-    fit.run(np.zeros_like(is_free))
-    given = fit.distances().mean()
-    fit.run(is_free & is_probe)
-    before = fit.distances().mean()
-    # The deviations of an uncalibrated arm are no noise: forget their size and weights.
-    fit.reset_weights()
-    fit.run(is_free)
+    priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
+    wanted = _Parameters.of(arm, tool_labels, free, priors)
+    fit, given, before = _fitted(arm, angles, problem, wanted, loss)
     if not fit.converged:
         warnings.warn(
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
@@ -216,12 +200,59 @@ def calibrate(
             stacklevel=CALLER - 1,
         )
     warn_of_wrong_lengths(lengths, fit.length_errors(), fit.sigma)
-    # A found prior follows the departures: what is too far is measured by a fixed one.
-    wide = [most if sd == "auto" else sd for sd, most in zip(found, _MOST, strict=True)]
-    too_far = np.where(is_free, np.array([*wide, np.inf])[kind], np.inf)
-    after = fit.distances().mean()
-    warn_of_what_no_arm_is(arm, names, nominal, fit.x[: len(names)], too_far, before, after)
-    return _result(fit, names, is_free, kind, tool_labels, station_labels, given, before, groups)
+    after, values = fit.distances().mean(), fit.x[: len(wanted.names)]
+    warn_of_what_no_arm_is(
+        arm, wanted.names, wanted.nominal, values, wanted.too_far(priors), before, after
+    )
+    if correction is not None:
+        bare, *_ = _fitted(arm, angles, replace(problem, correction=None), wanted, loss)
+        warn_of_harm(fit.distances(), bare.distances())
+    return _result(fit, wanted, tool_labels, station_labels, given, before, groups)
+
+
+class _Parameters(NamedTuple):
+    """The parameters of table and probes: arrays with one entry for each."""
+
+    names: list
+    nominal: np.ndarray
+    kind: np.ndarray  # 0 a length, 1 an angle, 2 of a probe
+    is_free: np.ndarray
+    prior_sd: np.ndarray
+    families: list  # of those whose prior is found, as `Fit` takes them
+
+    @classmethod
+    def of(cls, arm, tool_labels, free, priors):
+        names, nominal = _parameters(arm, tool_labels)
+        *found, probe_mm = priors
+        start = [guess if sd == "auto" else sd for sd, guess in zip(found, _GUESSES, strict=True)]
+        kind = np.array([2 if n.startswith("probe") else int(is_angle(n)) for n in names])
+        families = [
+            (np.flatnonzero(kind == i), _GUESSES[i], _LEAST[i], _MOST[i])
+            for i, sd in enumerate(found)
+            if sd == "auto"
+        ]
+        field_of = np.array([name.split("[")[0].rstrip("0123456789") for name in names])
+        is_free = np.isin(field_of, list(set(free) - {"probe"}))
+        is_free |= (kind == 2) & ("probe" in free)
+        return cls(names, nominal, kind, is_free, np.array([*start, probe_mm])[kind], families)
+
+    def too_far(self, priors):
+        """What a departure is compared with: a found prior follows it, and says nothing."""
+        wide = [most if sd == "auto" else sd for sd, most in zip(priors, _MOST, strict=False)]
+        return np.where(self.is_free, np.array([*wide, np.inf])[self.kind], np.inf)
+
+
+def _fitted(arm, angles, problem, wanted, loss):
+    """The fit, and the scatter of the arm as given and with nothing but probe and base fitted."""
+    fit = Fit(arm, angles, problem, wanted.nominal, wanted.prior_sd, loss, wanted.families)
+    fit.run(np.zeros_like(wanted.is_free))
+    given = fit.distances().mean()
+    fit.run(wanted.is_free & (wanted.kind == 2))
+    before = fit.distances().mean()
+    # The deviations of an uncalibrated arm are no noise: forget their size and weights.
+    fit.reset_weights()
+    fit.run(wanted.is_free)
+    return fit, given, before
 
 
 def _parameters(arm, tool_labels):
@@ -233,10 +264,10 @@ def _parameters(arm, tool_labels):
     return names, np.concatenate([pack(arm), *[arm.probe] * (len(labels) - 1)])
 
 
-def _result(fit, names, is_free, kind, tool_labels, station_labels, given, before, groups):
+def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
     """Everything that is to be known of a fit that has settled."""
-    problem = fit.problem
-    mask = fit.mask_of(is_free)
+    problem, names, kind = fit.problem, wanted.names, wanted.kind
+    mask = fit.mask_of(wanted.is_free)
     all_names, x_names = _all_names(fit, names, station_labels)
     found = _identified(fit, mask, x_names)
     sd = found["standard_deviations"][: len(all_names)]

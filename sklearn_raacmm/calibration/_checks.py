@@ -19,6 +19,9 @@ CALLER = 5
 _LENGTH_OUTLIER = 5.0
 # A picometre: smaller than any length is known, large enough to divide by.
 _LEAST_SD_MM = 1e-9
+# Standard errors by which a correction has to enlarge the scatter: of corrections that change
+# nothing on the average one in forty does by chance.
+_HARM = 2.0
 # What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
 # part of the reach; a reach.
 _FAR = 10.0
@@ -198,3 +201,22 @@ def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after)
         )
     if signs:
         warnings.warn(" ".join(signs), UserWarning, stacklevel=CALLER)
+
+
+def warn_of_harm(corrected, bare):
+    """Say that the points scatter more with a correction than without it.
+
+    Parameters
+    ----------
+    corrected, bare : ndarray of shape (n,)
+        Distances of the points with the correction and without, each with a fit of its own, mm.
+    """
+    more = corrected - bare
+    if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
+        warnings.warn(
+            f"With the correction the points scatter by {corrected.mean():.4g} mm, without it by "
+            f"{bare.mean():.4g} mm: do not use it here. Is it of this arm, and is the table that "
+            "of the arm that it was learnt with?",
+            UserWarning,
+            stacklevel=CALLER,
+        )

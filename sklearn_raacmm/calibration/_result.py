@@ -75,8 +75,8 @@ class CalibrationResult:
         Rows farther than `outlier_limit_mm` from where they belong (the weighted mean of their
         group, which they hardly pull), the farthest first.
     outlier_limit_mm : float
-        Distance that one set in twenty exceeds by chance, from the number of rows and from how
-        long the tail of the distances is.
+        Distance that at most one set in twenty without outliers exceeds, from the number of rows,
+        how long the tail of the distances is, and how well so many rows show that.
     sample_weight : ndarray of shape (n_samples,)
         0 for outliers, 1 for all others: for the fit of a correction to the same rows.
     groups : ndarray of shape (n_samples,) or None

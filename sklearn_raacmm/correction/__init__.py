@@ -11,6 +11,7 @@ from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._records import read_check_records
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
 from sklearn_raacmm.correction._table_search import TableChange, search_table
+from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
@@ -26,5 +27,6 @@ __all__ = [
     "predict_with_std",
     "read_check_records",
     "search_table",
+    "transfer_correction",
     "update_correction",
 ]

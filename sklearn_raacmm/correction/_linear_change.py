@@ -22,7 +22,7 @@ _TAU, _TAU_LOG_SD = 0.1, 1.5
 # prior: they may lie where the model is less complete.
 _LOG_TAU, _LOG_NOISE, _NOISE_LOG_SD = (-7.0, 0.0), (0.0, 4.0), 1.0
 # How far base and tool may be from where they were registered, mm at the probe.
-_PLACE_MM = 5.0
+PLACE_MM = 5.0
 # Noise that every measurement has, mm: without any, rounding would decide beside those millimetres.
 LEAST_NOISE_MM = 1e-4
 # What changes need not be an order that the old data needed: these low ones are offered, too.
@@ -198,6 +198,20 @@ def _tukey(residuals, weights, noise_sd):
     return np.square(np.maximum(1 - share, 0.0))
 
 
+def n_coordinates(poses):
+    """Coordinates of the poses that count, less three for each unknown offset."""
+    used = poses.weights > 0
+    n_offsets = 0 if poses.codes is None else len(np.unique(poses.codes[used]))
+    return int(3 * (np.count_nonzero(used) - n_offsets))
+
+
+def prior_half(linear, tau):
+    """The model with all columns that may change, and the root of their covariance before `tau`."""
+    linear = with_low_orders(linear)
+    sd = np.array([tau[name] for name in parts_of(linear)]) * _largest_change(linear)
+    return linear, np.hstack([linear.half, np.diag(sd)])
+
+
 def _largest_change(linear):
     """What a tau of 1 lets each column change by, (n_columns,).
 
@@ -230,7 +244,7 @@ def _change(linear, columns, place, residuals, weights, fold, log_noise):
     old = A @ linear.half
     members = [part == name for name in names]
     kernels = [(A[:, m] * prior[m]) @ (A[:, m] * prior[m]).T for m in members]
-    fixed = old @ old.T + _PLACE_MM**2 * B @ B.T
+    fixed = old @ old.T + PLACE_MM**2 * B @ B.T
     tau, noise_sd = _evidence(kernels, fixed, r, n_data, linear.noise_variance, log_noise)
     variance = np.zeros(len(prior))
     for m, value in zip(members, tau, strict=True):
@@ -240,7 +254,7 @@ def _change(linear, columns, place, residuals, weights, fold, log_noise):
     p, q = A.shape[1], B.shape[1]
     half = np.zeros((p + q, linear.half.shape[1] + p + q))
     half[:p, : linear.half.shape[1]] = linear.half
-    half[:, linear.half.shape[1] :] = np.diag(np.r_[np.sqrt(variance), np.full(q, _PLACE_MM)])
+    half[:, linear.half.shape[1] :] = np.diag(np.r_[np.sqrt(variance), np.full(q, PLACE_MM)])
     half = half[:, np.any(half != 0, axis=0)]
     seen = both @ half / noise_sd
     # Posterior of the factors of half: (I + seen' seen)^-1, the square of I + V (d - 1) V'.

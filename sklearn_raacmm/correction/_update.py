@@ -16,7 +16,7 @@ from sklearn_raacmm.correction._linear_change import (
     LEAST_NOISE_MM,
     NewPoses,
     changed_model,
-    place_columns,
+    n_coordinates,
 )
 from sklearn_raacmm.error_model import LinearModel, check_poses, check_turns
 from sklearn_raacmm.utils import (
@@ -143,11 +143,11 @@ def update_correction(
             "orientation_residuals were given, but the model was fitted without any: leave them "
             "out, or fit it again."
         )
-    n_free = place_columns(linear.arm, angles[:1], with_base=codes is None).shape[2]
-    n_data = 3 * (np.sum(weights > 0) - (0 if codes is None else len(np.unique(codes))))
+    poses = NewPoses(angles, residuals, weights, codes, turns)
+    n_free, n_data = 9 if codes is None else 3, n_coordinates(poses)
     if n_data <= n_free:
         warnings.warn(
-            f"{len(angles)} new poses give {max(n_data, 0)} coordinates, fewer than would show "
+            f"{len(angles)} new poses give {n_data} coordinates, fewer than would show "
             f"more than the {n_free} freedoms of base and tool: the model is kept as it was. "
             "Register only, or measure more poses.",
             UserWarning,
@@ -155,7 +155,7 @@ def update_correction(
         )
         return deepcopy(model)
     network = _unfaded(model, angles) - linear.predict(angles)[0]
-    poses = NewPoses(angles, residuals - network, weights, codes, turns)
+    poses = poses._replace(residuals=residuals - network)
     changed = changed_model(linear, poses)
     noise_sd = changed.change.noise_sd
     if noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):

@@ -18,9 +18,9 @@ from sklearn_raacmm.error_model._fading import Fading, find_fading, warn_where_u
 from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
 from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
 from sklearn_raacmm.error_model._left_out import LEAST_POSITIONS, interval_scales, leave_out
-from sklearn_raacmm.error_model._linear_fit import LinearOptions, fit_linear_model
+from sklearn_raacmm.error_model._linear_fit import LinearOptions, constrained, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._orders import likely_gear_ratios
+from sklearn_raacmm.error_model._orders import likely_gear_ratios, smooth_shares
 from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 
@@ -38,6 +38,7 @@ __all__ = [
     "check_poses",
     "check_turns",
     "column_table",
+    "constrained",
     "find_fading",
     "fit_linear_model",
     "fit_points_and_turns",
@@ -48,6 +49,7 @@ __all__ = [
     "likely_gear_ratios",
     "observed_columns",
     "predict_turns",
+    "smooth_shares",
     "term_columns",
     "warn_where_unknown",
 ]

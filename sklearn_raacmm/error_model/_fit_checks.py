@@ -6,7 +6,6 @@
 import warnings
 
 import numpy as np
-from scipy.special import fdtr
 
 from sklearn_raacmm.arm import arm_for, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
@@ -14,15 +13,15 @@ from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
 from sklearn_raacmm.error_model._poses import in_rad
 from sklearn_raacmm.residuals import refuse_large, refuse_points, warn_of_another_frame
 from sklearn_raacmm.utils import (
+    CENTRED,
     centred,
     check_data,
     check_weights,
     encode_groups,
     floats,
-    group_means,
-    group_weights,
     listed,
     refuse_huge,
+    share_of_means,
 )
 
 # For warnings: each check is called by `check_fit`, that by fit, which three decorators wrap.
@@ -32,12 +31,6 @@ _CALLER = 7
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
-# Mean residuals of positions, as a share of what the scatter within positions explains, below which
-# they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
-# 1 for independent residuals against a reference, more where neighbours err alike.
-_CENTRED = 0.5
-# Share of a sum that is rounding.
-_ROUNDING = 1e-9
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
 # A share between that and 1 is worth a warning where independent rows have one as small in fewer
@@ -157,8 +150,8 @@ def _check_offsets(offsets, y, weights, groups):
         return None
     _, codes = encode_groups(groups, len(y))
     if offsets == "auto":
-        share, of_most, by_chance = _share_of_means(y, codes, weights)
-        offsets = share < _CENTRED
+        share, of_most, by_chance = share_of_means(y, codes, weights)
+        offsets = share < CENTRED
         if not offsets and by_chance < _BY_CHANCE:
             warnings.warn(
                 f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those "
@@ -167,7 +160,7 @@ def _check_offsets(offsets, y, weights, groups):
                 UserWarning,
                 stacklevel=_CALLER,
             )
-        elif not offsets and of_most < 0.1 * _CENTRED:
+        elif not offsets and of_most < 0.1 * CENTRED:
             warnings.warn(
                 "Most positions' mean residuals are zero, but not all: y looks like deviations "
                 "from means of other rows than these. No offsets are fitted; set offsets to True "
@@ -176,32 +169,6 @@ def _check_offsets(offsets, y, weights, groups):
                 stacklevel=_CALLER,
             )
     return codes if offsets else None
-
-
-def _share_of_means(y, codes, weights):
-    """Mean squares of positions' means over what the scatter within positions explains.
-
-    Returns
-    -------
-    of_all, of_most : float
-        Over all positions, and the median position; infinite where nothing scatters.
-    by_chance : float
-        Probability that independent rows have means as small as these.
-    """
-    # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
-    weights = weights / min(weights[weights > 0].mean(), 1.0)
-    total = group_weights(codes, weights)
-    used = total > 0
-    left = centred(y, codes, weights)
-    n_free = total.sum() - used.sum()
-    within = weights @ np.square(left).sum(axis=1) / max(n_free, 1e-300)
-    between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
-    # Positions of one row each: their deviations from themselves are rounding.
-    if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
-        return np.inf, np.inf, 1.0
-    share = between.mean() / within
-    by_chance = float(fdtr(3 * used.sum(), 3 * n_free, share))
-    return share, float(np.median(between)) / within, by_chance
 
 
 def check_turns(turns, n_rows, codes):

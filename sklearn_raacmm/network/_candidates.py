@@ -150,12 +150,11 @@ class Features:
 
     def __call__(self, block):
         if self.rows is not None:
-            return block.root * self.rows[block.part]
+            return block.weigh(self.rows[block.part].copy())
         K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
         if self.root is not None:
             K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
-        K *= block.root
-        return K
+        return block.weigh(K)
 
 
 def _products(block, features, view):
@@ -316,6 +315,7 @@ def candidate_groups(
     tol = 1e-6 if least == 0 else min(1e-3 * least, 1e-6)
     every = len(rows) == n
     may_be_symmetric = n_select is not None and not whitened and every and n <= MAX_SYMMETRIC
+    may_be_symmetric = may_be_symmetric and problem.codes is None
     if may_be_symmetric:
         # From about this rank on a step on the matrix itself makes up for the factor's price.
         max_rank = max(64, int(1.4 * np.sqrt(n * n_select)))

@@ -140,7 +140,8 @@ def choose_centers(problem, alpha, functions, settings, rng, last=None):
     if settings.refine and len(indices) > 0:
         indices = exchange(candidates.groups, indices)[0]
     # With newrb the tail joins only now: together they must not outnumber the rows.
-    room = problem.n_rows - problem.n_tail
+    offsets = 0 if problem.codes is None else problem.codes[-1] + 1
+    room = problem.n_rows - problem.n_tail - offsets
     if alpha.min() == 0 and len(indices) > room:
         return rows[indices[:room]], "dependent"
     reasons = {

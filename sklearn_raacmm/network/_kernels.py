@@ -223,6 +223,8 @@ def pivoted_cholesky(
 
 def largest(values, size):
     """Indices of the `size` largest values, largest first, the lower index first among equals."""
+    if size == 0:
+        return np.empty(0, dtype=int)
     kth = np.partition(values, len(values) - size)[len(values) - size]
     above = np.flatnonzero(values >= kth)
     return above[np.argsort(-values[above], kind="stable")][:size]

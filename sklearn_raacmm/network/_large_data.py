@@ -174,7 +174,7 @@ def _cut(sample, seed, size):
     if len(sample.X) <= size:
         return sample, True
     kept = np.sort(np.argsort(_hash(sample.X, seed), kind="stable")[:size])
-    return Merged(*(a[kept] for a in sample)), False
+    return Merged(*(a[kept] for a in sample[:6])), False
 
 
 def _summarise(X, Y, weights, start, seed, size):
@@ -207,7 +207,8 @@ def _join(one, other, seed, size):
     share = other.weight / weight if weight else 0.0
     step = other.mean - one.mean
     scatter = one.scatter + other.scatter + one.weight * share * np.outer(step, step)
-    both = Merged(*(np.concatenate(pair) for pair in zip(one.sample, other.sample, strict=True)))
+    parts = zip(one.sample[:6], other.sample[:6], strict=True)
+    both = Merged(*(np.concatenate(pair) for pair in parts))
     joined = merge(both.X, both.Y, both.weights, both.within, both.count)
     joined = joined._replace(first=both.first[joined.first])
     sample, complete = _cut(joined, seed, size)
@@ -267,6 +268,8 @@ class ChunkedProblem(NamedTuple):
     tail_dof: float
     chunks: ArrayChunks | DaskChunks
     tail: _Tail
+
+    codes = None  # groups with offsets are for rows in memory
 
     view = view_of
     tail_rows = Problem.tail_rows

@@ -14,12 +14,14 @@ References
    2006, sections 5.4 and 8.3.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, blas, lapack
 
 from sklearn_raacmm.network._kernels import KERNELS, squared_distances
+from sklearn_raacmm.utils import centred, group_sums
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
@@ -40,11 +42,36 @@ class Data(NamedTuple):
     Y: np.ndarray  # (n, q) without their polynomial tail
     weights: np.ndarray  # (n,)
     within: np.ndarray  # (q,) sum of squares that merging repeated rows took out of Y
+    codes: np.ndarray | None = None  # (n,) group of each row; Y is less its means over groups
 
     @property
     def n_total(self):
-        """Number of observations."""
-        return self.weights.sum()
+        """Number of observations, less the offsets of groups."""
+        n_groups = 0 if self.codes is None else self.codes.max() + 1
+        return self.weights.sum() - n_groups
+
+    def rows(self, rows):
+        """Some of them; what merging took out is shared in proportion."""
+        X, Y, weights, codes = self.X[rows], self.Y[rows], self.weights[rows], self.codes
+        if codes is not None:
+            codes = np.unique(codes[rows], return_inverse=True)[1]
+            Y = centred(Y, codes, weights)
+        share = weights.sum() / self.weights.sum()
+        return Data(X, Y, weights, self.within * share, codes)
+
+    def draw(self, size, random_state):
+        """About `size` rows drawn at random, sorted, groups as a whole; all where no more."""
+        n = len(self.X)
+        if n <= size:
+            return np.arange(n)
+        if self.codes is None:
+            return np.sort(random_state.permutation(n)[:size])
+        order = random_state.permutation(self.codes.max() + 1)
+        ends = np.cumsum(np.bincount(self.codes)[order])
+        # Of the last group a part: data of a few large groups would otherwise be one of them.
+        rows = [np.flatnonzero(self.codes == g) for g in order[: np.searchsorted(ends, size) + 1]]
+        rows[-1] = random_state.permutation(rows[-1])[: size - sum(map(len, rows[:-1]))]
+        return np.sort(np.concatenate(rows))
 
 
 class Likelihood(NamedTuple):
@@ -76,7 +103,7 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
     -------
     Likelihood
     """
-    X, Y, weights, within = data
+    X, Y, weights, within, _ = data
     n, n_total = len(X), data.n_total
     root, alphas = np.sqrt(weights), np.exp(log_alpha)
     Xs = X * np.exp(-log_width)
@@ -84,7 +111,10 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
     _weigh(K, root)
     _weigh(slope, root)
     Yw = root[:, None] * Y
+    K = _centre(_centre(K, data).T, data)
     solved, log_det, trace, half = _inverses(K, Yw, alphas)
+    if data.codes is not None:
+        half = np.asfortranarray(_centre(_centre(half, data).T, data).T)
     of_noise = within / alphas
     quadratic = np.maximum((Yw * solved).sum(axis=0) + of_noise, np.finfo(float).tiny)
     value = log_det + (n_total - n) * log_alpha + n_total * np.log(quadratic)
@@ -117,6 +147,19 @@ def _weigh(K, root):
     if np.any(root != 1.0):
         K *= root[:, None]
         K *= root
+
+
+def _centre(columns, data):
+    """Columns of root weighted rows less what is constant in a group; as they are without groups.
+
+    The likelihood is then that of the targets' deviations from their group's mean: it is the same
+    for all offsets, and the limit of offsets of an infinite prior variance.
+    """
+    if data.codes is None:
+        return columns
+    root = np.sqrt(data.weights)
+    along = group_sums(columns, data.codes, root) / np.bincount(data.codes, data.weights)[:, None]
+    return columns - root[:, None] * along[data.codes]
 
 
 def _inverses(K, Y, alphas):
@@ -164,6 +207,9 @@ class LeaveOneOut(NamedTuple):
 def leave_one_out(data, kernel, log_width, log_alpha):
     """Leave-one-out predictions in closed form (section 5.4.2 of the reference).
 
+    Where groups have offsets, whole groups are left out, and the deviations from their means are
+    predicted: what a block of the inverse says of a group is what it says of a row elsewhere.
+
     Parameters
     ----------
     data : Data
@@ -175,23 +221,59 @@ def leave_one_out(data, kernel, log_width, log_alpha):
     -------
     LeaveOneOut
     """
-    X, Y, weights, within = data
+    X, Y, weights, within, _ = data
     root, alphas = np.sqrt(weights), np.exp(log_alpha)
     Xs = X * np.exp(-log_width)
     K = KERNELS[kernel].function(squared_distances(Xs, Xs))
     _weigh(K, root)
+    K = _centre(_centre(K, data).T, data)
     Yw = root[:, None] * Y
     error, density = 0.0, 0.0
     for i, alpha in enumerate(alphas):
         y, one = Yw[:, i : i + 1], alphas[i : i + 1]
         solved, _, _, half = _inverses(K, y, one)
+        signal = ((y * solved).sum() + within[i] / alpha) / data.n_total
+        if data.codes is not None:
+            found = _groups_left_out(half + half.T, solved[:, 0], data.codes, alpha, signal)
+            error, density = error + found[0], density + found[1]
+            continue
         share = 2 * half.diagonal()
         residual = solved[:, 0] / share
-        signal = ((y * solved).sum() + within[i] / alpha) / data.n_total
         variance = np.maximum(signal / share, np.finfo(float).tiny)
         error += np.sum(np.square(residual))
         density += 0.5 * np.sum(np.square(residual) / variance + np.log(variance))
     return LeaveOneOut(error, density)
+
+
+def _groups_left_out(inverse, solved, codes, alpha, signal):
+    """Squared error and negative log density of whole groups, each predicted from the others.
+
+    Parameters
+    ----------
+    inverse : ndarray of shape (n, n)
+        Of the covariance of the deviations, over the signal variance; constants of groups have the
+        variance alpha in it.
+    solved : ndarray of shape (n,)
+        Its product with the targets.
+    codes : ndarray of shape (n,)
+        Sorted.
+    alpha, signal : float
+
+    Returns
+    -------
+    squared_error, negative_log_density : float
+    """
+    error, density, signal = 0.0, 0.0, max(signal, np.finfo(float).tiny)
+    borders = np.flatnonzero(np.diff(codes, prepend=-1, append=codes[-1] + 1))
+    for start, stop in pairwise(borders):
+        own = slice(start, stop)
+        block = inverse[own, own]
+        residual = np.linalg.solve(block, solved[own])
+        error += residual @ residual
+        # Of one direction, the constant, nothing is predicted.
+        log_det = (stop - start - 1) * np.log(signal) - np.linalg.slogdet(block)[1] - np.log(alpha)
+        density += 0.5 * (residual @ solved[own] / signal + log_det)
+    return error, density
 
 
 def projected_likelihood(data, Z, kernel, log_width, log_alpha):
@@ -210,7 +292,7 @@ def projected_likelihood(data, Z, kernel, log_width, log_alpha):
     -------
     Likelihood
     """
-    X, Y, weights, within = data
+    X, Y, weights, within, _ = data
     m, q, n_total = len(Z), Y.shape[1], data.n_total
     inverse_width, alphas = np.exp(-log_width), np.exp(log_alpha)
     with_slope = KERNELS[kernel].with_slope
@@ -219,6 +301,7 @@ def projected_likelihood(data, Z, kernel, log_width, log_alpha):
     Kw, slope_mn = with_slope(squared_distances(Zs, Xs))
     Kw *= root
     slope_mn *= root
+    Kw = _centre(Kw.T, data).T
     Yw = root[:, None] * Y
     K, slope_mm = with_slope(squared_distances(Zs, Zs))
     L = _root(K)

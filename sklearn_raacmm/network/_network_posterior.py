@@ -367,23 +367,46 @@ def posterior_of(problem, path, centers, alpha, functions):
     ridged = alpha > 0
     plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
     # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
-    free = problem.n_total - (1 if problem.tail_ridge else p)
+    free = problem.n_total - p + len(problem.tail_rows)
     noise = np.where(ridged, path.objective[k] / max(free, 1), plain)
     known = free > 0  # one observation says nothing of its error
     noise = noise if known else np.full(len(noise), np.inf)
     signal = noise / np.where(ridged, alpha, 1.0)
+    rows, tail_map = path.rows[: p + k, : p + k], problem.tail_map
+    if problem.codes is not None:
+        constant = _constant_column(problem, centers, functions, p)
+        solution = np.vstack([-constant[1:] @ solution / constant[0], solution])
+        rows = np.vstack([constant, np.pad(rows, ((0, 0), (1, 0)))])
+        tail_map = np.vstack([np.eye(1, tail_map.shape[1]), tail_map])
+        p += 1
     # One triangle, packed, from which those of all outputs follow.
-    size = min(len(path.rows), p + k)
+    size = len(rows)
     return NetworkPosterior(
         functions.kernel,
         problem.X[centers],
         functions.length_scale,
         np.ascontiguousarray(solution[p:]),
-        problem.tail_map.T @ solution[:p],
+        tail_map.T @ solution[:p],
         alpha,
         float(problem.unit),
         noise,
         np.where(ridged & known, signal, problem.spread**2),
-        problem.tail_map,
-        path.rows[:size, : p + k][np.triu_indices(size, m=p + k)],
+        tail_map,
+        rows[np.triu_indices(size, m=p + k)],
     )
+
+
+def _constant_column(problem, centers, functions, n_linear):
+    """Row of the triangle that takes the mean over the training rows out of all columns.
+
+    Where groups have offsets, the level of the function is not known. Its mean over the rows is set
+    to 0, and standard deviations are those of the difference from this mean.
+    """
+    kernel, shift, length_scale = functions
+    Z, weights = (problem.X[centers] - shift) / length_scale, problem.root[:, 0] ** 2
+    total = np.zeros(1 + n_linear + len(centers))
+    total[0] = weights.sum()
+    for part in chunks(len(weights), _CHUNK // max(len(centers), 1)):
+        rows = (problem.X[part] - shift) / length_scale
+        total[1 + n_linear :] += weights[part] @ kernel_matrix(rows, Z, kernel)
+    return total / np.sqrt(total[0])

@@ -8,12 +8,7 @@ from numpy.typing import ArrayLike
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 
-from sklearn_raacmm.network._center_choice import (
-    MAX_CANDIDATES,
-    CenterSettings,
-    choose_centers,
-    choose_size,
-)
+from sklearn_raacmm.network._center_choice import CenterSettings, choose_centers, choose_size
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._large_data import is_dask
 from sklearn_raacmm.network._network_posterior import fit_path, posterior_of
@@ -35,6 +30,7 @@ from sklearn_raacmm.utils import (
     check_shapes,
     check_weights,
     check_whole_number,
+    encode_groups,
     fit_context,
     one_blas_thread,
     whole_fit,
@@ -197,6 +193,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     n_iter_ : int
         Number of centres tried.
 
+    offsets_ : bool
+        Whether each group has an unknown constant. The level of the prediction is then not known:
+        its mean over the training rows is 0, and deviations are of the difference from that mean.
+
     posterior_ : NetworkPosterior
         All numbers that predictions are made of, as one value.
 
@@ -308,7 +308,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     @fit_context(prefer_skip_nested_validation=True)
     @one_blas_thread
     @whole_fit
-    def fit(self, X, y, sample_weight=None):
+    def fit(self, X, y, sample_weight=None, groups=None):
         """Choose widths, ridge and centres, and fit the weights.
 
         Parameters
@@ -322,6 +322,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         sample_weight : array-like of shape (n_samples,), default=None
             Weights; an integer weight is worth that many repeats of the row.
 
+        groups : array-like of shape (n_samples,), default=None
+            Label of each row's group, for targets known up to one constant a group, such as
+            residuals from the mean point of a position. Where the groups' mean targets are zero,
+            only differences within a group teach the network; elsewhere labels change nothing.
+
         Returns
         -------
         self : object
@@ -332,7 +337,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         ValueError
             If X or y hold NaN, infinity, or numbers whose squares underflow; if a weight is
             negative or all are 0; if `length_scale` does not fit the features, or is so narrow or
-            wide that double precision does not resolve the kernel.
+            wide that double precision does not resolve the kernel; if `groups` has missing labels,
+            or X more than 100 000 rows with them.
 
         Warns
         -----
@@ -344,35 +350,33 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         """
         for name in _SOMETIMES:
             vars(self).pop(name, None)
-        self._fit_weighted(X, y, sample_weight)
+        self._fit_weighted(X, y, sample_weight, groups)
         if self.loss == "tukey":
-            self._reweigh(X, y, sample_weight)
+            self._reweigh(X, y, sample_weight, groups)
 
-    def _reweigh(self, X, y, sample_weight):
+    def _reweigh(self, X, y, sample_weight, groups):
         """Fit again with weights by the residuals, until these have settled."""
         if is_dask(X):
             X, y = X.compute(), np.asarray(y)
         given = check_weights(sample_weight, X)
         targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
         factor = np.ones(len(given))
+        codes = encode_groups(groups)[1] if self.offsets_ else None
         for _ in range(MAX_FITS):
             residuals = targets - self.predict(X).reshape(targets.shape)
-            last, factor = factor, biweights(residuals, given)
+            last, factor = factor, biweights(residuals, given, codes)
             if np.mean(np.abs(factor - last)) < SETTLED:
                 break
-            self._fit_weighted(X, y, given * factor)
+            self._fit_weighted(X, y, given * factor, groups, self.offsets_)
         if np.any(factor < 1):
             noise = self.posterior_.noise_variance / NORMAL_SQUARE
             self.posterior_ = replace(self.posterior_, noise_variance=noise)
         self.row_weight_ = factor
 
-    def _fit_weighted(self, X, y, sample_weight):
-        """Fit by least squares with given weights."""
+    def _fit_weighted(self, X, y, sample_weight, groups, offsets=None):
+        """Fit by least squares with given weights; groups have offsets, have none, or may have."""
         rng = check_random_state(self.random_state)
-        tail = self.degree, isinstance(self.alpha, str)
-        problem = read_problem(
-            self, X, y, sample_weight, tail, self.max_candidates or MAX_CANDIDATES, rng
-        )
+        problem = read_problem(self, X, y, sample_weight, groups, offsets, rng)
         width = check_length_scale(self.length_scale, self.n_features_in_)
         check_resolved(width, problem.X, self.alpha)
         alpha = check_alpha(self.alpha, len(problem.spread))

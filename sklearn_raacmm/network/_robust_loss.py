@@ -23,7 +23,7 @@ NORMAL_SQUARE = (1 - 6 / CUT**2 + 15 / CUT**4) / (1 - 2 / CUT**2 + 3 / CUT**4)
 _SD_OF_MEDIAN = 1.482602218505602
 
 
-def biweights(residuals, weights):
+def biweights(residuals, weights, codes=None):
     """Factors of the rows' weights, 1 where no row is far off.
 
     Parameters
@@ -31,6 +31,8 @@ def biweights(residuals, weights):
     residuals : ndarray of shape (n, q)
     weights : ndarray of shape (n,)
         Rows of weight 0 do not count for the scale.
+    codes : ndarray of shape (n,), optional
+        Group of each row, where groups have offsets: residuals count from the group's median.
 
     Returns
     -------
@@ -38,6 +40,9 @@ def biweights(residuals, weights):
         Between 0 and 1, by the output in which a row is farthest off.
     """
     counted = weights > 0
+    for code in () if codes is None else np.unique(codes[counted]):
+        own = codes == code
+        residuals[own] -= np.median(residuals[own & counted], axis=0)
     size = np.abs(residuals)
     scale = _SD_OF_MEDIAN * np.median(size[counted], axis=0)
     # An output that is met exactly by half of the rows has no scale.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
-from sklearn_raacmm.utils import chunk_size, chunks
+from sklearn_raacmm.utils import centred, chunk_size, chunks
 
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
@@ -35,6 +35,13 @@ class Block(NamedTuple):
     basis: np.ndarray  # (m, p) the same, orthonormal over all rows
     targets: np.ndarray  # (m, q) targets times root
     part: slice  # which of the problem's rows, where it holds them
+    codes: np.ndarray | None = None  # (m,) group of each row, where groups have offsets
+
+    def weigh(self, columns):
+        """Columns at these rows, less the offsets of groups, times root; may overwrite them."""
+        columns = centred(columns, self.codes, self.root[:, 0] ** 2)
+        columns *= self.root
+        return columns
 
 
 class View(NamedTuple):
@@ -67,13 +74,18 @@ def view_of(problem, centred=True):
 
 
 class Problem(NamedTuple):
-    """Distinct rows in sorted order, with everything multiplied by the root of its weight."""
+    """Distinct rows in sorted order, with everything multiplied by the root of its weight.
+
+    Where groups of rows have unknown offsets, everything is taken less its weighted mean over the
+    group, before it is multiplied: for a linear model this is the same as to fit an offset to each
+    (the theorem of Frisch and Waugh).
+    """
 
     X: np.ndarray  # (n, d) rows as given
     first: np.ndarray  # (n,) where each was first seen
     root: np.ndarray  # (n, 1) root of the weights, in units of `unit`
     unit: float  # mean weight of an observation
-    n_total: float  # number of observations, the sum of the weights in these units
+    n_total: float  # number of observations, the sum of the weights in these units, less offsets
     targets: np.ndarray  # (n, q) mean targets times root
     within: np.ndarray  # (q,) sum of squares lost by taking means
     tail: np.ndarray  # (n, p) polynomial tail times root
@@ -84,6 +96,7 @@ class Problem(NamedTuple):
     tail_ridge: float  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis; none without it
     tail_dof: float  # effective number of the tail's columns
+    codes: np.ndarray | None = None  # (n,) group of each row, sorted, where groups have offsets
 
     view = view_of
 
@@ -94,7 +107,7 @@ class Problem(NamedTuple):
     @property
     def tail_rows(self):
         """The ridge as further rows of the tail."""
-        return ridge_rows(self.n_tail, self.tail_ridge)
+        return ridge_rows(self.n_tail, self.tail_ridge, self.codes is None)
 
     @property
     def n_tail(self):
@@ -108,7 +121,8 @@ class Problem(NamedTuple):
     def block(self, part):
         """Some rows."""
         arrays = self.X, self.root, self.tail, self.basis, self.targets
-        return Block(*(a[part] for a in arrays), part)
+        codes = None if self.codes is None else self.codes[part] - self.codes[part][0]
+        return Block(*(a[part] for a in arrays), part, codes)
 
     def reduce(self, function, combine, width):
         """Combine the function of every block of rows, one after another.
@@ -123,11 +137,23 @@ class Problem(NamedTuple):
             Numbers a row that the function holds in memory.
         """
         parts = chunks(len(self.X), block_rows(width))
+        if self.codes is not None:
+            parts = _whole_groups(parts, self.codes)
         return reduce(combine, (function(self.block(part)) for part in parts))
 
 
+def _whole_groups(parts, codes):
+    """Slices of rows, each extended to the end of the group in which it ends."""
+    start = 0
+    for part in parts:
+        stop = int(np.searchsorted(codes, codes[part.stop - 1], side="right"))
+        if stop > start:
+            yield slice(start, stop)
+        start = max(start, stop)
+
+
 class Merged(NamedTuple):
-    """Distinct rows in sorted order."""
+    """Distinct rows in sorted order: of their groups, if there are any, and then of X."""
 
     X: np.ndarray  # (n, d)
     first: np.ndarray  # (n,) where each was first seen
@@ -135,9 +161,10 @@ class Merged(NamedTuple):
     Y: np.ndarray  # (n, q) weighted means
     within: np.ndarray  # (n, q) weighted sum of squares about them
     count: np.ndarray  # (n,) observations: rows of the same X that differ in Y
+    codes: np.ndarray | None = None  # (n,) group of each row, from 0
 
 
-def merge(X, Y, weights, within=None, count=None):
+def merge(X, Y, weights, within=None, count=None, codes=None):
     """Merge repeated rows, and drop rows without weight.
 
     The result depends on the weighted data alone: not on the order of the rows, and not on whether
@@ -154,6 +181,8 @@ def merge(X, Y, weights, within=None, count=None):
         Sum of squares lost when rows were merged before.
     count : ndarray of shape (n_samples,), optional
         Observations that were merged into a row before.
+    codes : ndarray of shape (n_samples,), optional
+        Group of each row. Rows of two groups are not merged.
 
     Returns
     -------
@@ -161,9 +190,10 @@ def merge(X, Y, weights, within=None, count=None):
     """
     kept = np.flatnonzero(weights > 0)
     X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
-    distinct, first, inverse = np.unique(X, axis=0, return_index=True, return_inverse=True)
+    keys = X if codes is None else np.column_stack([codes[kept], X])
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
-    n = len(distinct)
+    distinct, n = X[first], len(first)
 
     def summed(values):
         return np.bincount(inverse, weights=values, minlength=n)
@@ -183,7 +213,9 @@ def merge(X, Y, weights, within=None, count=None):
     else:
         alike = np.all(within == 0.0, axis=1)
         observed = np.where(alike, 1.0, summed(count[kept]))
-    return Merged(distinct, kept[first], total, mean, within, observed)
+    if codes is not None:
+        codes = np.unique(codes[kept][first], return_inverse=True)[1]  # without groups of weight 0
+    return Merged(distinct, kept[first], total, mean, within, observed, codes)
 
 
 def prepare(merged, degree, ridged=False):
@@ -200,21 +232,22 @@ def prepare(merged, degree, ridged=False):
     -------
     Problem
     """
-    X, first, weights, Y, within, count = merged
-    n_total = count.sum()
-    unit = weights.sum() / n_total
+    X, first, weights, Y, within, count, codes = merged
+    unit = weights.sum() / count.sum()
+    n_total = count.sum() - (0 if codes is None else codes.max() + 1)
     weights, within = weights / unit, within.sum(axis=0) / unit
     root = np.sqrt(weights)[:, None]
-    tail, tail_map = _polynomial(X, weights, degree)
+    tail, tail_map = _polynomial(X, weights, degree, codes)
     tail = root * tail
+    Y = centred(Y, codes, weights)
     targets = root * Y
     ridge = 0.0
     if ridged and degree == 1:
         about = targets - root * np.average(Y, axis=0, weights=weights)
-        ridge = linear_ridge(tail[:, 1:], about, within, n_total)
+        ridge = linear_ridge(tail[:, codes is None :], about, within, n_total)
     basis = basis_rows = tail
     if tail.size:
-        stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
+        stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge, codes is None)])
         basis = qr(stacked, mode="economic", check_finite=False)[0]
         basis, basis_rows = basis[: len(X)], basis[len(X) :]
     projection = basis.T @ targets
@@ -241,12 +274,16 @@ def prepare(merged, degree, ridged=False):
         ridge,
         basis_rows,
         float(np.square(basis).sum()) if ridge else tail.shape[1],
+        codes,
     )
 
 
-def ridge_rows(n_tail, ridge):
-    """Rows that, below those of the tail, give its linear part a ridge, (n_tail - 1, n_tail)."""
-    return np.sqrt(ridge) * np.eye(n_tail)[1:] if ridge else np.empty((0, n_tail))
+def ridge_rows(n_tail, ridge, constant=True):
+    """Rows that, below those of the tail, give its linear part a ridge: one a linear column.
+
+    `constant` says whether the first column is a constant, which has none.
+    """
+    return np.sqrt(ridge) * np.eye(n_tail)[int(constant) :] if ridge else np.empty((0, n_tail))
 
 
 def linear_ridge(tail, targets, within, n_total):
@@ -292,11 +329,21 @@ def linear_ridge(tail, targets, within, n_total):
     return min(TAIL_RIDGES, key=negative_log_likelihood)
 
 
-def _polynomial(X, weights, degree):
-    """Columns of the tail, in features centred and scaled so that they are well conditioned."""
+def _polynomial(X, weights, degree, codes=None):
+    """Columns of the tail, in features centred and scaled so that they are well conditioned.
+
+    Where groups have offsets there is no constant, and features are taken less their group's mean.
+    """
     n, d = X.shape
     if degree < 0:
         return np.empty((n, 0)), np.empty((0, d + 1))
+    if codes is not None:
+        center, inner = np.average(X, axis=0, weights=weights), centred(X, codes, weights)
+        _, scale_map = _polynomial(inner, weights, degree)
+        used = np.flatnonzero(scale_map[1:, 1:].any(axis=0))
+        used = used[np.ptp(inner[:, used], axis=0) > 1e-13 * np.abs(X[:, used]).max(axis=0)]
+        scale = np.sqrt(np.average(np.square(inner), axis=0, weights=weights))
+        return inner[:, used] / scale[used], tail_coefficients(d, used, center, scale)[1:]
     center = np.average(X, axis=0, weights=weights)
     scale = np.sqrt(np.average(np.square(X - center), axis=0, weights=weights))
     if degree == 0:

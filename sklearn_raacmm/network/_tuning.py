@@ -61,7 +61,8 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
     sample = problem.sample
     view, rows = sample.view(), sample.block(slice(None))
     weights = np.square(sample.root[:, 0])
-    data = Data(sample.X, view.of(rows)[1] / sample.root, weights, view.within)
+    targets = view.of(rows)[1] / sample.root
+    data = Data(sample.X, targets, weights, view.within, sample.codes)
     units = np.log(view.scale).sum()
     given = None if alpha is None else alpha[view.outputs] / sample.unit
     if last is not None and last.kernel in kernels:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.optimize import minimize
 
-from sklearn_raacmm.network._likelihood import Data, exact_likelihood, projected_likelihood
+from sklearn_raacmm.network._likelihood import exact_likelihood, projected_likelihood
 
 ALPHA_BOUNDS = (1e-12, 1e6)
 # In spreads of a feature: below, every sample is alone; above, a function is as good as linear.
@@ -92,10 +92,8 @@ class Task:
         return np.append(np.full(self.n_widths, log_width), np.full(self.n_alphas, np.log(alpha)))
 
     def rows(self, rows):
-        """Data of some rows; what merging took out is shared in proportion."""
-        X, Y, weights, within = self.data
-        share = weights[rows].sum() / weights.sum()
-        return Data(X[rows], Y[rows], weights[rows], within * share)
+        """Data of some rows."""
+        return self.data.rows(rows)
 
     def objective(self, theta, data, kernel, inducing=None, kappa=KAPPA):
         """Negative log likelihood with the penalty, in nats, and its gradient."""

@@ -98,7 +98,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
     -------
     Found
     """
-    X, Y, weights, _ = data
+    X, Y, weights = data.X, data.Y, data.weights
     d, q = X.shape[1], Y.shape[1]
     spread = robust_spread(X, weights)
     varying = spread > 0
@@ -124,7 +124,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
     task = Task(data._replace(X=X - center), spread, length_scale, isotropic, alpha)
 
     def draw(size):
-        return _draw(len(X), size, random_state)
+        return data.draw(size, random_state)
 
     few, many = draw(COARSE_ROWS), draw(EXACT_ROWS)
     ends = _coarse(task, kernels, few)
@@ -154,11 +154,6 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
     )
 
 
-def _draw(n, size, random_state):
-    """Some of n rows, sorted; all where there are no more than `size`."""
-    return np.arange(n) if n <= size else np.sort(random_state.permutation(n)[:size])
-
-
 def still_right(data, kernel, length_scale, alpha, *, fixed=(None, None), random_state=None):
     """Whether widths and ridges that were found on other rows are right for these, too.
 
@@ -186,12 +181,12 @@ def still_right(data, kernel, length_scale, alpha, *, fixed=(None, None), random
     n_observations : float
         Of these.
     """
-    X, Y, weights, _ = data
+    X, Y, weights = data.X, data.Y, data.weights
     spread, used = robust_spread(X, weights), np.isfinite(length_scale)
     found = np.all(alpha < ALPHA_BOUNDS[1]) and np.all(spread[used] > 0) and np.any(used)
     if not Y.shape[1] or not found:
         return False, 0.0, 0.0
-    few, many = (_draw(len(X), size, random_state) for size in (COARSE_ROWS, EXACT_ROWS))
+    few, many = (data.draw(size, random_state) for size in (COARSE_ROWS, EXACT_ROWS))
     X = X - np.average(X, axis=0, weights=weights)
     spread = np.where(spread > 0, spread, 1.0)
     task = Task(data._replace(X=X), spread, fixed[0], False, fixed[1], used)
@@ -292,7 +287,8 @@ def _noise_density(data):
     """Leave-one-out density where all is noise, as `leave_one_out` gives it."""
     square = data.weights[:, None] * np.square(data.Y)
     variance = np.maximum((square.sum(axis=0) + data.within) / data.n_total, 1e-300)
-    return 0.5 * np.sum(square / variance + np.log(variance))
+    n = len(data.X) if data.codes is None else len(data.X) - data.codes[-1] - 1
+    return 0.5 * (np.sum(square / variance) + n * np.sum(np.log(variance)))
 
 
 def _leave_out(task, end, rows):

@@ -23,6 +23,7 @@ from sklearn_raacmm.utils._checks import (
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import write_whole
 from sklearn_raacmm.utils._groups import (
+    CENTRED,
     centred,
     check_groups,
     deviations_by_group,
@@ -30,6 +31,7 @@ from sklearn_raacmm.utils._groups import (
     group_means,
     group_sums,
     group_weights,
+    share_of_means,
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
@@ -52,6 +54,7 @@ from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, V
 from sklearn_raacmm.utils._whole_fit import whole_fit
 
 __all__ = [
+    "CENTRED",
     "LARGEST",
     "HasMethods",
     "InconsistentPackageVersionWarning",
@@ -90,6 +93,7 @@ __all__ = [
     "refuse_huge",
     "refuse_masked",
     "safe_indexing",
+    "share_of_means",
     "show",
     "stage",
     "validate_parameter_constraints",

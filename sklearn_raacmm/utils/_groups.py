@@ -5,11 +5,18 @@
 
 import numpy as np
 from scipy.sparse import csc_array
+from scipy.special import fdtr
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
 
 # How a missing label that is no text prints: NaN, None, and those of pandas.
 _MISSING = ("nan", "None", "NaT", "<NA>")
+# Mean residuals of positions, as a share of what the scatter within positions explains, below which
+# they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
+# 1 for independent residuals against a reference, more where neighbours err alike.
+CENTRED = 0.5
+# Share of a sum that is rounding.
+_ROUNDING = 1e-9
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -141,6 +148,39 @@ def group_means(values, codes, weights=None):
 def centred(values, codes, weights=None):
     """Rows less the weighted mean of their group; as they are where `codes` is None."""
     return values if codes is None else values - group_means(values, codes, weights)[codes]
+
+
+def share_of_means(y, codes, weights):
+    """Mean squares of positions' means over what the scatter within positions explains.
+
+    Parameters
+    ----------
+    y : ndarray of shape (n, q)
+    codes : ndarray of shape (n,)
+        Position of each row, from 0.
+    weights : ndarray of shape (n,)
+
+    Returns
+    -------
+    of_all, of_most : float
+        Over all positions, and the median position; infinite where nothing scatters.
+    by_chance : float
+        Probability that independent rows have means as small as these.
+    """
+    # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
+    weights = weights / min(weights[weights > 0].mean(), 1.0)
+    total, q = group_weights(codes, weights), y.shape[1]
+    used = total > 0
+    left = centred(y, codes, weights)
+    n_free = total.sum() - used.sum()
+    within = weights @ np.square(left).sum(axis=1) / max(n_free, 1e-300)
+    between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
+    # Positions of one row each: their deviations from themselves are rounding.
+    if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
+        return np.inf, np.inf, 1.0
+    share = between.mean() / within
+    by_chance = float(fdtr(q * used.sum(), q * n_free, share))
+    return share, float(np.median(between)) / within, by_chance
 
 
 def check_groups(groups, n_samples):

@@ -178,12 +178,28 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, t
     assert chart.count("harmonics of joint 4") == 1
 
 
+def test_a_suspect_changes_the_exit_code(
+    learned, machine, other_make, tmp_path, capsys, monkeypatch
+):
+    """Where the mean 2S alone would pass, as it is taken to do here, the suspect decides."""
+    monkeypatch.setattr(_commands, "highest_mean", lambda *_: 1.0)
+    folder, *_ = learned
+    machine.rng = np.random.default_rng(9)
+    readings, cones = machine.test(5, 12)
+    readings[:, 3] += 2.5e-4 * np.cos(readings[:, 3])
+    other_make.write_log(tmp_path / "today.csv", readings, cones)
+    assert main(["check", f"{tmp_path}/today.csv", "--model", str(folder)]) == 3
+    out = capsys.readouterr().out
+    assert "It still helps, but something has changed" in out
+    assert "Suspect: harmonics of joint 4" in out
+
+
 def test_checks_raise_a_false_alarm_once_in_a_hundred():
     rng = np.random.default_rng(0)
     alarms = 0
     for _ in range(4000):
         learnt, today = rng.normal(0.02, 0.004, 10), rng.normal(0.02, 0.004, 5)
-        alarms += today.mean() > _commands.highest_mean(learnt, 5)
+        alarms += today.mean() > _commands.highest_mean(learnt, 5, 0.01)
     assert 0.006 < alarms / 4000 < 0.014
 
 

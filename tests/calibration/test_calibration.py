@@ -488,3 +488,27 @@ def test_joints_in_another_order_are_told():
     angles = SINGLE_POINT.data[:, [1, 0, 2, 3, 4, 5]]
     with pytest.warns(UserWarning, match="order and sense of the joints"):
         calibrate(NOMINAL["aacmm6"], angles, SINGLE_POINT.groups)
+
+
+def test_a_correction_that_makes_the_scatter_larger_is_told():
+    """One of another arm: a gear that this one has not. The right one, and none, raise nothing."""
+    rng = np.random.default_rng(3)
+    arm = Arm.from_name("ur10", probe=(0, 0, 93))
+    angles = rng.uniform(-2.5, 2.5, (60, 6))
+
+    def bend(q):
+        return 0.3 * np.cos(17 * q[:, :1]) * np.array([1.0, -1.0, 0.5])
+
+    class Model:
+        def __init__(self, size):
+            self.size = size
+
+        def predict(self, q):
+            return self.size * bend(q)
+
+    points = arm.forward(angles) - bend(angles) + rng.normal(0, 0.02, (60, 3)) + [1000, 0, 0]
+    for size in (1.0, 0.0):
+        calibrate(arm, angles, points=points, correction=Model(size), free=["probe"])
+    with pytest.warns(UserWarning, match="do not use it here. Is it of this arm") as caught:
+        calibrate(arm, angles, points=points, correction=Model(-1.0), free=["probe"])
+    assert caught[0].filename == __file__

@@ -145,7 +145,7 @@ def test_names_of_outliers_are_right_where_a_smooth_error_is_left():
         result = calibrate(data.arm, angles, data.groups)
         found += len(set(bad) & set(result.outliers))
         names += len(set(result.outliers) - set(bad))
-    assert names <= 6  # it was 5 to 9 of 360 clean rows each, and up to 63 beside slips
+    assert names <= 1  # it was 5 to 9 of 360 clean rows each, and up to 63 beside slips
     assert found == 42
 
 
@@ -155,6 +155,18 @@ def test_outlier_limit_of_pure_noise_is_passed_as_often_as_it_says():
     for _ in range(400):
         distances = np.linalg.norm(rng.normal(size=(200, 3)), axis=1)
         named += np.sum(distances > outlier_limit(distances, 1.0))
+    assert named / 400 < 0.05
+
+
+@pytest.mark.parametrize("n", [100, 200, 360])
+def test_outlier_limit_holds_where_some_poses_err_more_than_others(n):
+    """Beside the noise an arm bends, more at some poses: 17 of 48 such sets were named once."""
+    rng = np.random.default_rng(n)
+    named = 0
+    for _ in range(400):
+        size = np.exp(0.25 * rng.normal(size=(n, 1)))
+        distances = np.linalg.norm(size * rng.normal(size=(n, 3)), axis=1)
+        named += np.any(distances > outlier_limit(distances, 1.0))
     assert named / 400 < 0.05
 
 

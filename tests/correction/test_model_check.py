@@ -222,3 +222,20 @@ def test_models_with_extra_columns_are_checked():
     X, y = lagging(40, 1, 10)
     y = y + knock(3, 20)(X[:, :6], None)
     assert check_correction(model, X, y).suspect == "offset of joint 3"
+
+
+@pytest.mark.parametrize("moved", ["base", "probe"])
+def test_only_what_was_refitted_is_no_change(model, moved):
+    """A shift of the base, or of the probe in its last frame, by three standard deviations."""
+    shift = np.array([0.04, -0.03, 0.05])
+
+    def change(angles, rng):
+        turned = ARM.frames(angles)[:, -1, :3, :3] @ shift
+        return shift if moved == "base" else turned
+
+    poses = rows(40, 7, change)
+    other = "probe" if moved == "base" else "base"
+    assert not check_correction(model, *poses).holds
+    assert not check_correction(model, *poses, refitted=[other]).holds
+    assert check_correction(model, *poses, refitted=[moved]).holds
+    assert check_correction(model, *poses, refitted=["base", "probe"]).holds

@@ -1,5 +1,7 @@
 """Orientations: what the causes do to them, what they teach, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -199,6 +201,9 @@ def test_from_a_calibration(measured):
         calibrate(arm, theta, points=options["points"]).orientation_residuals(
             theta, options["orientations"]
         )
+    for several in ({"arms": {1: arm, 2: arm}}, {"bases": {1: None, 2: None}}):
+        with pytest.raises(ValueError, match="of one tool and one station"):
+            replace(result, **several).orientation_residuals(theta, options["orientations"])
 
 
 def test_weights_folds_and_routing(measured):

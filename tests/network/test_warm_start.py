@@ -86,3 +86,13 @@ def test_parameters_may_change_between_fits():
     assert np.ptp(warm.length_scale_ / X.std(axis=0)) < 1e-3
     # More centres than there are candidates near the last ones: all rows are candidates again.
     assert len(warm.set_params(n_centers=140, alpha=1.0).fit(X, y).centers_) == 140
+
+
+def test_every_row_may_be_a_centre_already():
+    """There was no row left to add, which ended in an error of NumPy."""
+    X = np.random.default_rng(0).uniform(-1, 1, (12, 2))
+    y = np.sin(3 * X[:, 0])
+    model = RBFNetRegressor(12, length_scale=1.0, alpha=1e-3, warm_start=True).fit(X, y)
+    assert len(model.centers_) == 12
+    first = model.predict(X)
+    np.testing.assert_allclose(model.fit(X, y).predict(X), first, atol=1e-9)

@@ -1,0 +1,196 @@
+"""A new arm that starts from earlier arms of the same make: trust where it is due."""
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import multivariate_normal
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    JointHarmonicRegressor,
+    position_residuals,
+    transfer_correction,
+    update_correction,
+)
+from sklearn_raacmm.correction import _transfer
+from sklearn_raacmm.correction._linear_change import NewPoses, place_columns
+from sklearn_raacmm.datasets import make_single_point
+
+ARM = Arm.from_name("ur10", probe=(0, 0, 93))
+ARCSEC = np.pi / 180 / 3600
+OPTIONS = {"max_order": 60, "wobble": False}
+
+
+def errors(angles, arm, gear=50, yields=40):
+    """Of one arm of a make: gears and compliance are common, phases are its own."""
+    turn = np.zeros_like(angles)
+    turn[:, 1] = 12 * np.cos(gear * angles[:, 1] - arm) + 15 * np.cos(angles[:, 1] - 2 * arm)
+    turn[:, 2] = 8 * np.cos(gear * angles[:, 2] - 3 * arm)
+    jacobian = ARM.jacobian(angles)
+    turn += yields * jacobian[:, 2] / 1200  # the torque of a weight at the probe
+    return np.einsum("nij,nj->ni", jacobian, turn * ARCSEC)
+
+
+def rows(n, seed, arm, noise_mm=0.02, **make):
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2, 2, (n, 6))
+    return angles, errors(angles, arm, **make) + rng.normal(0, noise_mm, (n, 3))
+
+
+@pytest.fixture(scope="module")
+def earlier():
+    return [JointHarmonicRegressor(ARM, **OPTIONS).fit(*rows(250, i, i)) for i in range(3)]
+
+
+def left(model, arm, **make):
+    angles, true = rows(300, 99, arm, noise_mm=0, **make)
+    return np.linalg.norm(true - model.predict(angles), axis=1).mean()
+
+
+def alone(n, **make):
+    return JointHarmonicRegressor(ARM, **OPTIONS).fit(*rows(n, 7, 7, **make))
+
+
+@pytest.mark.parametrize(("n", "share"), [(20, 0.8), (40, 0.6)])
+def test_few_poses_of_a_new_arm_are_enough(earlier, n, share):
+    new = transfer_correction(earlier, ARM, *rows(n, 7, 7), date="2026-04-01")
+    assert left(new, 7) < share * left(alone(n), 7)
+    (entry,) = new.updates_
+    assert (entry["date"], entry["n_poses"], entry["n_arms"]) == ("2026-04-01", n, 3)
+    assert entry["gain_nats"] > 0
+    assert all(not hasattr(model, "updates_") for model in earlier)
+
+
+def test_a_misleading_make_is_not_believed(earlier):
+    """Other gears, and joints that yield the other way: the result is that of the poses alone."""
+    make = {"gear": 37, "yields": -120}
+    X, y = rows(40, 7, 7, **make)
+    new = transfer_correction(earlier, ARM, X, y)
+    assert new.updates_[0]["gain_nats"] < 0
+    assert new.updates_[0]["tau"] == {}
+    assert_allclose(new.predict(X), alone(40, **make).predict(X), rtol=0, atol=1e-12)
+
+
+def test_many_poses_are_a_fit_of_their_own(earlier):
+    # 0.0050 and 0.0045 mm: to a tenth of the noise.
+    assert left(transfer_correction(earlier, ARM, *rows(600, 7, 7)), 7) < left(alone(600), 7) + 2e-3
+
+
+def test_without_poses_it_is_the_mean_of_the_earlier_arms(earlier):
+    start = transfer_correction(earlier, ARM)
+    assert_allclose(start.linear_model_.std_scale, 1.0)
+    # What is common to the make is there, what is the individual's is known to be uncertain.
+    assert left(start, 7) < left_without(7)
+    angles, true = rows(300, 98, 7, noise_mm=0)
+    mean, std = start.predict(angles, return_std=True)
+    inside = np.abs(true - mean) < 1.96 * std
+    assert 0.85 < inside.mean() < 1.0
+    # It can be brought up to date as any model.
+    updated = update_correction(start, *rows(40, 7, 7))
+    assert left(updated, 7) < 0.5 * left(start, 7)
+
+
+def left_without(arm):
+    return np.linalg.norm(rows(300, 99, arm, noise_mm=0)[1], axis=1).mean()
+
+
+def test_one_arm_may_stand_for_the_make(earlier):
+    new = transfer_correction(earlier[0], ARM, *rows(40, 7, 7))
+    assert left(new, 7) < 0.9 * left(alone(40), 7)
+
+
+def test_prior_against_the_textbook():
+    """Two models of one coefficient pair each: mean and variance by hand."""
+    models = []
+    for seed, size in ((0, 10.0), (1, 14.0)):
+        rng = np.random.default_rng(seed)
+        angles = rng.uniform(-2, 2, (200, 6))
+        turn = np.zeros_like(angles)
+        turn[:, 2] = size * np.cos(angles[:, 2])
+        y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
+        y += rng.normal(0, 1e-4, y.shape)
+        model = JointHarmonicRegressor(
+            ARM, orders=[[], [], [1], [], [], []], gravity=False, kinematics=False, wobble=False
+        )
+        models.append(model.fit(angles, y))
+    start = transfer_correction(models, ARM).linear_model_
+    # Squares of cosine and sine together: scatter 2 * 2^2 / 2, guess half of (100 + 196) / 4.
+    variance = (4.0 + 0.5 * 74.0) / 2
+    common = 0.5 * 12.0**2 - variance / 2
+    trust = common / (common + variance / 2)
+    assert_allclose(start.coef, [trust * 12.0, 0.0], atol=0.05)
+    assert_allclose(np.diag(start.covariance), variance * (1 + trust / 2), rtol=0.01)
+
+
+def test_evidence_against_the_density(earlier):
+    linear = earlier[0].linear_model_
+    X, y = rows(8, 3, 0)
+    poses = NewPoses(X, y, np.ones(8), None)
+    half = np.diag(np.linspace(0.5, 2, len(linear.coef)))
+    A = linear.columns(X).reshape(24, -1)
+    B = place_columns(ARM, X, with_base=True).reshape(24, -1)
+    covariance = A @ half**2 @ A.T + 25 * B @ B.T + 0.03**2 * np.eye(24)
+    expected = multivariate_normal(A @ linear.coef, covariance).logpdf(y.ravel())
+    found = _transfer._log_evidence(linear, linear.coef, half, poses, 0.03)
+    assert found == pytest.approx(expected + 12 * np.log(2 * np.pi), rel=1e-6)
+
+
+def test_single_point_tests():
+    """Measuring arms that yield alike under their weight: 3 positions of the new one."""
+    options = {"max_order": 6, "wobble": False}
+
+    def test_of(seed, n_positions):
+        data = make_single_point(n_positions, 20, machine="gravity", random_state=seed)
+        return data.arm, data.data, data.target, data.groups
+
+    earlier = []
+    for seed in (100, 101):
+        arm, X, y, groups = test_of(seed, 10)
+        earlier.append(JointHarmonicRegressor(arm, **options).fit(X, y, groups=groups))
+    arm, X, y, groups = test_of(0, 6)
+    near = groups < 3
+    new = transfer_correction(earlier, arm, X[near], y[near], groups=groups[near])
+    assert new.offsets_
+    far = groups[~near]
+    without, left_over = (position_residuals(v, far) for v in (
+        y[~near], y[~near] - new.predict(X[~near])))  # fmt: skip
+    # A fit to three positions alone fades at others: it leaves as much as no correction.
+    assert np.linalg.norm(left_over, axis=1).mean() < 0.85 * np.linalg.norm(without, axis=1).mean()
+
+
+def test_types_and_files(earlier):
+    first = JointHarmonicRegressor(**OPTIONS)
+    whole = ArmResidualRegressor(ARM, harmonics=first, use="harmonics", angle_unit="deg")
+    angles, y = rows(250, 0, 0)
+    whole.fit(np.rad2deg(angles), y)
+    X, y = rows(40, 7, 7)
+    new = transfer_correction([whole, *earlier], ARM, np.rad2deg(X), y)
+    assert type(new) is JointHarmonicRegressor
+    assert new.angle_unit == "deg"
+    assert new.max_order == 60
+    loaded = pickle.loads(pickle.dumps(new))
+    assert_allclose(loaded.predict(np.rad2deg(X)), new.predict(np.rad2deg(X)), rtol=0)
+    assert new.pose_weight_.shape == (40,)
+
+
+def test_bad_input(earlier):
+    X, y = rows(40, 7, 7)
+    with pytest.warns(UserWarning, match="2 new poses give 6 coordinates, .* the 9 freedoms"):
+        few = transfer_correction(earlier, ARM, X[:2], y[:2])
+    assert_allclose(few.predict(X), transfer_correction(earlier, ARM).predict(X), rtol=0)
+    with pytest.raises(ValueError, match="models are empty"):
+        transfer_correction([], ARM, X, y)
+    with pytest.raises(TypeError, match="arm must be an Arm"):
+        transfer_correction(earlier, None, X, y)
+    with pytest.raises(ValueError, match=r"models\[0\] is of an arm with 6 joints .* has 7"):
+        transfer_correction(earlier, Arm.from_name("panda"), X, y)
+    other = JointHarmonicRegressor(ARM, max_order=2).fit(X, y)
+    with pytest.raises(ValueError, match=r"models\[3\] has other families of columns"):
+        transfer_correction([*earlier, other], ARM, X, y)
+    warm = np.hstack([X, np.arange(40)[:, None]])
+    extra = JointHarmonicRegressor(ARM, max_order=2, extra=["temperature"]).fit(warm, y)
+    with pytest.raises(ValueError, match=r"models\[0\] has extra columns"):
+        transfer_correction(extra, ARM, X, y)
