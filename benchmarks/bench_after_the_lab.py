@@ -47,17 +47,17 @@ def mean_deviation(residuals):
 
 
 def one_draw(model, arm, angles, points, known):
-    """Mean deviation in mm at the poses that are not `known`, each way, and seconds."""
+    """Mean deviation in mm at the poses that are not `known`, each way, and seconds of processor time."""
     rest = ~known
     data = {"points": points[known], "free": ["probe"]}
     alone = calibrate(arm, angles[known], **data)
-    start = time.perf_counter()
+    start = time.process_time()
     through = calibrate(arm, angles[known], **data, correction=model)
-    seconds = [time.perf_counter() - start]
-    start = time.perf_counter()
+    seconds = [time.process_time() - start]
+    start = time.process_time()
     y = through.residuals(angles[known], points[known])
     updated = update_correction(model, angles[known], y)
-    seconds.append(time.perf_counter() - start)
+    seconds.append(time.process_time() - start)
     bare = alone.residuals(angles[rest], points[rest])
     registered = through.residuals(angles[rest], points[rest])
     old, new = (m.predict(angles[rest]) for m in (model, updated))
@@ -78,7 +78,11 @@ def main():
     model = JointHarmonicRegressor(first.arm).fit(angles[rows], first.residuals_mm)
     angles, points = read("B", folder)
     print(f"Model of {len(rows)} poses of A, used on B. Mean deviation, mm: median (largest)")
-    print("poses  " + "".join(f"{way:>26}" for way in WAYS) + "    seconds: register, update")
+    print(
+        "poses  "
+        + "".join(f"{way:>26}" for way in WAYS)
+        + "    processor seconds: register, update"
+    )
     for n in (10, 20, 60, 200):
         draws = []
         for seed in range(options.draws):
