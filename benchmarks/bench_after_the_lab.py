@@ -47,7 +47,7 @@ def mean_deviation(residuals):
 
 
 def one_draw(model, arm, angles, points, known):
-    """Mean deviation in mm at the poses that are not `known`, each way, and seconds of processor time."""
+    """Mean deviation in mm at the poses that are not `known`, each way, and processor seconds."""
     rest = ~known
     data = {"points": points[known], "free": ["probe"]}
     alone = calibrate(arm, angles[known], **data)
@@ -78,11 +78,7 @@ def main():
     model = JointHarmonicRegressor(first.arm).fit(angles[rows], first.residuals_mm)
     angles, points = read("B", folder)
     print(f"Model of {len(rows)} poses of A, used on B. Mean deviation, mm: median (largest)")
-    print(
-        "poses  "
-        + "".join(f"{way:>26}" for way in WAYS)
-        + "    processor seconds: register, update"
-    )
+    print("poses  " + "".join(f"{way:>26}" for way in WAYS) + "    seconds: register, update")
     for n in (10, 20, 60, 200):
         draws = []
         for seed in range(options.draws):
