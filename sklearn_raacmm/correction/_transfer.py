@@ -229,7 +229,7 @@ def _pooled(linears, arm):
     harmonics = np.array(pairs, dtype=int).reshape(-1, 2)
     waves = 2 * len(pairs)
     aligned = [_aligned(one, pairs) for one in linears]
-    W = np.array([coef for coef, _ in aligned])
+    W = np.array([coef for coef, *_ in aligned])
     n = len(W)
     prior_sd = {
         name: float(np.sqrt(np.mean([one.prior_sd.get(name, 0.0) ** 2 for one in linears])))
@@ -265,24 +265,25 @@ def _pooled(linears, arm):
         common = max(np.mean(np.square(mean[of]) - variance[of] / n), 0.0)
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
-    half = np.hstack([*(half / np.sqrt(n) for _, half in aligned), own])
-    half = np.linalg.qr(half.T, mode="r").T
-    return replace(model, coef=trust * mean, half=half, gauge_free_half=half)
+    roots = []
+    for i in (1, 2):
+        half = np.hstack([*(one[i] / np.sqrt(n) for one in aligned), own])
+        roots.append(np.linalg.qr(half.T, mode="r").T)
+    return replace(model, coef=trust * mean, half=roots[0], gauge_free_half=roots[1])
 
 
 def _aligned(linear, pairs):
-    """Coefficients and root of their covariance, with these harmonics: 0 where it has none.
-
-    Where the base of an earlier arm stood is no matter of the new one's: without the gauge.
-    """
+    """Coefficients and both roots of their covariance with these harmonics: 0 where it has none."""
     place = {tuple(p): i for i, p in enumerate(np.asarray(linear.terms.harmonics).tolist())}
     waves, new = 2 * len(place), 2 * len(pairs)
     to = np.array([[2 * pairs.index(p), 2 * pairs.index(p) + 1] for p in place], dtype=int).ravel()
     to = np.r_[to, new + np.arange(len(linear.coef) - waves)]
     size = new + len(linear.coef) - waves
-    coef, half = np.zeros(size), np.zeros((size, linear.gauge_free_half.shape[1]))
-    coef[to], half[to] = linear.coef, linear.gauge_free_half
-    return coef, half
+    found = []
+    for values in (linear.coef, linear.half, linear.gauge_free_half):
+        found.append(np.zeros((size, *values.shape[1:])))
+        found[-1][to] = values
+    return found
 
 
 def _evidence_of_change(prior, changed, poses):
