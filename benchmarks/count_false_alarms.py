@@ -26,6 +26,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
     calibrate,
     check_correction,
+    learn_correction,
     next_poses,
     position_residuals,
     update_correction,
@@ -81,8 +82,13 @@ def doors(seed):
 
     def files():
         model = known["cones model"]
-        describe(model, X, known["cones"].residuals(X, groups=groups), groups=groups)
+        y = known["cones"].residuals(X, groups=groups)
+        describe(model, X, y, groups=groups, n_folds=3)
         to_json(model)
+
+    def front_door():
+        model = JointHarmonicRegressor(max_order=8)
+        learn_correction(test.nominal_arm, X, groups, model=model, cv=3).correct(X)
 
     yield "calibrate, cones", from_cones
     yield "calibrate, tracker", from_tracker
@@ -92,6 +98,7 @@ def doors(seed):
     yield "chain, cones", lambda: chain("cones", groups=groups)
     yield "chain, tracker", lambda: chain("tracker", points=points)
     yield "card and JSON", files
+    yield "front door", front_door
     few = np.isin(groups, np.unique(groups)[:4])
     today = X[few], test.target[few]
     yield "next poses", lambda: next_poses(known["cones model"], X, 3, groups=groups)

@@ -14,9 +14,12 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     JointHarmonicRegressor,
+    app,
     check_correction,
     cross_validate_correction,
+    display,
     elbow_angle,
+    export,
     learn_correction,
     next_poses,
     read_check_records,
@@ -106,10 +109,35 @@ def test_text_is_no_list(model):
         check_correction(model, TEST.data, TEST.target, **options, refitted=3)
 
 
-@pytest.mark.parametrize("path", [None, 3, ["a.csv"], b"a.csv"])
-def test_what_is_no_path_of_records(path):
-    with pytest.raises(TypeError, match="path must be the path of a file of records, got"):
-        read_check_records(path)
+@pytest.mark.parametrize("path", [3, ["a.csv"], b"a.c", {}])
+@pytest.mark.parametrize(
+    "door",
+    [
+        lambda model, path: read_check_records(path),
+        lambda model, path: export.from_json(path),
+        lambda model, path: export.to_json(model, path),
+        lambda model, path: export.export_c(model, path),
+        lambda model, path: export.load_c(model, cache_dir=path),
+        lambda model, path: app.read_table(path, 6),
+    ],
+    ids=["records", "from_json", "to_json", "export_c", "load_c", "table"],
+)
+def test_what_is_no_path(model, door, path):
+    with pytest.raises(TypeError, match="must be the path of a file or folder, got"):
+        door(model, path)
+
+
+@pytest.mark.parametrize("card", [True, 3, ["card"]])
+def test_what_is_no_card(model, card, tmp_path):
+    with pytest.raises(TypeError, match="card must be what describe gives, or text, got"):
+        export.export_c(model, tmp_path / "arm.c", card=card)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("records", [3, [3], [{}], "checks.csv"])
+def test_what_are_no_records(records):
+    with pytest.raises(ValueError, match="records must be"):
+        display.ControlChartDisplay(records=records)
 
 
 @pytest.mark.parametrize("probability", [None, "0.9", [0.9], np.array([0.9, 0.5]), 1, np.nan])

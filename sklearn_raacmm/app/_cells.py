@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from sklearn_raacmm.utils import check_path
+
 # Lines looked at to find separator and decimal sign, and bytes decoded at a time.
 _SNIFFED_LINES = 300
 _CHUNK_BYTES = 1 << 20
@@ -99,7 +101,7 @@ def find_dialect(path, n_numbers):
     TableError
         If there is no such file or no row with so many numbers.
     """
-    path = Path(path)
+    path = check_path("path", path)
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
     if path.suffix.lower() in (".xlsx", ".xlsm"):

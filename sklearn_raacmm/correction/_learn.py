@@ -7,7 +7,6 @@ import json
 import warnings
 from dataclasses import dataclass, field
 from html import escape
-from pathlib import Path
 
 import numpy as np
 from sklearn.base import BaseEstimator
@@ -18,7 +17,7 @@ from sklearn_raacmm.calibration import CalibrationResult
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.utils import write_whole
+from sklearn_raacmm.utils import check_path, write_whole
 
 # Points of a calibrated arm that scatter by a larger share of its reach belong to another table:
 # the limit at which `calibrate` warns.
@@ -118,7 +117,7 @@ class LearnedCorrection:
         list of pathlib.Path
             ``arm.json``, the model, and ``correction.json`` with scores, verdict and versions.
         """
-        folder = Path(folder)
+        folder = check_path("folder", folder)
         folder.mkdir(parents=True, exist_ok=True)
         try:
             import skops.io

@@ -5,10 +5,8 @@
 
 import csv
 import json
-from os import PathLike
-from pathlib import Path
 
-from sklearn_raacmm.utils import show
+from sklearn_raacmm.utils import check_path
 
 # What a record holds, in the order of the columns, and what each value is.
 _FIELDS = {
@@ -27,7 +25,7 @@ _FIELDS = {
 
 def append_record(path, record):
     """Append one record to a CSV file, or to one of a JSON object in each line."""
-    path = Path(path)
+    path = check_path("path", path)
     is_new = not path.exists() or path.stat().st_size == 0
     with path.open("a", encoding="utf-8", newline="") as file:
         if path.suffix.lower() != ".csv":
@@ -62,9 +60,7 @@ def read_check_records(path):
     >>> from sklearn_raacmm import read_check_records
     >>> records = read_check_records("checks_of_arm_7.csv")  # doctest: +SKIP
     """
-    if not isinstance(path, str | PathLike):
-        raise TypeError(f"path must be the path of a file of records, got {show(path)}.")
-    path = Path(path)
+    path = check_path("path", path)
     text = path.read_text(encoding="utf-8-sig")
     records = []
     is_csv = path.suffix.lower() == ".csv"

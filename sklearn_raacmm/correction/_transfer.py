@@ -44,7 +44,7 @@ _CHOSEN = 0.5
 
 
 @one_blas_thread
-def transfer_correction(models, arm, X=(), y=(), *, groups=None, sample_weight=None, date=None):
+def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weight=None, date=None):
     """Correct a new arm from few poses, starting from earlier arms of the same make.
 
     Arms of one make share the orders of their gears, the compliance of their links and the size of
@@ -61,10 +61,11 @@ def transfer_correction(models, arm, X=(), y=(), *, groups=None, sample_weight=N
         The new arm, calibrated: ``result.arm`` of ``result = calibrate(nominal, angles,
         points=points)``.
 
-    X : array-like of shape (n_samples, n_joints), default=()
-        Joint angles of the new arm, in the unit that the first of the models takes.
+    X : array-like of shape (n_samples, n_joints), default=None
+        Joint angles of the new arm, in the unit that the first of the models takes. None: it has
+        not been measured yet.
 
-    y : array-like of shape (n_samples, 3), default=()
+    y : array-like of shape (n_samples, 3), default=None
         Their residuals in mm, in the arm's base frame: ``result.residuals_mm``, or
         :func:`position_residuals` of a single-point test.
 
@@ -142,7 +143,7 @@ def transfer_correction(models, arm, X=(), y=(), *, groups=None, sample_weight=N
     linears, template = _checked(models, arm)
     prior = _pooled(linears, arm)
     template.set_params(arm=arm)
-    if len(X) == 0:
+    if X is None and y is None:
         return _of_prior(template, prior)
     own = template.fit(X, y, groups=groups, sample_weight=sample_weight)
     groups = groups if own.linear_model_.offsets else None

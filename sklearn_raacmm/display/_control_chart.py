@@ -7,6 +7,7 @@ import numpy as np
 
 from sklearn_raacmm.correction import read_check_records
 from sklearn_raacmm.display._drawing import AFTER, FLOOR, axes_grid, name_places
+from sklearn_raacmm.utils import listed
 
 _ALARM = {"color": "tab:red", "linestyle": "", "marker": "o", "markersize": 11, "fillstyle": "none"}
 
@@ -53,9 +54,11 @@ class ControlChartDisplay:
     """
 
     def __init__(self, *, records):
-        self.records = list(records)
+        self.records = listed("records", records)
         if not self.records:
             raise ValueError("There are no records to draw: append those of some checks first.")
+        if not all(isinstance(record, dict) and "suspect" in record for record in self.records):
+            raise ValueError("records must be those of check_correction or read_check_records.")
         suspects = [record["suspect"] for record in self.records]
         self.alarms = np.flatnonzero([suspect != "nothing" for suspect in suspects])
 
@@ -118,6 +121,8 @@ class ControlChartDisplay:
             ax.set_xlim(-0.5, len(place) - 0.5)
         for i in self.alarms:
             record = self.records[i]
+            if i > 0 and record["suspect"] == self.records[i - 1]["suspect"]:
+                continue  # named once: the labels of neighbours would overlap
             axes[0, 0].annotate(
                 record["suspect"], (i, record["mean_mm"]), xytext=(0, 9),
                 textcoords="offset points", ha="center", fontsize="small", color="tab:red",

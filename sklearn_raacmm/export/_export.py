@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
-from pathlib import Path
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
@@ -20,7 +19,7 @@ from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import NetworkPosterior, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import show, write_whole
+from sklearn_raacmm.utils import check_path, show, write_whole
 
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
@@ -40,6 +39,12 @@ TRUSTED_TYPES = [
         CylindricalResidualTarget,
     )
 ]
+
+
+def _check_card(card):
+    """Refuse what `describe` does not give, and is no text either."""
+    if not (card is None or isinstance(card, str | dict)):
+        raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
 
 
 def export_c(model, path, *, name=None, dtype="double", std=False, card=None, poses=None):
@@ -146,7 +151,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
     int sine_predict_n(const double *features, double *prediction, size_t n);
     const char *sine_fingerprint(void);
     """
-    path = Path(path)
+    path = check_path("path", path)
     if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z0-9_.+-]+", path.name, re.ASCII):
         raise ValueError(
             "path must name a file of letters, digits, '_', '.', '+' and '-' that ends in .c, got "
@@ -157,6 +162,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
     if not isinstance(std, bool):
         raise ValueError(f"std must be True or False, got {show(std)}.")
+    _check_card(card)
     header_path, extra, notes = path.with_suffix(".h"), {}, []
     if poses is not None:
         body = body_of(model, dtype, std)
@@ -258,6 +264,7 @@ def to_json(model, path=None):
     >>> bool((again.predict(X) == model.predict(X)).all())
     True
     """
+    path = None if path is None else check_path("path", path)
     text = text_of(model)
     if path is not None:
         write_whole({path: text})
@@ -287,7 +294,7 @@ def from_json(source):
     """
     if isinstance(source, str) and source.lstrip().startswith("{"):
         return model_of(source)
-    content = Path(source).read_bytes()
+    content = check_path("source", source).read_bytes()
     try:
         return model_of(content.decode("utf-8-sig"), str(source))
     except UnicodeDecodeError as error:
@@ -383,6 +390,8 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
     if target_opset is not None and not isinstance(target_opset, int | dict):
         raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
+    _check_card(card)
+    path = None if path is None else check_path("path", path)
     check_fitted(model)
     # Late: skl2onnx takes a second to import.
     from sklearn_raacmm.export import _onnx

@@ -20,7 +20,7 @@ import numpy as np
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_source import body_of, fingerprint_of
 from sklearn_raacmm.export._steps import leaves
-from sklearn_raacmm.utils import show, write_whole
+from sklearn_raacmm.utils import check_path, show, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
 _FLAGS = ("-std=c99", "-O3", "-shared", "-fPIC")
@@ -283,7 +283,7 @@ def _library(text, compiler, folder):
     parts = [*text, compiler, *_FLAGS, platform.platform(), platform.machine()]
     place = f"{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()}.so"
     given = folder is not None
-    folder = Path(folder) if given else _own_folder()
+    folder = check_path("cache_dir", folder) if given else _own_folder()
     try:
         _make_own(folder)
     except OSError:

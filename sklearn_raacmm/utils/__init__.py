@@ -21,7 +21,7 @@ from sklearn_raacmm.utils._checks import (
     show,
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
-from sklearn_raacmm.utils._files import write_whole
+from sklearn_raacmm.utils._files import check_path, write_whole
 from sklearn_raacmm.utils._groups import (
     CENTRED,
     centred,
@@ -71,6 +71,7 @@ __all__ = [
     "check_groups",
     "check_n_features",
     "check_option",
+    "check_path",
     "check_points",
     "check_shapes",
     "check_weights",

@@ -8,6 +8,15 @@ import secrets
 import shutil
 from pathlib import Path
 
+from sklearn_raacmm.utils._checks import show
+
+
+def check_path(name, value):
+    """Refuse what is no path of a file or folder, and give it as a `Path`."""
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"{name} must be the path of a file or folder, got {show(value)}.")
+    return Path(value)
+
 
 def write_whole(contents):
     """Write files beside their places, and rename them when all are complete.
@@ -26,7 +35,7 @@ def write_whole(contents):
     OSError
         If a folder is missing, a path is a folder, or a file cannot be written.
     """
-    places = [Path(path).resolve() for path in contents]  # a link stays a link
+    places = [check_path("path", path).resolve() for path in contents]  # a link stays a link
     for place in places:
         if not place.parent.is_dir():
             raise FileNotFoundError(f"No such folder: {place.parent}.")

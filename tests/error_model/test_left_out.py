@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import norm as normal
+from scipy.stats import t as student
 
 from sklearn_raacmm import JointHarmonicRegressor
 from sklearn_raacmm.datasets import make_single_point
@@ -178,7 +180,7 @@ def test_fading_is_wieners_factor_beyond_what_is_known():
     y, weights = np.full((3, 3), 0.1), np.ones(3)
     assert find_fading(y, std, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0, 0.0)
     assert (
-        find_fading(np.ones((9, 3)), np.ones((9, 3)), np.ones(9), np.arange(9) // 3).factor == 2.0
+        find_fading(np.ones((9, 3)), np.ones((9, 3)), np.ones(9), np.arange(9) // 3).factor == 0.6
     )
 
 
@@ -196,3 +198,14 @@ def test_distance_std_is_that_of_the_difference():
     assert_array_equal(model.distance_std(X1, X1), 0)
     with pytest.raises(ValueError, match="X1 has 20 poses and X2 has 19"):
         model.distance_std(X1, X2[1:])
+
+
+def test_scale_and_tails_are_those_that_scipy_fits():
+    """Noise alone: the factor is that of the most likely Student variable, found by SciPy."""
+    errors = 0.02 * np.random.default_rng(0).standard_t(5, (1500, 3))
+    freedom, _, scale = student.fit(errors.ravel(), floc=0)
+    noise = np.full(errors.shape, 0.01)
+    found, _ = interval_scales(errors, noise, np.zeros(errors.shape), np.ones(1500))
+    # The prior pulls a little towards normal errors.
+    width = student.ppf(0.975, freedom) / normal.ppf(0.975) * scale
+    assert 0.01 * found == pytest.approx(width, rel=0.01)
