@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.stats import norm
+from scipy.stats import norm, sem
 
 from sklearn_raacmm import ArmResidualRegressor, JointHarmonicRegressor, RBFNetRegressor
+from sklearn_raacmm.correction._check import verdict
 from sklearn_raacmm.correction._scores import _coverage
 from sklearn_raacmm.datasets import make_single_point
 
@@ -48,3 +49,11 @@ def test_coverage_counts_what_lies_inside_with_the_factor_of_the_other_folds():
     wide = brentq(lambda z: 0.75 * inside(z) + 0.25 * inside(z / 3) - 0.95, 1, 10)
     expected = (inside(norm.ppf(0.975) / 3) + 4 * inside(wide)) / 5
     assert _coverage(left, std, folds)[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_the_last_model_is_taken_where_the_check_does_not_choose():
+    errors = np.array([[0.10, 0.12, 0.11], [0.05, 0.04, 0.06], [0.20, 0.30, 0.25]])
+    table, chosen = verdict(errors, ("none", "harmonics", "harmonics+network"), choose=False)
+    assert chosen == 2
+    assert verdict(errors, ("none", "harmonics", "harmonics+network"), choose=True)[1] == 1
+    np.testing.assert_allclose(table["gain_se_mm"], [sem(errors[0] - e) for e in errors])

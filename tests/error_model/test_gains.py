@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
+from sklearn_raacmm import Arm, JointHarmonicRegressor
 from sklearn_raacmm.error_model._harmonic_selection import Leftover
 
 
@@ -60,3 +61,16 @@ def test_gains_are_those_of_the_evidence(chosen):
     for pair in chosen:
         step.take(pair, ())
     assert_allclose(step.gains()[0][free], gain[free], rtol=1e-9, atol=1e-9)
+
+
+def test_no_orders_need_be_offered():
+    """The other families alone explain what they have caused, and leave the noise."""
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-1.5, 1.5, (80, 6))
+    other = arm.replace(theta_offset=arm.theta_offset + 1e-4)
+    y = other.forward(theta) - arm.forward(theta) + rng.normal(scale=0.01, size=(80, 3))
+    model = JointHarmonicRegressor(arm, max_order=0, gravity=False, wobble=False).fit(theta, y)
+    assert not len(model.harmonics_)
+    assert y.std() > 0.05
+    assert (y - model.predict(theta)).std() == pytest.approx(0.01, rel=0.2)

@@ -14,6 +14,7 @@ from sklearn_raacmm import (
     JointHarmonicRegressor,
     PoseFeatures,
 )
+from sklearn_raacmm.residuals import refuse_points
 
 ARM = Arm.from_name("aacmm6")
 ANGLES = np.random.default_rng(0).uniform(-2, 2, (60, 6))
@@ -109,3 +110,28 @@ def test_slipped_rows_are_left_to_the_loss():
     y[::10] += 900.0
     model = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
     assert np.all(model.fit(ANGLES, y).pose_weight_[::10] == 0)
+
+
+def moved_points(share, n=40):
+    """Points after a motion, each off by `share` of their spread, and the points themselves."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-600, 600, (n, 3))
+    spread = np.sqrt(np.square(points - points.mean(axis=0)).sum(axis=1).mean())
+    off = rng.normal(size=(n, 3))
+    off *= share * spread / np.linalg.norm(off, axis=1)[:, None]
+    turn = Rotation.from_rotvec([0.4, -1.0, 0.7]).as_matrix()
+    return (points + off) @ turn.T + [900, -200, 300], points
+
+
+def test_points_are_told_by_a_twentieth_of_their_spread():
+    refuse_points(*moved_points(0.06), reach=1800)
+    with pytest.raises(ValueError, match="y are points, not residuals"):
+        refuse_points(*moved_points(0.045), reach=1800)
+
+
+def test_three_points_may_be_anything():
+    """Six numbers of a motion explain the nine coordinates of three, but not of many more."""
+    y, points = moved_points(0.0, n=4)
+    refuse_points(y[:3], points[:3], reach=1800)
+    with pytest.raises(ValueError, match="y are points, not residuals"):
+        refuse_points(y, points, reach=1800)
