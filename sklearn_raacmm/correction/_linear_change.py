@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model import LinearModel, interval_scales, observed_columns
+from sklearn_raacmm.error_model import LinearModel, constrained, interval_scales, observed_columns
 from sklearn_raacmm.utils import centred
 
 # Prior of tau: its median, and the standard deviation of its logarithm. A tenth is what
@@ -30,6 +30,8 @@ _LOW_ORDERS = 8
 # Tukey's biweight, as in the first fit: standard deviations without weight, median distance of
 # normal errors in three coordinates and with three of a turn, rounds, and when to stop.
 _OUTLIER, _MEDIAN_OF_CHI, _ROUNDS, _SETTLED_WEIGHT = 5.5, {3: 1.5382, 6: 2.3126}, 4, 0.05
+# Poses in the range of the new ones that are tried for how much a change leaves open there.
+_TRIED = 200
 # A pose that the fit follows freely says nothing when it is left out.
 _LEAST_FREE = 1e-6
 
@@ -102,7 +104,25 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
         noise_scale=scales[0],
         std_scale=scales[1],
     )
+    if codes is not None:  # what the same test shows at other positions in the same range
+        tried = poses_in_range(angles[weights > 0], linear.arm.n_joints)
+        free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
+        model = replace(model, gauge_free_half=free.gauge_free_half)
     return Changed(model, change, factor)
+
+
+def poses_in_range(angles, n_joints):
+    """Poses whose joints stand anywhere in the ranges that some poses are from.
+
+    Extra columns, of tools perhaps, are as they were.
+    """
+    low, high = angles.min(axis=0), angles.max(axis=0)
+    # Of n uniform numbers the extremes lie this far inside their range on the average.
+    beyond = (high - low) / max(len(angles) - 1, 1)
+    rng = np.random.default_rng(0)
+    tried = rng.uniform(low - beyond, high + beyond, (_TRIED, angles.shape[1]))
+    tried[:, n_joints:] = angles[rng.integers(len(angles), size=_TRIED), n_joints:]
+    return tried
 
 
 def place_columns(arm, angles, with_base):

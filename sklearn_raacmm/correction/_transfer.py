@@ -26,7 +26,6 @@ from sklearn_raacmm.correction._update import check_new_poses, linear_model_of, 
 from sklearn_raacmm.error_model import (
     Fading,
     JointHarmonicRegressor,
-    constrained,
     smooth_shares,
 )
 from sklearn_raacmm.utils import centred, listed, one_blas_thread
@@ -165,9 +164,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     new = deepcopy(own)
     entry = record_of(changed, len(angles), date)
     if gain > 0:
-        counted = weights * changed.pose_weight
-        model = replace(changed.model, offsets=codes is not None)
-        new.linear_model_ = model = constrained(model, angles, counted, codes)
+        new.linear_model_ = replace(changed.model, offsets=codes is not None)
         new.pose_weight_ = changed.pose_weight
         # Where the new poses say nothing, the mean of the make stands.
         new.fading_ = replace(own.fading_, factor=0.0)

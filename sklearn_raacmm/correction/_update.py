@@ -17,6 +17,7 @@ from sklearn_raacmm.correction._linear_change import (
     NewPoses,
     changed_model,
     n_coordinates,
+    poses_in_range,
 )
 from sklearn_raacmm.error_model import LinearModel, check_poses, check_turns
 from sklearn_raacmm.utils import (
@@ -29,8 +30,6 @@ from sklearn_raacmm.utils import (
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to.
 _STRANGE = 10.0
-# Poses in the range of the new ones that are tried for how much an update leaves open there.
-_TRIED = 200
 
 
 @one_blas_thread
@@ -195,14 +194,7 @@ def _keep_fading(updated, model, angles):
     correction back. It is measured at poses whose joints stand anywhere in the ranges that the new
     poses are from.
     """
-    low, high = angles.min(axis=0), angles.max(axis=0)
-    # Of n uniform numbers the extremes lie this far inside their range on the average.
-    beyond = (high - low) / max(len(angles) - 1, 1)
-    shape = (_TRIED, angles.shape[1])
-    rng = np.random.default_rng(0)
-    tried = rng.uniform(low - beyond, high + beyond, shape)
-    n = updated.linear_model_.arm.n_joints  # extra columns, of tools perhaps, are as they were
-    tried[:, n:] = angles[rng.integers(len(angles), size=_TRIED), n:]
+    tried = poses_in_range(angles, updated.linear_model_.arm.n_joints)
     old, new = (
         np.square(m.linear_model_.predict(tried, return_std=True)[1]).sum(axis=1)
         for m in (model, updated)

@@ -159,6 +159,9 @@ def test_single_points_update_too():
         before[rows_of] -= before[rows_of].mean(axis=0)
         after[rows_of] -= after[rows_of].mean(axis=0)
     assert np.linalg.norm(after, axis=1).mean() < np.linalg.norm(before, axis=1).mean()
+    # Where the base stands no such test shows: it is in no deviation, before and after.
+    old_std, std = (m.predict(data.data, return_std=True)[1] for m in (model, updated))
+    assert np.median(std) < 3 * np.median(old_std)
     with pytest.raises(ValueError, match="give groups, the position of each new pose"):
         update_correction(model, data.data[new], data.target[new])
 
