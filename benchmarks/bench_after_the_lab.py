@@ -47,17 +47,17 @@ def mean_deviation(residuals):
 
 
 def one_draw(model, arm, angles, points, known):
-    """Mean deviation in mm at the poses that are not `known`, each way, and seconds."""
+    """Mean deviation in mm at the poses that are not `known`, each way, and processor seconds."""
     rest = ~known
     data = {"points": points[known], "free": ["probe"]}
     alone = calibrate(arm, angles[known], **data)
-    start = time.perf_counter()
+    start = time.process_time()
     through = calibrate(arm, angles[known], **data, correction=model)
-    seconds = [time.perf_counter() - start]
-    start = time.perf_counter()
+    seconds = [time.process_time() - start]
+    start = time.process_time()
     y = through.residuals(angles[known], points[known])
     updated = update_correction(model, angles[known], y)
-    seconds.append(time.perf_counter() - start)
+    seconds.append(time.process_time() - start)
     bare = alone.residuals(angles[rest], points[rest])
     registered = through.residuals(angles[rest], points[rest])
     old, new = (m.predict(angles[rest]) for m in (model, updated))

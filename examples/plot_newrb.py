@@ -54,7 +54,7 @@ newrb = RBFNetRegressor(
     selection="newrb",
 ).fit(P.T, T.ravel())
 print(f"{len(newrb.centers_)} neurons, {newrb.stop_reason_}")
-print("mean squared error after 1, 2, ... neurons:", newrb.criterion_path_.round(3))
+print("mean squared error after 1, 2, ... neurons:", newrb.criterion_path_.round(3), sep="\n")
 
 # %%
 # Its weights are those of plain least squares on newrb's radial functions, by newrb's formula:

@@ -26,8 +26,9 @@ model = CylindricalResidualTarget(
     make_pipeline(PoseFeatures(cone.arm), StandardScaler(), RBFNetRegressor(random_state=0)),
     azimuth=cone.arm.azimuth,
 )
+told = {"rbfnetregressor__groups": cone.groups}  # which rows are of one position
 correction = cross_val_predict(
-    model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut()
+    model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut(), params=told
 )
 
 # %%
@@ -48,7 +49,7 @@ plt.show()
 # are therefore seen worse than the scatter within them.
 
 display = LengthErrorDisplay.from_estimator(
-    model.fit(cone.data, cone.target),
+    model.fit(cone.data, cone.target, **told),
     gauge.data,
     gauge.points,
     groups=gauge.groups,

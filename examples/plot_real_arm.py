@@ -69,7 +69,7 @@ for name in names:
         if isinstance(model, JointHarmonicRegressor):
             model.fit(data.data[learn], residuals, groups=data.groups[learn])
         else:
-            model.fit(data.data[learn], residuals)
+            model.fit(data.data[learn], residuals, rbfnetregressor__groups=data.groups[learn])
         left = points[test] - model.predict(data.data[test])
         corrected.setdefault(model_name, np.empty_like(points))[test] = left
 

@@ -34,10 +34,9 @@ print(data.arm)
 # %%
 # Two models
 # ----------
-# Both take joint angles in rad and return the residual dx, dy, dz in mm.
-# :class:`~sklearn_raacmm.ArmResidualRegressor` is told which rows belong to one position
-# (`groups`): each position has an unknown offset, and the model checks itself at positions that it
-# leaves out.
+# Both take joint angles in rad and return the residual dx, dy, dz in mm. Both are told which rows
+# belong to one position (``groups``), because each position has an unknown offset.
+# :class:`~sklearn_raacmm.ArmResidualRegressor` also checks itself at positions that it leaves out.
 
 network = CylindricalResidualTarget(
     make_pipeline(PoseFeatures(data.arm), StandardScaler(), RBFNetRegressor(random_state=0)),
@@ -45,13 +44,13 @@ network = CylindricalResidualTarget(
 )
 whole = ArmResidualRegressor(data.arm)
 folds = list(GroupKFold(5).split(data.data, groups=data.groups))
+models = {
+    "after, network on three pose angles": (network, "rbfnetregressor__groups"),
+    "after, ArmResidualRegressor": (whole, "groups"),
+}
 corrections = {
-    "after, network on three pose angles": cross_val_predict(
-        network, data.data, data.target, cv=folds
-    ),
-    "after, ArmResidualRegressor": cross_val_predict(
-        whole, data.data, data.target, cv=folds, params={"groups": data.groups}
-    ),
+    name: cross_val_predict(model, data.data, data.target, cv=folds, params={key: data.groups})
+    for name, (model, key) in models.items()
 }
 
 # %%

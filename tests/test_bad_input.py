@@ -36,6 +36,7 @@ from sklearn_raacmm import (
     position_residuals,
     search_table,
     shoulder_wrist_distance,
+    transfer_correction,
     update_correction,
 )
 
@@ -181,6 +182,8 @@ def doors_to_be_refused_at():
         WEIGHTS,
         lambda v: update_correction(linear, ANGLES, RESIDUALS, sample_weight=v).coef_,
     )
+    yield "transfer, X", ANGLES, lambda v: transfer_correction(linear, ARM, v, RESIDUALS).coef_
+    yield "transfer, y", RESIDUALS, lambda v: transfer_correction(linear, ARM, ANGLES, v).coef_
     yield "check, X", ANGLES, lambda v: check_correction(linear, v, RESIDUALS)
     yield "check, y", RESIDUALS, lambda v: check_correction(linear, ANGLES, v)
     yield "search_table, angles", ANGLES, lambda v: search_table(ARM, v, GROUPS) is None
@@ -228,6 +231,7 @@ def label_doors():
 def label_doors_to_be_refused_at():
     linear = harmonics().fit(ANGLES, RESIDUALS)
     yield "update", lambda v: update_correction(linear, ANGLES, RESIDUALS, groups=v)
+    yield "transfer", lambda v: transfer_correction(linear, ARM, ANGLES, CENTRED, groups=v)
     yield "check", lambda v: check_correction(linear, ANGLES, RESIDUALS, groups=v)
     yield "search_table", lambda v: search_table(ARM, ANGLES, v)
     yield "learn", lambda v: learn_correction(ARM, ANGLES, v)

@@ -19,7 +19,7 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("plot_*.py"))
 # Pictures of each script, and a word that it prints; the others are shown by tests of their own.
 SHOWN = {
-    "plot_after_the_lab": (1, ""),
+    "plot_after_the_lab": (2, "week 7, suspect: harmonics of joint 2"),
     "plot_arm_poses": (1, ""),
     "plot_grid_search": (1, "predictions in the other process: equal"),
     "plot_how_many_poses": (1, "chosen"),

@@ -310,6 +310,7 @@ def test_groups_and_weights_in_one_grid_search_with_routing(cone_test):
     with config_context(enable_metadata_routing=True):
         model, _ = weighted(form_b, arm, routing=True)
         model[-1].set_score_request(sample_weight=True)
+        model[-1].regressor[-1].set_fit_request(groups=False)
         search = GridSearchCV(
             model, {"posefeatures__encoding": ["angle", "periodic"]}, cv=GroupKFold(3)
         ).fit(angles, y, groups=groups, sample_weight=weight)

@@ -9,6 +9,7 @@ import re
 import numpy as np
 
 from sklearn_raacmm.display import ControlChartDisplay
+from sklearn_raacmm.metrics import repeatability_interval
 
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
@@ -31,6 +32,7 @@ _STYLE = {
 # Points drawn at most in a cloud: more make the file large and the cloud no clearer.
 _MOST_POINTS = 600
 _MOST_ARMS = 12
+_N_DRAWS = 400  # of a bootstrap, as many as `repeatability_interval` makes
 
 
 def figures_of(result, limit_mm=None):
@@ -87,16 +89,44 @@ def _positions(figure, scores, limit_mm):
     figure.set_size_inches(7.2, 2.8)
     ax = figure.subplots()
     table, place = scores.table, np.arange(len(scores.table["position"]))
-    for name, color, shift in (("before", _BEFORE, -0.2), ("after", _AFTER, 0.2)):
-        ax.bar(place + shift, 1000 * table[name], 0.4, color=color, label=name)
+    order = sorted(place, key=lambda i: _natural(table["position"][i]))
+    sides = (("before", _BEFORE, scores.left_before), ("after", _AFTER, scores.left_after))
+    for (name, color, left), shift in zip(sides, (-0.2, 0.2), strict=True):
+        height = np.asarray(table[name])
+        low, high = _intervals(scores, left).T
+        length = 1000 * np.maximum([height - low, high - height], 0)[:, order]
+        style = {"ecolor": _INK, "elinewidth": 1}
+        heights = 1000 * height[order]
+        ax.bar(place + shift, heights, 0.4, yerr=length, color=color, label=name, error_kw=style)
     if limit_mm is not None:
         ax.axhline(1000 * limit_mm, color=_INK, linestyle="--", linewidth=1, label="limit")
     step = -(-len(place) // 20)
-    labels = [str(label) for label in table["position"]][::step]
+    labels = [str(table["position"][i]) for i in order][::step]
     long = max(map(len, labels)) > 4
     ax.set_xticks(place[::step], labels, rotation=45 * long, ha="right" if long else "center")
     ax.set_ylabel(f"{scores.measure}, µm")
     ax.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1))
+
+
+def _natural(label):
+    """Key that sorts cone 2 before cone 10."""
+    parts = re.split(r"(\d+)", str(label))
+    return [int(part) if i % 2 else part for i, part in enumerate(parts)]  # text, number, text...
+
+
+def _intervals(scores, left):
+    """What another choice of poses at each position would change (95 %), mm."""
+    if scores.measure == "2S":
+        counted = np.concatenate(scores.rows_by_position)
+        sizes = [len(rows) for rows in scores.rows_by_position]
+        groups = np.repeat(np.arange(len(sizes)), sizes)
+        return repeatability_interval(left[counted], groups, aggregate=None)
+    ends = []
+    for rows in scores.rows_by_position:
+        size = np.linalg.norm(left[rows], axis=1)
+        drawn = np.random.default_rng(0).choice(size, (_N_DRAWS, len(size)))
+        ends.append(np.quantile(drawn.mean(axis=1), [0.025, 0.975]))
+    return np.array(ends)
 
 
 def _joints(figure, result):

@@ -34,6 +34,9 @@ _ORDERS = (1, 2)
 # Poses that are named as slipped: this many on the average in a set without any; when they are more
 # than this share of all, they are no slips.
 _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
+# Poses farther off than this share of all, if errors were normal, count as though they were there:
+# those of a real arm have longer tails, of which a single pose must not raise an alarm.
+_USUAL = 0.95
 # Sets of poses drawn for the limits of the control chart.
 _DRAWS = 1000
 # A direction that the poses show by less than this part of the strongest is not tested.
@@ -186,7 +189,7 @@ def check_correction(
     would do to these poses: the offset and the two lowest harmonics of each joint, the probe, a
     common scale. The smallest p-value times the number of tests is compared with the rate, so that
     the rate is an upper bound (Bonferroni). Poses in regions that the model has not seen may raise
-    alarms of their own.
+    alarms of their own. A pose that lies farther off than 95 % do counts as though it lay there.
 
     What cannot be seen is not tested: a single-point test without known lengths has no scale, and
     joint 1 nothing but its harmonics.
@@ -207,15 +210,7 @@ def check_correction(
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
     """
-    linear = linear_model_of(model, "checked")
-    # Never narrower than the posterior: tests of squares bear no tails that are longer than normal
-    # ones, which a factor below 1 makes up for in intervals.
-    linear = replace(
-        linear,
-        half=max(linear.std_scale, 1.0) * linear.half,
-        gauge_free_half=max(linear.std_scale, 1.0) * linear.gauge_free_half,
-        noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
-    )
+    linear = _widened(linear_model_of(model, "checked"))
     labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
     lengths = _check_lengths(lengths, labels)
     today = check_new_poses(model, X, y, groups, sample_weight)
@@ -247,16 +242,31 @@ def check_correction(
     return CorrectionCheck(holds, p_value, suspect, _ADVICE[kind], tests, rows, record)
 
 
+def _widened(linear):
+    """The model as uncertain as positions left out ask for.
+
+    Never narrower than the posterior: tests of squares bear no tails that are longer than normal
+    ones, which a factor below 1 makes up for in intervals.
+    """
+    wider = max(linear.std_scale, 1.0)
+    return replace(
+        linear,
+        half=wider * linear.half,
+        gauge_free_half=wider * linear.gauge_free_half,
+        noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
+    )
+
+
 def _poses_of(linear, model, today, lengths, arm):
     """Today's poses that count, and which of the rows have slipped."""
     angles, y, weights, codes = today
     shown = arm.forward(angles[:, : arm.n_joints]) if lengths else angles[:, :3]
     correction = copy(model).set_params(angle_unit="rad").predict(angles)
     left = y - correction
-    slipped = _slipped(linear, angles, left, codes, weights > 0)
+    slipped, tamed = _slipped(linear, angles, left, codes, weights)
     kept = (weights > 0) & ~slipped
     poses = _Poses(
-        linear, angles[kept], left[kept], (shown - correction)[kept], weights[kept],
+        linear, angles[kept], left[kept], tamed[kept], (shown - correction)[kept], weights[kept],
         None if codes is None else codes[kept], lengths,
     )  # fmt: skip
     return poses, slipped
@@ -276,6 +286,7 @@ class _Poses(NamedTuple):
     linear: LinearModel
     angles: np.ndarray  # (n, n_joints)
     left: np.ndarray  # (n, 3) residuals less the correction, mm
+    tamed: np.ndarray  # (n, 3) the same without the tails
     corrected: np.ndarray  # (n, 3) points, mm
     weights: np.ndarray  # (n,)
     codes: np.ndarray | None  # (n,) position of each pose
@@ -311,10 +322,10 @@ class _Poses(NamedTuple):
     def residual(self):
         """What is left of coordinates and lengths, (m,), mm."""
         if not self.lengths:
-            return self.left.ravel()
+            return self.tamed.ravel()
         means = self._means(self.corrected)
         errors = [np.linalg.norm(means[j] - means[i]) - known for i, j, known, _ in self._ends()]
-        return np.r_[self.left.ravel(), errors]
+        return np.r_[self.tamed.ravel(), errors]
 
     def root_of_covariance(self):
         """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
@@ -369,19 +380,26 @@ class _Poses(NamedTuple):
         return causes
 
 
-def _slipped(linear, angles, left, codes, kept):
-    """Rows too far off for their own expected spread, if they are few."""
+def _slipped(linear, angles, left, codes, weights):
+    """Rows too far off for their own expected spread, if they are few, and residuals without tails.
+
+    Where the distances of all are larger than expected, by a change of the arm, farther ones are
+    usual in proportion.
+    """
     spread = linear.predict(angles, return_std=True)[1]
-    sd = np.sqrt(np.square(spread).max(axis=1) + linear.noise_variance)
-    own = left
+    used = weights > 0
+    noise = linear.noise_variance / np.where(used, weights, 1.0)
+    sd = np.sqrt(np.square(spread).max(axis=1) + noise)
+    middle = np.zeros_like(left)
     if codes is not None:  # medians: a slipped pose would pull the mean of its position
-        middle = np.stack(
-            [np.median(left[codes == code], axis=0) for code in range(codes.max() + 1)]
-        )
-        own = left - middle[codes]
-    far = np.linalg.norm(own, axis=1) > sd * chi.isf(_FALSE_NAMES / len(left), 3)
-    far &= kept
-    return far if far.sum() <= _MOST_SLIPS * kept.sum() else np.zeros(len(left), bool)
+        of_position = [np.median(left[codes == code], axis=0) for code in range(codes.max() + 1)]
+        middle = np.stack(of_position)[codes]
+    distance = np.linalg.norm(left - middle, axis=1) / sd
+    far = used & (distance > chi.isf(_FALSE_NAMES / len(left), 3))
+    slipped = far if far.sum() <= _MOST_SLIPS * used.sum() else np.zeros(len(left), bool)
+    larger = max(np.median(distance[used]) / chi.median(3), 1.0)
+    share = np.minimum(chi.ppf(_USUAL, 3) * larger / np.maximum(distance, 1e-300), 1.0)
+    return slipped, middle + share[:, None] * (left - middle)
 
 
 class _Whitened:

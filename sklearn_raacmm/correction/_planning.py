@@ -31,7 +31,13 @@ class _Design(NamedTuple):
 
     def seen(self, angles):
         """What one unit of each factor does to the poses, (n, 3, k) in mm."""
-        return self.columns(angles) @ self.half
+        return _times(self.columns(angles), self.half)
+
+
+def _times(rows, matrix):
+    """Product (n, m, q) of rows (n, m, k) with a matrix (k, q), as one of two large matrices."""
+    n, m, k = rows.shape
+    return (rows.reshape(n * m, k) @ matrix).reshape(n, m, -1)
 
 
 def next_poses(
@@ -230,7 +236,7 @@ def _greedy(rows, aim, n_poses, criterion):
     identity = np.eye(rows.shape[1])
     if len(aim) > aim.shape[1]:  # no more rows than there are columns: the same A' A
         aim = np.linalg.qr(aim, mode="r")
-    K, T = rows @ rows.swapaxes(1, 2), rows @ aim.T
+    K, T = rows @ rows.swapaxes(1, 2), _times(rows, aim.T)
     variance, chosen, taken = [np.square(aim).sum()], [], []
     open_ = np.ones(len(rows), bool)
     for _ in range(n_poses):
@@ -239,7 +245,7 @@ def _greedy(rows, aim, n_poses, criterion):
         else:
             gains = np.sum(np.linalg.inv(identity + K) * (T @ T.swapaxes(1, 2)), axis=(1, 2))
         best = int(np.argmax(np.where(open_, gains, -np.inf)))
-        C = rows @ rows[best].T
+        C = _times(rows, rows[best].T)
         for others, gain in taken:
             C -= others @ (gain @ others[best].T)
         gain = np.linalg.inv(identity + K[best])

@@ -419,11 +419,11 @@ def _verdict(table, summary, measure, n_blocks):
             f"Do not use it yet: at new positions {change}, but {n_blocks} {what} are too few to "
             f"tell; measure at least {_FEWEST_POSITIONS}."
         )
-    worst = float(np.max(after / np.maximum(before, 1e-300)))
     if high < 1:
+        least = np.argmax(after / np.maximum(before, 1e-300))
         return True, (
-            f"It helps at new positions: {change}, {better} of {n} positions better, worst "
-            f"{worst:.2f} x."
+            f"It helps at new positions: {change}, {better} of {n} positions better; the one that "
+            f"gained least went from {before[least]:.3f} to {after[least]:.3f} mm."
         )
     return False, (
         f"Do not use it: at new positions {change}, {better} of {n} positions better; after is "

@@ -44,7 +44,7 @@ _CHOSEN = 0.5
 
 
 @one_blas_thread
-def transfer_correction(models, arm, X=(), y=(), *, groups=None, sample_weight=None, date=None):
+def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weight=None, date=None):
     """Correct a new arm from few poses, starting from earlier arms of the same make.
 
     Arms of one make share the orders of their gears, the compliance of their links and the size of
@@ -61,10 +61,11 @@ def transfer_correction(models, arm, X=(), y=(), *, groups=None, sample_weight=N
         The new arm, calibrated: ``result.arm`` of ``result = calibrate(nominal, angles,
         points=points)``.
 
-    X : array-like of shape (n_samples, n_joints), default=()
-        Joint angles of the new arm, in the unit that the first of the models takes.
+    X : array-like of shape (n_samples, n_joints), default=None
+        Joint angles of the new arm, in the unit that the first of the models takes. None: it has
+        not been measured yet.
 
-    y : array-like of shape (n_samples, 3), default=()
+    y : array-like of shape (n_samples, 3), default=None
         Their residuals in mm, in the arm's base frame: ``result.residuals_mm``, or
         :func:`position_residuals` of a single-point test.
 
@@ -142,7 +143,7 @@ def transfer_correction(models, arm, X=(), y=(), *, groups=None, sample_weight=N
     linears, template = _checked(models, arm)
     prior = _pooled(linears, arm)
     template.set_params(arm=arm)
-    if len(X) == 0:
+    if X is None and y is None:
         return _of_prior(template, prior)
     own = template.fit(X, y, groups=groups, sample_weight=sample_weight)
     groups = groups if own.linear_model_.offsets else None
@@ -228,7 +229,7 @@ def _pooled(linears, arm):
     harmonics = np.array(pairs, dtype=int).reshape(-1, 2)
     waves = 2 * len(pairs)
     aligned = [_aligned(one, pairs) for one in linears]
-    W = np.array([coef for coef, _ in aligned])
+    W = np.array([coef for coef, *_ in aligned])
     n = len(W)
     prior_sd = {
         name: float(np.sqrt(np.mean([one.prior_sd.get(name, 0.0) ** 2 for one in linears])))
@@ -264,24 +265,25 @@ def _pooled(linears, arm):
         common = max(np.mean(np.square(mean[of]) - variance[of] / n), 0.0)
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
-    half = np.hstack([*(half / np.sqrt(n) for _, half in aligned), own])
-    half = np.linalg.qr(half.T, mode="r").T
-    return replace(model, coef=trust * mean, half=half, gauge_free_half=half)
+    roots = []
+    for i in (1, 2):
+        half = np.hstack([*(one[i] / np.sqrt(n) for one in aligned), own])
+        roots.append(np.linalg.qr(half.T, mode="r").T)
+    return replace(model, coef=trust * mean, half=roots[0], gauge_free_half=roots[1])
 
 
 def _aligned(linear, pairs):
-    """Coefficients and root of their covariance, with these harmonics: 0 where it has none.
-
-    Where the base of an earlier arm stood is no matter of the new one's: without the gauge.
-    """
+    """Coefficients and both roots of their covariance with these harmonics: 0 where it has none."""
     place = {tuple(p): i for i, p in enumerate(np.asarray(linear.terms.harmonics).tolist())}
     waves, new = 2 * len(place), 2 * len(pairs)
     to = np.array([[2 * pairs.index(p), 2 * pairs.index(p) + 1] for p in place], dtype=int).ravel()
     to = np.r_[to, new + np.arange(len(linear.coef) - waves)]
     size = new + len(linear.coef) - waves
-    coef, half = np.zeros(size), np.zeros((size, linear.gauge_free_half.shape[1]))
-    coef[to], half[to] = linear.coef, linear.gauge_free_half
-    return coef, half
+    found = []
+    for values in (linear.coef, linear.half, linear.gauge_free_half):
+        found.append(np.zeros((size, *values.shape[1:])))
+        found[-1][to] = values
+    return found
 
 
 def _evidence_of_change(prior, changed, poses):

@@ -121,6 +121,8 @@ class ControlChartDisplay:
             ax.set_xlim(-0.5, len(place) - 0.5)
         for i in self.alarms:
             record = self.records[i]
+            if i > 0 and record["suspect"] == self.records[i - 1]["suspect"]:
+                continue  # named once: the labels of neighbours would overlap
             axes[0, 0].annotate(
                 record["suspect"], (i, record["mean_mm"]), xytext=(0, 9),
                 textcoords="offset points", ha="center", fontsize="small", color="tab:red",

@@ -58,10 +58,6 @@ _NO_SIZE = 1e-7
 _RIDGES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
 # Harmonics are guessed to be so many, for the first choice.
 _GUESSED_PAIRS = 12
-# Candidates whose rise of the evidence is so far, in nats, below the lowest price are put aside:
-# most of them in a model that is nearly complete. Chosen harmonics raise others by far less. That
-# pays where more candidates than this may join.
-_HOPELESS, _MANY = 8.0, 12
 # Of the next best candidates, how many are named as likely to be asked for next.
 _LIKELY = 48
 
@@ -354,8 +350,7 @@ def extend(problem, pairs, variance, noise, prices, known=None):
     r_b' inv(S_b) r_b / 2 - log det(v S_b) / 2, v its prior variance.
 
     S is never formed nor downdated as a whole: as in a pivoted Cholesky factorisation, the factor's
-    rows and the pairs' own 2 x 2 blocks suffice. Candidates that would have to rise by 8 nats and
-    more are put aside until the next choice, which looks at all of them again.
+    rows and the pairs' own 2 x 2 blocks suffice.
     """
     known = (pairs, *alone(pairs)) if known is None else known
     try:
@@ -365,27 +360,22 @@ def extend(problem, pairs, variance, noise, prices, known=None):
     if not len(left.pairs):  # no orders are offered
         return pairs
     chosen = pairs.tolist()
-    alive = np.ones(len(left.pairs), dtype=bool)
+    alive = np.ones(left.n_pairs, dtype=bool)
     alive[known[0]] = False
-    rise = left.gains()[0] - prices(pairs).min()
-    if np.count_nonzero(rise[alive] > 0) > _MANY:
-        left.keep(alive & (rise > -_HOPELESS))
-        alive = np.ones(len(left.pairs), dtype=bool)
     while alive.any():
         gain, sound = left.gains()
         alive &= sound
-        net = gain - prices(np.array(chosen, dtype=int))[left.pairs]
-        net = np.where(alive, net, -np.inf)
+        net = np.where(alive, gain - prices(np.array(chosen, dtype=int)), -np.inf)
         best = int(np.argmax(net))
         if not net[best] > 0:
             break
         likely = np.argsort(-net, kind="stable")[: min(_LIKELY, np.count_nonzero(net > 0))]
         alive[best] = False
         try:
-            left.take(best, left.pairs[likely].tolist())
+            left.take(best, likely.tolist())
         except LinAlgError:
             continue
-        chosen.append(int(left.pairs[best]))
+        chosen.append(best)
     return np.sort(np.array(chosen, dtype=int))
 
 
@@ -435,8 +425,7 @@ class Leftover:
         sums, lengths = problem.sums, problem.lengths
         self.problem, self.noise = problem, noise
         self.prior = variance[problem.harmonic]
-        self.pairs = np.arange(sums.own.shape[1])  # the candidates at hand
-        self.columns = slice(None)  # theirs, of those of `sums`
+        self.n_pairs = sums.own.shape[1]
         S, r = sums.gram / noise, sums.moment / noise
         cross, own = sums.cross / noise, sums.own / noise
         self.r = sums.candidate_moment / noise
@@ -474,25 +463,15 @@ class Leftover:
         parts = (cos, cos), (sin, sin), (cos, sin)
         self.own = self.own - [np.einsum("kc,kc->c", a, b) for a, b in parts]
 
-    def keep(self, which):
-        """Put the other candidates aside; `which` is a mask of those at hand."""
-        columns = columns_of(np.flatnonzero(which))
-        self.pairs, self.columns = self.pairs[which], columns_of(self.pairs[which])
-        rows = np.empty((2 * len(self.pairs) + 64, len(columns)))
-        self.factor = np.concatenate([self.factor[: self.size, columns], rows])
-        self.own, self.r = self.own[:, which], self.r[columns]
-        if self.lengths is not None:
-            self.lengths = self.lengths[:, columns]
-
-    def take(self, number, likely):
-        """Move a candidate at hand to the chosen ones; LinAlgError if only rounding is left."""
-        block, *products = self._left_of([number], likely, self.prior)
+    def take(self, pair, likely):
+        """Move a candidate to the chosen ones; LinAlgError if only rounding is left of it."""
+        block, *products = self._left_of([pair], likely, self.prior)
         self._add(cholesky(block, check_finite=False), *products)
 
-    def _left_of(self, numbers, likely, prior):
-        """Own block, rows of the penalised Gram matrix and products of some candidates at hand."""
-        columns = columns_of(numbers)
-        rows = self.problem.sums.rows(self.pairs[numbers], likely)[:, self.columns] / self.noise
+    def _left_of(self, pairs, likely, prior):
+        """Own block, rows of the penalised Gram matrix and products of some candidates."""
+        columns = columns_of(pairs)
+        rows = self.problem.sums.rows(pairs, likely) / self.noise
         if self.lengths is not None:
             rows = rows + self.lengths[:, columns].T @ self.lengths
         known = self.factor[: self.size]

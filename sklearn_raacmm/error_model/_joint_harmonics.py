@@ -106,7 +106,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 1, or 2 where positions have offsets. There t is ten times the deviation that
+        all. "auto": 1, or 0.6 where positions have offsets. There t is twice the deviation that
         99 % of the training poses stay below; elsewhere 0.
 
     Attributes

@@ -31,6 +31,7 @@ from sklearn_raacmm.error_model._orders import (
     order_prices,
     smooth_shares,
 )
+from sklearn_raacmm.error_model._place_fields import place_fields
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
 from sklearn_raacmm.error_model._smooth_functions import add_smooth, choose_beside_smooth
 from sklearn_raacmm.utils import centred, group_means, stage
@@ -307,13 +308,14 @@ def constrained(model, X, weights, codes, keep_scale=True):
     LinearModel
         The same one where positions have no offsets or it has no columns of the kinematics.
     """
-    if codes is None or not model.terms.kinematics:
+    if codes is None:
         return model
     columns = mean_columns(model.arm, X, weights, codes, model.terms)
-    if keep_scale:
+    if keep_scale and model.terms.kinematics:
         points = points_of(model.arm, X[:, : model.arm.n_joints])
         model = _keep_scale(model, columns, group_means(points, codes, weights))
-    return _without_gauge(model, columns)
+    fields = place_fields(model.arm, model.terms) if keep_scale else _base_motions(model)
+    return _without_gauge(model, columns, fields)
 
 
 def _settle(data, factor, sums, found, offer, rounds=_ROBUST_ROUNDS):
@@ -410,19 +412,25 @@ def _keep_scale(model, columns, points):
     )
 
 
-def _without_gauge(model, columns):
-    """Take motions of the base out of the covariance that predictions are judged by.
-
-    A single-point test does not show where the base stands: along the six columns that move it the
-    posterior is the prior, and other columns imitate a motion at the positions of the test. With M
-    the mean columns over the positions and B the six of them, ``G = lstsq(B, M)`` is the motion in
-    every column, and ``A - A[:, base] @ G`` are the columns without it (inner constraints).
-    """
+def _base_motions(model):
+    """Coefficients of the six motions of the base, (n_columns, 6)."""
     names, _ = term_names(model.arm, model.terms)
     n_waves = 2 * len(model.terms.harmonics)
-    base = [n_waves + names.index(name) for name in BASE_MOTIONS]
+    base = [n_waves + names.index(name) for name in BASE_MOTIONS if name in names]
+    return np.eye(len(model.coef))[:, base]
+
+
+def _without_gauge(model, columns, fields):
+    """Take fields that the positions do not show out of the covariance of predictions.
+
+    A single-point test does not show what is the same at all poses that reach a point: along such
+    fields, motions of the base for one, the posterior is the prior, and other columns imitate them
+    at the positions of the test. With M the mean columns over the positions and F = M W those of
+    the fields W, ``G = lstsq(F, M)`` is the field in every column, and ``A - A W G`` are the
+    columns without it (inner constraints).
+    """
+    if not fields.shape[1]:
+        return model
     flat = columns.reshape(-1, columns.shape[2])
-    motion = np.linalg.lstsq(flat[:, base], flat, rcond=1e-9)[0]
-    half = model.half.copy()
-    half[base] -= motion @ model.half
-    return replace(model, gauge_free_half=half)
+    imitated = np.linalg.lstsq(flat @ fields, flat @ model.half, rcond=1e-9)[0]
+    return replace(model, gauge_free_half=model.half - fields @ imitated)

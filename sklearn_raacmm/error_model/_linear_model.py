@@ -77,9 +77,11 @@ class LinearModel:
         By how much each harmonic of `terms` raises the log evidence, beside all others.
 
     gauge_free_half : ndarray of shape (n_columns, r)
-        As `half`, for the part of the correction that a single-point test can show: a motion of the
-        base, and what imitates one at the positions of the test, is projected out. Equal to `half`
-        where positions have no offsets. Standard deviations of predictions are made of it.
+        As `half`, for the part of the correction that a single-point test can show. What is the
+        same at all poses that reach a point (a motion of the base, a common scale, a base that
+        bends under the load), and what imitates it at the positions of the test, is projected out.
+        Equal to `half` where positions have no offsets. Standard deviations of predictions are made
+        of it; those of lengths are made of `half`.
 
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
@@ -249,7 +251,7 @@ class LinearModel:
         for rows in chunks(len(first), _CHUNK):
             difference = self.columns(second[rows]) - self.columns(first[rows])
             along = np.einsum("nc,ncp->np", line[rows], difference)
-            out[rows] = np.linalg.norm(along @ self.gauge_free_half, axis=1)
+            out[rows] = np.linalg.norm(along @ self.half, axis=1)
         return out
 
     def harmonic_table(self):

@@ -23,6 +23,10 @@ from sklearn_raacmm.network._nested_fits import (
 )
 from sklearn_raacmm.utils import check_shapes, chunks
 
+# Degrees of freedom at the least by which the sum of squares is divided. With 1 instead 85 % of new
+# observations, not 91 %, were inside the 95 % intervals of 10 rows of 20 features (the worst of
+# seven simulated functions).
+_FEWEST_DEGREES = 0.5
 # Kernel values held at a time while predicting: they stay in a core's cache.
 _CHUNK = 2**18
 
@@ -344,7 +348,7 @@ def fit_path(problem, order, alpha, functions):
     return nested_least_squares(R, p, root, alpha, problem.within, problem.tail_dof)
 
 
-def posterior_of(problem, path, centers, alpha, functions):
+def posterior_of(problem, path, centers, alpha, functions, n_found=0.0):
     """The network of the first centres of a path.
 
     Parameters
@@ -356,6 +360,8 @@ def posterior_of(problem, path, centers, alpha, functions):
     alpha : ndarray of shape (q,)
         Ridge of every output, in units of an observation.
     functions : RadialFunctions
+    n_found : float, default=0.0
+        Parameters of each output that the data have decided on beside the variances.
 
     Returns
     -------
@@ -368,7 +374,9 @@ def posterior_of(problem, path, centers, alpha, functions):
     plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
     # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
     free = problem.n_total - p + len(problem.tail_rows)
-    noise = np.where(ridged, path.objective[k] / max(free, 1), plain)
+    # What was found fits these rows better than others: the mean of an inverse gamma variable.
+    degrees = max(free - n_found - 2, _FEWEST_DEGREES) if n_found else max(free, 1)
+    noise = np.where(ridged, path.objective[k] / degrees, plain)
     known = free > 0  # one observation says nothing of its error
     noise = noise if known else np.full(len(noise), np.inf)
     signal = noise / np.where(ridged, alpha, 1.0)

@@ -164,7 +164,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
         Of the Gaussian process whose posterior the network approximates, in squared units of y;
         the noise is that of an observation of mean weight, and infinite where the polynomial has as
-        many parameters as there are observations.
+        many parameters as there are observations. Where widths or ridge were found, the mean of
+        the posterior: with few rows it is larger than the most probable value.
 
     relevance_ : ndarray of shape (n_features,)
         How steep the modelled function is along each feature, per standard deviation of the
@@ -382,7 +383,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         alpha = check_alpha(self.alpha, len(problem.spread))
         isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
         last = last_network(self, problem) if self.warm_start else None
-        functions, alpha, log_likelihood = tune(
+        functions, alpha, log_likelihood, n_found = tune(
             problem, self.kernel, width, alpha, isotropic, rng, last
         )
         if log_likelihood is not None:
@@ -391,7 +392,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
         path = fit_path(problem, order, alpha, functions)
         k, scores, reached = choose_size(problem, alpha, path, settings)
-        self.posterior_ = posterior_of(problem, path, order[:k], alpha, functions)
+        self.posterior_ = posterior_of(problem, path, order[:k], alpha, functions, n_found)
         self.criterion_path_, self.n_iter_ = scores, len(order)
         self.stop_reason_ = "criterion" if reached else stop_reason
         self.center_indices_ = problem.first[order[:k]]

@@ -16,6 +16,7 @@ class Tuned(NamedTuple):
     functions: RadialFunctions
     alpha: np.ndarray  # (q,) ridge of every output, in units of an observation
     log_likelihood: float | None = None  # of the rows on which kernels were compared
+    n_found: float = 0.0  # parameters of each output that the data have decided on
 
 
 def last_network(estimator, problem):
@@ -69,7 +70,7 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
         width = last.length_scale if length_scale is None else length_scale
         ridge = last.alpha if alpha is None else alphas
         alike = not isotropic or np.ptp(width / sample.X.std(axis=0)) == 0
-        right, value, n_observations = still_right(
+        right, value, n_observations, n_found = still_right(
             data,
             last.kernel,
             width,
@@ -79,7 +80,7 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
         )
         if right and alike:
             functions = RadialFunctions(last.kernel, shift, width)
-            return Tuned(functions, ridge, float(value - n_observations * units))
+            return Tuned(functions, ridge, float(value - n_observations * units), n_found)
     found = search(
         data,
         kernels,
@@ -96,4 +97,5 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
         unit[unit == 0] = 1.0
         length_scale = unit * leading_bits(found.length_scale / unit)
     functions = RadialFunctions(found.kernel, shift, length_scale)
-    return Tuned(functions, alphas, float(found.log_likelihood - found.n_observations * units))
+    value = float(found.log_likelihood - found.n_observations * units)
+    return Tuned(functions, alphas, value, found.n_found)

@@ -175,3 +175,25 @@ def test_the_limit_is_judged_with_its_doubt(result, shift):
     assert f"{count} of 12 positions are above it" in above[1]
     with pytest.raises(ValueError, match="positive number"):
         judge_limit(result.scores, 0.0)
+
+
+def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
+    from matplotlib.figure import Figure
+
+    from sklearn_raacmm.app._figures import _intervals, _positions
+
+    figure = Figure()
+    _positions(figure, result.scores, None)
+    (ax,) = figure.axes
+    shown = [int(label.get_text()) for label in ax.get_xticklabels()]
+    assert shown == sorted(shown)
+    assert len(shown) == 12  # two ends of six gauges: a sort as text has 10 before 2
+    table = result.scores.table
+    after = dict(zip(map(int, table["position"]), table["after"], strict=True))
+    lines = ax.collections[0].get_segments()
+    assert len(lines) == len(shown)
+    for name, side in (("before", "left_before"), ("after", "left_after")):
+        low, high = _intervals(result.scores, getattr(result.scores, side)).T
+        assert np.mean((low < table[name]) & (table[name] < high)) > 0.9
+    bars = [bar.get_height() for bar in ax.patches[len(shown) :]]
+    np.testing.assert_allclose(bars, [1000 * after[label] for label in shown])

@@ -9,7 +9,6 @@ from sklearn_raacmm import Arm, JointHarmonicRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import (
     LinearOptions,
-    _harmonic_selection,
     _order_scan,
     fit_linear_model,
 )
@@ -243,29 +242,6 @@ def test_evidence_is_that_of_the_normal_distribution():
         prior = -1.5 * np.log(noise) - 0.5 * 0.03 * np.mean(y**2) / noise
         values.append(one.log_evidence - prior - log_evidence(A, H, y, one.pairs, v, noise))
     assert values[0] == pytest.approx(values[1], abs=1e-6)
-
-
-def test_candidates_that_are_put_aside_change_no_choice(monkeypatch):
-    rng = np.random.default_rng(8)
-    A, H = rng.normal(size=(300, 4)), rng.normal(size=(300, 160))
-    y = A @ rng.normal(size=4) + H[:, ::5] @ rng.normal(scale=0.3, size=32)
-    y += rng.normal(scale=0.5, size=300)
-    chosen, sizes = [], []
-    keep = _harmonic_selection.Leftover.keep
-    monkeypatch.setattr(
-        _harmonic_selection.Leftover,
-        "keep",
-        lambda self, which: (sizes.append(which.mean()), keep(self, which))[1],
-    )
-    for many in (4, 1000):
-        monkeypatch.setattr(_harmonic_selection, "_MANY", many)
-        rest = np.ones(4, int), 0, np.full(3, np.nan), lambda chosen: np.full(80, 9.0)
-        found = select_harmonics(sums_of(A, H, y), *rest)
-        chosen.append(found.pairs.tolist())
-    assert sizes  # some were put aside, in the first of the two
-    assert min(sizes) < 0.5
-    assert chosen[0] == chosen[1]
-    assert len(chosen[0]) > 8
 
 
 def test_variances_are_a_maximum_of_the_evidence():

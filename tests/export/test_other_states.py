@@ -1,5 +1,6 @@
 """Models that were updated, registered or take degrees: every way out of Python."""
 
+import pickle
 import shutil
 import subprocess
 from dataclasses import replace
@@ -12,6 +13,8 @@ from sklearn_raacmm import (
     ArmResidualRegressor,
     JointHarmonicRegressor,
     RBFNetRegressor,
+    calibrate,
+    transfer_correction,
     update_correction,
 )
 from sklearn_raacmm.error_model import Terms, term_columns
@@ -172,6 +175,69 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
     command = [compiler, "-std=c99", *STRICT, "-o", "t", "arm_test.c", "arm.c", "-lm"]
     assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
     assert subprocess.run(["./t"], cwd=tmp_path, check=False).returncode == 0
+
+
+def test_extra_columns_updated(with_extra, tmp_path):
+    X, y = with_extra
+    model = harmonics(extra=EXTRA).fit(X[:150], y[:150])
+    updated = update_correction(model, X[150:], 1.3 * y[150:], date="2026-01-02")
+    assert np.abs(updated.predict(X) - model.predict(X)).max() > 0.01
+    agree(updated, X[:40], tmp_path)
+    assert_same_files(updated, X[:40])
+    (entry,) = describe(updated, X, y)["updates"]
+    assert entry["n_poses"] == 50
+
+
+def test_orientations_updated(data, new, tmp_path):
+    rng = np.random.default_rng(5)
+    turns = [rng.normal(0, 1e-4, (len(part[0]), 3)) for part in (data, new)]
+    model = harmonics().fit(*data, orientation_residuals=turns[0])
+    updated = update_correction(model, *new, orientation_residuals=turns[1], date="2026-01-02")
+    agree(updated, new[0], tmp_path)
+    assert_same_files(updated, new[0])
+    loaded = from_json(to_json(updated))
+    expected = updated.predict_orientation(new[0])
+    assert np.ptp(expected) > 1e-5
+    np.testing.assert_allclose(loaded.predict_orientation(new[0]), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_started_from_earlier_arms(data, new, tmp_path, measured):
+    """Without poses of its own, with some, and updated afterwards."""
+    earlier = [harmonics().fit(data[0], size * data[1]) for size in (1.0, 1.2)]
+    arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]))
+    model = transfer_correction(earlier, arm, *(new if measured else ()), date="2026-01-02")
+    agree(model, new[0], tmp_path)
+    assert_same_files(model, new[0])
+    updated = update_correction(model, *new, date="2026-02-03")
+    agree(updated, new[0], tmp_path)
+    history = describe(updated, *new)["updates"]
+    assert [entry["date"] for entry in history] == ["2026-01-02", "2026-02-03"][-1 - measured :]
+    if measured:
+        assert history[0]["n_arms"] == 2
+        assert np.isfinite(history[0]["gain_nats"])
+
+
+def assert_same_files(model, X):
+    """Pickle and JSON give back the same numbers and the same history."""
+    for again in (pickle.loads(pickle.dumps(model)), from_json(to_json(model))):
+        np.testing.assert_allclose(again.predict(X), model.predict(X), rtol=0, atol=1e-14)
+        std = model.predict(X, return_std=True)[1]
+        np.testing.assert_allclose(again.predict(X, return_std=True)[1], std, rtol=1e-12)
+        assert getattr(again, "updates_", ()) == getattr(model, "updates_", ())
+
+
+def test_registered_through_the_model(data, new, tmp_path):
+    """The way of the page: calibrate(correction=), residuals, update, and every file."""
+    model = both().fit(*data)
+    rng = np.random.default_rng(7)
+    X = new[0]
+    points = ARM.replace(probe=(1.0, 2.0, 90.0)).forward(X) - residuals(X, 40)
+    points += np.array([1000.0, 0.0, 0.0]) + rng.normal(scale=0.01, size=points.shape)
+    found = calibrate(ARM, X, points=points, correction=model, free=["probe"])
+    updated = update_correction(model, X, found.residuals(X, points), date="2026-01-02")
+    agree(updated, X, tmp_path)
+    assert_same_files(updated, X)
 
 
 def test_a_registered_arm(data, tmp_path):
