@@ -357,7 +357,7 @@ def extend(problem, pairs, variance, noise, prices, known=None):
         left = Leftover(problem, *known, variance, noise)
     except LinAlgError:  # so little noise that only rounding is left of the others
         return pairs
-    if not len(left.pairs):  # no orders are offered
+    if not left.n_pairs:  # no orders are offered
         return pairs
     chosen = pairs.tolist()
     alive = np.ones(left.n_pairs, dtype=bool)
