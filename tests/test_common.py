@@ -235,7 +235,7 @@ def may_settle_elsewhere(estimator):
     """Whether weights may differ from repeated rows where nothing is known but noise.
 
     The check fits 15 rows of noise with more columns than rows, to 1e-7. Robust weights are found
-    by turns, and rounding may decide there after how many: in 7 of 60 combinations.
+    by turns, and rounding may decide there after how many: in some of 60 combinations.
     """
     return isinstance(estimator, OF_VECTORS) and getattr(estimator, "loss", "tukey") == "tukey"
 
@@ -250,7 +250,7 @@ def may_settle_elsewhere(estimator):
     ids=lambda e: type(e).__name__,
 )
 def test_sklearn_checks_of_many_combinations_of_parameters(base):
-    """Half of them with metadata routing. Ten minutes: run by ``pytest --exhaustive``."""
+    """Half of them with metadata routing. A quarter of an hour: ``pytest --exhaustive``."""
     failures, found = [], combinations(base)
     assert len(found) == 60 or isinstance(base, PoseFeatures)
     for i, estimator in enumerate(found):

@@ -8,9 +8,10 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network._candidates import _projected_triangle
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem
-from sklearn_raacmm.network._training_data import TAIL_RIDGES, linear_ridge
+from sklearn_raacmm.network._training_data import TAIL_RIDGES, linear_ridge, merge, prepare, view_of
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -116,3 +117,27 @@ def test_a_given_ridge_leaves_the_linear_part_free():
     np.testing.assert_allclose(model.predict(X), LinearRegression().fit(X, Y).predict(X), rtol=1e-7)
     found = RBFNetRegressor(degree=1).fit(X, np.full(60, 2.0))
     np.testing.assert_allclose(found.predict(X), np.full(60, 2.0), rtol=1e-14)
+
+
+def test_features_beside_a_tail_with_a_ridge():
+    """The small triangle holds what a dense projection of all rows and the ridge's leaves."""
+    X, Y = linear(60, 4, 2.0, q=2)
+    problem = prepare(merge(X, Y, np.ones(60)), 1, True)
+    assert len(problem.basis_rows) == 4
+    view, raw = view_of(problem), view_of(problem, centred=False)
+
+    def features(block):
+        return np.sin(block.X[:, :3])
+
+    blocks = []
+    problem.reduce(
+        lambda b: blocks.append((view.of(b)[0], raw.of(b)[1], features(b))), lambda *_: None, 8
+    )
+    Q, y, F = (np.vstack(parts) for parts in zip(*blocks, strict=True))
+    Q = np.vstack([Q, problem.basis_rows])
+    np.testing.assert_allclose(Q.T @ Q, np.eye(5), atol=1e-10)
+    y, F = (np.vstack([a, np.zeros((4, a.shape[1]))]) for a in (y / view.scale, F))
+    left = F - Q @ (Q.T @ F)
+    R, rotated = _projected_triangle(problem, features, view, 3)
+    np.testing.assert_allclose(R.T @ R, left.T @ left, rtol=1e-9)
+    np.testing.assert_allclose(R.T @ rotated, left.T @ y, rtol=1e-9, atol=1e-9)
