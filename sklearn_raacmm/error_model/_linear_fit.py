@@ -349,10 +349,11 @@ def _pose_weights(data, model, factor):
     used = data.weights > 0
     median = np.quantile(distance[used], 0.5, weights=data.weights[used], method="inverted_cdf")
     scale = float(median) / _MEDIAN_OF_CHI[left.shape[1]]
-    share = np.square(distance / max(_OUTLIER * scale, 1e-300))
-    far = np.any((share >= 1) & used)
-    if not scale > 0 or (np.all(factor == 1) and not far):
+    limit = _OUTLIER * scale
+    far = np.any((distance >= limit) & used)
+    if not limit > 0 or (np.all(factor == 1) and not far):
         return factor
+    share = np.square(np.minimum(distance, limit) / limit)  # of next to nothing, no overflow
     return np.square(np.maximum(1 - share, 0.0))
 
 

@@ -117,3 +117,14 @@ def test_a_residual_of_ten_reaches_is_in_another_unit():
     y[2, 1] = 10.1 * reach_mm(ARM)
     with pytest.raises(ValueError, match=r"y holds a residual of .* mm, but the arm reaches"):
         _check_vectors(y, ARM)
+
+
+def test_residuals_of_which_most_are_zero_do_not_overflow():
+    """Their median distance is 0, so that no scale tells who is far off: all rows count."""
+    y = np.zeros((40, 3))
+    y[:10] = 0.1
+    angles = ANGLES[:40].copy()
+    angles[10:] = 0.0
+    fitted = JointHarmonicRegressor(ARM, max_order=3, kinematics=False).fit(angles, y)
+    assert np.isfinite(fitted.predict(ANGLES)).all()
+    np.testing.assert_array_equal(fitted.pose_weight_ <= 1, True)
