@@ -39,9 +39,11 @@ _MEMORY, _FREE = 1.25, 5000
 _FEW_DIGITS = 1e-7
 # Rows of the Gram matrix that are updated together.
 _ROWS = 512
-# Leading coordinates in a sketch, for each of the directions it is to see, and at the least. With
-# 2, runs of 64 guesses are right on smooth functions (3000 and 10 000 rows); with 1, runs of 5.
-_PER_DIRECTION, _LEAST_WIDTH = 2, 128
+# Leading coordinates in a sketch for each of the directions it is to see: at first, and after a
+# wrong guess; and at the least. With 2, runs of 64 guesses are right where functions are smooth
+# (10 000 rows, rank 892); where they are rougher (5000 rows, rank 1142) a third of the guesses is
+# wrong, and with 3 a tenth, as with all coordinates.
+_PER_DIRECTION, _LEAST_WIDTH = (2, 3), 128
 # Coordinates of all candidates from which a sketch pays: fewer stay in the cache.
 _LARGE = 1_000_000
 
@@ -118,7 +120,7 @@ class Pool:
         self.pending = [[] for _ in passes]  # products not yet projected out of it
         large = passes[0].whitened and n * rank >= _LARGE
         self.sketch = Sketch(passes, score) if large else None
-        self.length, self.taken, self.rounds, self.n_read = FEWEST, 0, 0, 0
+        self.length, self.guessed, self.taken, self.rounds, self.n_read = FEWEST, 0, 0, 0, 0
 
     def guess(self, j, scores, room):
         """Candidate j, which scores highest, and those that are likely to be chosen after it."""
@@ -133,6 +135,7 @@ class Pool:
             if self.size < FEWEST or min(self.n_read + step, room * step) < price:
                 picks = [j] if self.sketch is None else self.sketch.walk(j, length)
                 self.n_read += step * len(picks)
+                self.guessed = len(picks)
                 return picks
             self.rounds, self.taken = 0, 0
         if not self.grams or j not in self.members:
@@ -147,6 +150,8 @@ class Pool:
 
     def count(self, taken):
         """Note how many choices of the last guess were right."""
+        if self.sketch is not None and taken < self.guessed:
+            self.sketch.per_direction = _PER_DIRECTION[1]
         if self.grams or self.sketch is not None:
             self.rounds, self.taken = self.rounds + 1, self.taken + taken
             self.length = min(max(FEWEST, 2 * taken + 2), MOST)
@@ -237,7 +242,7 @@ class Sketch:
     """
 
     def __init__(self, passes, score):
-        self.passes, self.score = passes, score
+        self.passes, self.score, self.per_direction = passes, score, _PER_DIRECTION[0]
         self.leading = [np.empty((len(passes[0].norms), 0), dtype=np.float32)] * len(passes)
 
     @property
@@ -275,7 +280,7 @@ class Sketch:
     def _widen(self, n_directions):
         """Hold enough coordinates for so many directions; by doubling, to copy little in all."""
         rank, width = self.passes[0].candidates.rank, self.leading[0].shape[1]
-        need = max(_LEAST_WIDTH, _PER_DIRECTION * n_directions)
+        need = max(_LEAST_WIDTH, self.per_direction * n_directions)
         if width < min(need, rank):
             width = min(rank, max(need, 2 * width))
             wide = [one.candidates.coordinates[:, :width] for one in self.passes]

@@ -96,7 +96,7 @@ def sketched(monkeypatch, rounds):
 @pytest.mark.parametrize("per_direction", [1, 2])
 @pytest.mark.parametrize("score", [None, squared_ratio_score(np.array([1.0, 2.0, 0.5]))])
 def test_a_sketch_makes_the_same_choices(monkeypatch, sketched, score, per_direction):
-    monkeypatch.setattr(_lookahead, "_PER_DIRECTION", per_direction)
+    monkeypatch.setattr(_lookahead, "_PER_DIRECTION", (per_direction, per_direction))
     groups = views(length_scale=0.5)
     options = {} if score is None else {"score": score}
     expected = one_by_one(monkeypatch, groups, 60, **options)
