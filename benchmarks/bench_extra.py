@@ -8,8 +8,8 @@ the same kind that has nothing to do with its errors.
     python benchmarks/bench_extra.py --seeds 8
 
 ``--real`` asks the UR10 of `fetch_ur10_tracker` instead: what the directions from which its joints
-came are worth, and orientations in the fit. A fifth of its goals is left out; calibration and
-models learn from poses of the others.
+came are worth at three draws of a fifth of its goals, and orientations in the fit at the first.
+Calibration and models learn from poses of the other goals.
 
     python benchmarks/bench_extra.py --real --rows 1500
 """
@@ -30,6 +30,7 @@ CASES = {
     "payload": ({"payload_n": 20.0}, ["payload"]),
     "tool": ({}, ["tool"]),
 }
+N_SPLITS = 3  # of the UR10's goals
 TOOL_MM = 0.05  # how far the second probe is from where the first one is
 
 
@@ -96,20 +97,25 @@ def mean_length(left):
     return np.linalg.norm(left, axis=1).mean()
 
 
-def real_directions(data, train, test):
+def real_directions(data, splits):
     """What directions of joints are worth on the UR10, at goals left out."""
-    result = calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
-    y = result.residuals(data.data, data.tracker_points)
     print("| extra columns | lags found, arc seconds | mean deviation, mm |\n|---|---|---|")
+    calibrated = [
+        calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
+        for train, _ in splits
+    ]
     for title, n in (("none", 0), ("direction of joints 1 to 3", 3), ("of all six joints", 6)):
         names = [f"direction {joint}" for joint in range(1, n + 1)]
         X = np.hstack([data.data, data.directions[:, :n]])
-        model = JointHarmonicRegressor(result.arm, extra=names)
-        model.fit(X[train], y[train], groups=data.groups[train])
-        terms = model.terms_[model.terms_["family"] == "direction"]
-        lags = ", ".join(f"{t['value']:.1f} ± {t['sd']:.1f}" for t in terms)
-        left = mean_length(y[test] - model.predict(X[test]))
-        print(f"| {title} | {lags} | {left:.4f} |", flush=True)
+        left, lags = [], []
+        for result, (train, test) in zip(calibrated, splits, strict=True):
+            y = result.residuals(data.data, data.tracker_points)
+            model = JointHarmonicRegressor(result.arm, extra=names)
+            model.fit(X[train], y[train], groups=data.groups[train])
+            terms = model.terms_[model.terms_["family"] == "direction"]
+            lags.append(" ".join(f"{value:.1f}" for value in terms["value"]))
+            left.append(f"{mean_length(y[test] - model.predict(X[test])):.4f}")
+        print(f"| {title} | {'; '.join(lags) if n else ''} | {', '.join(left)} |", flush=True)
 
 
 def real_orientations(data, train, test):
@@ -134,13 +140,18 @@ def real_orientations(data, train, test):
         show(title, model.predict_orientation(angles[test]), model.predict(angles[test]))
 
 
+def split(data, n_rows, seed):
+    """Training rows, and rows of a fifth of the goals, which are left out."""
+    rng, n_goals = np.random.default_rng(seed), data.groups.max() + 1
+    out = np.isin(data.groups, rng.permutation(n_goals)[: n_goals // 5])
+    return np.sort(rng.permutation(np.flatnonzero(~out))[:n_rows]), out
+
+
 def print_real(n_rows):
-    data, rng = fetch_ur10_tracker(), np.random.default_rng(0)
-    out = np.isin(data.groups, rng.permutation(data.groups.max() + 1)[: data.groups.max() // 5])
-    train = np.sort(rng.permutation(np.flatnonzero(~out))[:n_rows])
-    print(f"{len(train)} training poses, {out.sum()} of other goals\n")
-    real_directions(data, train, out)
-    real_orientations(data, train, out)
+    data = fetch_ur10_tracker()
+    splits = [split(data, n_rows, seed) for seed in range(N_SPLITS)]
+    real_directions(data, splits)
+    real_orientations(data, *splits[0])
 
 
 def main():

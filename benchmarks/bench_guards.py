@@ -8,9 +8,9 @@ from the truth, or from the position's mean.
 
     python benchmarks/bench_guards.py
 
-``--intervals`` asks something else, of four arms of each of four kinds: which share of the true
+``--intervals`` asks something else, of eight arms of each of four kinds: which share of the true
 errors of the correction at positions left out of a single-point test lies within 1.96 of its
-standard deviations (median and lowest of the four), with 12 and with 20 positions learnt. What such
+standard deviations (median and lowest of eight), with 12 and with 20 positions learnt. What such
 a test cannot show (ten fields of place: motions, a scale and bends of the whole volume) is fitted
 to the true errors at the training positions and taken off.
 
@@ -27,7 +27,7 @@ from sklearn_raacmm import ArmResidualRegressor, JointHarmonicRegressor, positio
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 FIRST_SEED, N_ARMS, N_CORNERS = 5000, 50, 8
-N_INTERVALS = 4  # arms of each kind
+N_INTERVALS = 8  # arms of each kind
 # The last two have causes that the model has no column for.
 MACHINES = {
     "typical": ArmErrors(),
