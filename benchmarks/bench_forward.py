@@ -7,13 +7,18 @@ Prints the time of `Arm.forward` and the ratio to it of
 - one call of `Arm.forward` for each pose (timed on fewer rows);
 - a loop over pybotics, if it is installed (timed on fewer rows);
 
-and the memory each takes beyond the angles, the result included. Run it with
-``OPENBLAS_NUM_THREADS=1 python benchmarks/bench_forward.py [n_rows]``.
+and the memory each takes beyond the angles, the result included. Then one pose a call, in medians
+of CPU time, `Arm.forward` and Pinocchio by turns, if it is installed (``pip install pin``; its
+positions have to be ours): with ``--one-row`` this alone. Run it with
+``python benchmarks/bench_forward.py [--rows 300000] [--one-row]``; it takes one thread.
 """
 
-import sys
+import argparse
+import os
 import time
 import tracemalloc
+
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 import numpy as np
 
@@ -75,8 +80,65 @@ def measure(function, arm, angles, repeats=3):
     return min(times) / len(angles), peak, result
 
 
-def main(n_rows=1_000_000):
+def pinocchio_forward(arm):
+    """Return a function from the angles of one pose to Pinocchio's place of the probe."""
+    import pinocchio as pin
+
+    model, parent = pin.Model(), 0
+    for i in range(arm.n_joints):
+        # Modified convention: x before the joint, z after it.
+        c, s = np.cos(arm.alpha[i]), np.sin(arm.alpha[i])
+        rotation = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+        place = pin.SE3(rotation, np.array([arm.a[i], -s * arm.d[i], c * arm.d[i]]))
+        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"joint{i}")
+    probe = pin.Frame("probe", parent, pin.SE3(np.eye(3), arm.probe), pin.FrameType.OP_FRAME)
+    frame, data, offset = model.addFrame(probe), model.createData(), arm.theta_offset
+
+    def forward(q):
+        pin.forwardKinematics(model, data, q + offset)
+        return pin.updateFramePlacement(model, data, frame).translation
+
+    return forward
+
+
+def one_row(arm, rounds=60, calls=50):
+    """Time calls with one pose, by turns."""
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (1, arm.n_joints))
+    functions = {"Arm.forward": lambda: arm.forward(q)}
+    try:
+        peer = pinocchio_forward(arm)
+        assert np.allclose(peer(q[0]), arm.forward(q)[0], atol=1e-9)
+        functions["Pinocchio"] = lambda: peer(q[0])
+    except ImportError:
+        print("pinocchio is not installed: left out")
+    functions["one NumPy sine of 7 angles"] = lambda: np.sin(q)
+    times = {name: [] for name in functions}
+    for _ in range(rounds):
+        for name, function in functions.items():
+            start = time.process_time()
+            for _ in range(calls):
+                function()
+            times[name].append((time.process_time() - start) / calls)
+    print("one pose a call")
+    ours = np.array(times["Arm.forward"])
+    for name, taken in times.items():
+        ratio = np.median(ours / taken)
+        print(f"{name:<28}{1e6 * np.median(taken):>8.1f} us, Arm.forward over it {ratio:.1f}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rows", type=int, default=1_000_000)
+    parser.add_argument("--one-row", action="store_true", help="one pose a call only")
+    args = parser.parse_args()
     arm = Arm.from_name("panda", probe=(0, 0, 138))
+    if not args.one_row:
+        many_rows(arm, args.rows)
+    one_row(arm)
+
+
+def many_rows(arm, n_rows):
+    """Time calls with many poses."""
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (n_rows, arm.n_joints))
     few = angles[:2000]
     runs = [
@@ -107,4 +169,4 @@ def main(n_rows=1_000_000):
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main()

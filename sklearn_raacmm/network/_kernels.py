@@ -203,9 +203,8 @@ def pivoted_cholesky(
         new = blas.dtrsm(1.0, root, new, side=1, lower=1, trans_a=1, overwrite_b=True).T
         need = rank + len(top)
         if need > len(factor):
-            grown = np.empty((min(max_rank, max(need, len(factor) * 5 // 4)), n))
-            grown[:rank] = factor[:rank]
-            factor = grown
+            # In place where the system can move pages: no copy, and not two factors at once.
+            factor.resize((min(max_rank, max(need, len(factor) * 5 // 4)), n), refcheck=False)
         factor[rank:need] = new
         pivots[rank:need] = top
         diagonal -= np.einsum("ij,ij->j", new, new)

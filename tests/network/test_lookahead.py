@@ -84,6 +84,55 @@ def test_a_pool_of_some_candidates_chooses_alike(monkeypatch, rounds, few):
     np.testing.assert_array_equal(forward_selection(groups, 60).indices, expected.indices)
 
 
+@pytest.fixture
+def sketched(monkeypatch, rounds):
+    """Guess from a sketch from the first step on, and never from a Gram matrix."""
+    monkeypatch.setattr(_lookahead, "_ENTRIES_PER_READ", 1e-9)
+    monkeypatch.setattr(_lookahead, "_LARGE", 0)
+    monkeypatch.setattr(_lookahead, "_LEAST_WIDTH", 1)
+    return rounds
+
+
+@pytest.mark.parametrize("per_direction", [1, 2])
+@pytest.mark.parametrize("score", [None, squared_ratio_score(np.array([1.0, 2.0, 0.5]))])
+def test_a_sketch_makes_the_same_choices(monkeypatch, sketched, score, per_direction):
+    monkeypatch.setattr(_lookahead, "_PER_DIRECTION", (per_direction, per_direction))
+    groups = views(length_scale=0.5)
+    options = {} if score is None else {"score": score}
+    expected = one_by_one(monkeypatch, groups, 60, **options)
+    found = forward_selection(groups, 60, **options)
+    np.testing.assert_array_equal(found.indices, expected.indices)
+    scale = expected.reduction.max()
+    np.testing.assert_allclose(found.reduction, expected.reduction, atol=1e-10 * scale)
+    # With as many coordinates as directions guesses are often wrong, and choices are not.
+    assert len(sketched) < (15 if per_direction == 2 else 60)
+
+
+def test_a_sketch_ends_where_all_that_is_left_depends(monkeypatch, sketched):
+    D = np.random.default_rng(0).standard_normal((40, 7)) @ np.diag(0.5 ** np.arange(7))
+    D[20:] = D[:20] + D[1]  # 40 candidates in 7 dimensions
+    groups = [WhitenedCandidates(D, np.ones((7, 1)))]
+    expected = one_by_one(monkeypatch, groups, 20)
+    found = forward_selection(groups, 20)
+    np.testing.assert_array_equal(found.indices, expected.indices)
+    assert len(found.indices) == 7
+    assert found.stop == "dependent"
+
+
+def test_a_sketch_is_left_where_its_guesses_are_wrong(monkeypatch):
+    monkeypatch.setattr(_lookahead, "_LARGE", 0)
+    monkeypatch.setattr(_lookahead, "_ENTRIES_PER_READ", 1e-9)
+    walks = []
+
+    def nothing_new(self, j, length):
+        walks.append(j)
+        return [j]
+
+    monkeypatch.setattr(_lookahead.Sketch, "walk", nothing_new)
+    forward_selection(views(), 40)
+    assert len(walks) == _lookahead._TRIALS
+
+
 def test_wrong_guesses_cost_time_only(monkeypatch, rounds):
     rng = np.random.default_rng(0)
 

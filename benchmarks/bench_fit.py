@@ -1,0 +1,211 @@
+"""Time of a default fit beside a peer, and beside what its arithmetic alone would take.
+
+    python benchmarks/bench_fit.py --problem fourier3 --rows 300
+    python benchmarks/bench_fit.py --problem robot_arm8 --rows 1000
+    python benchmarks/bench_fit.py --problem waves --rows 3000 --no-peer
+    python benchmarks/bench_fit.py --problem arm
+
+For a network the peer is an exact Gaussian process written by hand as well as one can with SciPy:
+Gaussian kernel, a width for each feature, analytic gradient, one Cholesky factor an evaluation, and
+L-BFGS. It has one kernel and one start, where the network compares kernels and starts. "waves" are
+random waves in 6 features, whose network has centres by the hundred. On an "arm", 300 poses of a
+single-point test, `ArmResidualRegressor` is compared with `JointHarmonicRegressor`.
+
+Both are fitted in one process with one BLAS and OpenMP thread, by turns. Printed are medians of the
+CPU time, of its ratio in the same round, the stages of the network's fit, and for waves what the
+matrix products of the selection take alone at the rate of a product, measured in the same process.
+"""
+
+import argparse
+import logging
+import os
+import statistics
+import time
+
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+import numpy as np
+from _problems import GENERATED, Problem, generated
+from bench_selection import data as selection_data
+from scipy.linalg import lapack
+from scipy.optimize import minimize
+
+from sklearn_raacmm import ArmResidualRegressor, JointHarmonicRegressor, RBFNetRegressor
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.network import _center_choice
+
+N_TEST = 1000
+
+
+class ExactProcess:
+    """A Gaussian process by maximum likelihood; the signal's variance is at its optimum."""
+
+    def fit(self, X, y):
+        """Maximise the likelihood from one start."""
+        self.mean, self.shift, self.spread = y.mean(), X.mean(axis=0), X.std(axis=0)
+        self.Z, self.y, self.n_evaluations = (X - self.shift) / self.spread, y - y.mean(), 0
+        d = X.shape[1]
+        start = np.append(np.full(d, 0.5 * np.log(d)), np.log(0.1))
+        bounds = [(-4, 7)] * d + [(np.log(1e-8), np.log(1e3))]
+        found = minimize(self.loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
+        self.loss(found.x)
+        return self
+
+    def loss(self, z):
+        """Negative log likelihood, up to a constant, and its gradient."""
+        n, self.n_evaluations = len(self.y), self.n_evaluations + 1
+        self.scale, alpha = np.exp(-z[:-1]), np.exp(z[-1])
+        S = self.Z * self.scale
+        squares = np.einsum("ij,ij->i", S, S)
+        K = S @ S.T
+        K -= 0.5 * squares
+        K -= 0.5 * squares[:, None]
+        np.exp(K, out=K)
+        C = K.copy(order="F")
+        C[np.diag_indices(n)] += alpha
+        factor = lapack.dpotrf(C, lower=1, overwrite_a=1)[0]
+        log_det = 2 * np.log(factor.diagonal()).sum()
+        self.solved = lapack.dpotrs(factor, self.y, lower=1)[0]
+        signal = self.y @ self.solved / n
+        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        trace = np.trace(inverse)
+        # The lower triangle is enough: all is symmetric, and the diagonal has no distance.
+        G = np.tril(inverse, -1)
+        G -= np.outer(self.solved, self.solved / signal)
+        G *= K
+        G = np.tril(G, -1)
+        # Squared differences of one feature, summed with weights G.
+        both = G.sum(axis=0) + G.sum(axis=1)
+        d_width = both @ S**2 - 2 * np.einsum("ij,ij->j", S, G @ S)
+        d_alpha = 0.5 * alpha * (trace - self.solved @ self.solved / signal)
+        return 0.5 * (log_det + n * np.log(signal)), np.append(d_width, d_alpha)
+
+    def predict(self, X):
+        """Return the posterior mean."""
+        S, T = self.Z * self.scale, (X - self.shift) / self.spread * self.scale
+        s = np.square(T).sum(1)[:, None] + np.square(S).sum(1) - 2 * T @ S.T
+        return self.mean + np.exp(-0.5 * s) @ self.solved
+
+
+class Stages(logging.Handler):
+    """CPU time at the end of each stage that a fit logs, and the rank of the candidates."""
+
+    def __init__(self):
+        super().__init__()
+        self.ends, self.rank, self.groups = {}, 0, _center_choice.candidate_groups
+        logger = logging.getLogger("sklearn_raacmm")
+        logger.setLevel(logging.INFO)
+        logger.propagate = False
+        logger.addHandler(self)
+        _center_choice.candidate_groups = self.note_rank
+
+    def emit(self, record):
+        """Note when a stage has ended."""
+        self.ends[record.args[0]] = time.process_time()
+
+    def note_rank(self, *args, **kwargs):
+        """Call the function that is watched, and note the rank."""
+        found = self.groups(*args, **kwargs)
+        self.rank = found.groups[0].rank
+        return found
+
+
+def problem_of(name, n):
+    if name != "waves":
+        return generated(name, n)
+    X, y = selection_data(n + N_TEST, 6, problem="waves")
+    return Problem(X[:n], y[:n], X[n:], y[n:], y[n:])
+
+
+def products_per_second(size=1500):
+    A = np.random.default_rng(0).standard_normal((size, size))
+    B = A.copy()
+    times = []
+    for _ in range(5):
+        start = time.process_time()
+        A @ B
+        times.append(time.process_time() - start)
+    return 2 * size**3 / min(times)
+
+
+def print_arithmetic(n, k, rank):
+    """What the steps of the selection take if each is a product at full speed."""
+    rate = products_per_second()
+    parts = {
+        "factor": n * rank**2,
+        "whitening": 2 * n * rank**2,
+        "Gram matrix": n**2 * rank,
+        "steps": 2 * n * k**2,
+        "last fit": 2 * n * k**2,
+    }
+    text = ", ".join(f"{name} {count / rate:.2f}" for name, count in parts.items())
+    print(f"arithmetic of the centres at {rate / 1e9:.0f}e9 operations a second, n = {n}, ")
+    print(f"k = {k}, rank = {rank}: {text}; together {sum(parts.values()) / rate:.2f} s")
+
+
+def network(args):
+    problem, stages = problem_of(args.problem, args.rows), Stages()
+    ours, peers, split = [], [], []
+    warm = generated("damped1", 30)
+    RBFNetRegressor().fit(warm.X, warm.y)  # imports and thread pools
+    ExactProcess().fit(warm.X, warm.y)
+    for _ in range(args.repeats):
+        start = time.process_time()
+        model = RBFNetRegressor(random_state=0).fit(problem.X, problem.y)
+        end = time.process_time()
+        ours.append(end - start)
+        between = stages.ends["widths of the network"], stages.ends["centres of the network"]
+        split.append(np.diff([start, *between, end]))
+        if args.peer:
+            start = time.process_time()
+            process = ExactProcess().fit(problem.X, problem.y)
+            peers.append(time.process_time() - start)
+    spread = np.std(problem.truth)
+    widths, centres, rest = np.median(split, axis=0)
+    print(f"{args.problem}, {args.rows} rows, {problem.X.shape[1]} features, 1 thread")
+    error = np.sqrt(np.mean((model.predict(problem.X_test) - problem.truth) ** 2)) / spread
+    print(
+        f"RBFNetRegressor {statistics.median(ours):.3f} s (widths {widths:.3f}, centres "
+        f"{centres:.3f}, rest {rest:.3f}), {len(model.centers_)} centres, error {error:.4f}"
+    )
+    if args.peer:
+        error = np.sqrt(np.mean((process.predict(problem.X_test) - problem.truth) ** 2)) / spread
+        ratio = statistics.median(a / b for a, b in zip(ours, peers, strict=True))
+        print(
+            f"exact process   {statistics.median(peers):.3f} s, {process.n_evaluations} "
+            f"evaluations, error {error:.4f}; ours over it {ratio:.2f}"
+        )
+    if args.problem == "waves":
+        print_arithmetic(args.rows, len(model.centers_), stages.rank)
+
+
+def arm(args):
+    data = make_single_point(n_positions=args.rows // 30, n_poses=30, random_state=0)
+    X, y, groups = data.data, data.target, data.groups
+    models = [JointHarmonicRegressor(data.arm), ArmResidualRegressor(data.arm)]
+    times = [[], []]
+    for model in models:
+        model.fit(X, y, groups=groups)
+    for _ in range(args.repeats):
+        for model, taken in zip(models, times, strict=True):
+            start = time.process_time()
+            model.fit(X, y, groups=groups)
+            taken.append(time.process_time() - start)
+    linear, whole = map(statistics.median, times)
+    ratio = statistics.median(b / a for a, b in zip(*times, strict=True))
+    print(f"{len(X)} poses at {args.rows // 30} positions, 1 thread")
+    print(f"JointHarmonicRegressor {linear:.2f} s, ArmResidualRegressor {whole:.2f} s: {ratio:.2f}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--problem", default="fourier3", choices=["arm", "waves", *GENERATED])
+    parser.add_argument("--rows", type=int, default=300)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--no-peer", dest="peer", action="store_false")
+    args = parser.parse_args()
+    (arm if args.problem == "arm" else network)(args)
+
+
+if __name__ == "__main__":
+    main()
