@@ -14,14 +14,16 @@ are some of
 - octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
 
 The real data are looked for in ``../shared/data`` beside the project, or in the folder that
-SKLEARN_RAACMM_DATA names. `--inputs` compares what the network is given instead; `--defaults` runs
-`JointHarmonicRegressor` and `ArmResidualRegressor` alone.
+SKLEARN_RAACMM_DATA names. `--defaults` runs `JointHarmonicRegressor` and `ArmResidualRegressor`
+alone, without the table of ideas; `--inputs` compares what a network alone is given instead.
 
 Every real fold calibrates the arm on its own training rows. The settings of every method are its
-defaults, or found inside the training rows. Entries are in mm: mean deviation over test poses with
-the half width of a 95 % interval of its paired difference to no correction, by resampling positions
-(seed 0); maximum; mean over positions of 2S about zero (tracker) or about the position's mean; mean
-absolute error of 500 mm gauges.
+defaults, or found inside the training rows. The tables are printed as the documentation has them,
+in mm: mean deviation over test poses / maximum; +- is half the width of a 95 % interval of the
+mean's paired difference to no correction, by resampling positions (seed 0); 2S is a mean over
+positions, about zero (tracker) or about the position's mean; 500 mm the mean absolute error of
+gauges. Inside is the share of the components of measured residuals that lie within 1.96 standard
+deviations, noise included.
 """
 
 import argparse
@@ -78,36 +80,32 @@ def _without_first(X):
     return X[:, 2:]
 
 
-def methods(arm):
-    """Name, estimator, and whether it takes groups."""
+NONE, LINEAR, CHAIN = "no correction", "`JointHarmonicRegressor`", "`ArmResidualRegressor`"
+
+
+def ideas(arm, tracked, real):
+    """Name, estimator, and whether it takes groups, of what the linear model is made of."""
     bare = {"gravity": False, "kinematics": False, "wobble": False}
-    squared = JointHarmonicRegressor(arm, loss="squared")
-    free = {"use": "harmonics+network", "fade": 0, "cap": None}
-    yield "network, 3 pose inputs (the paper's)", network(arm), False
-    yield "network, all joints", network(arm, joints="all", encoding="periodic"), False
     yield "harmonics alone", JointHarmonicRegressor(arm, **bare), True
-    yield "+ gravity", JointHarmonicRegressor(arm, **{**bare, "gravity": True}), True
-    yield "+ kinematics", JointHarmonicRegressor(arm, wobble=False), True
-    yield "+ wobble: JointHarmonicRegressor", JointHarmonicRegressor(arm), True
-    yield "same, no offsets", JointHarmonicRegressor(arm, offsets=False), True
-    yield "same, least squares", squared, True
-    yield "same, and a network, no guards", ArmResidualRegressor(arm, **free), True
-    yield "ArmResidualRegressor", ArmResidualRegressor(arm), True
+    yield "and gravity", JointHarmonicRegressor(arm, **{**bare, "gravity": True}), True
+    yield "and kinematics", JointHarmonicRegressor(arm, wobble=False), True
+    if not tracked:
+        yield "the default, but no offsets", JointHarmonicRegressor(arm, offsets=False), True
+    if real:
+        yield "the default, but least squares", JointHarmonicRegressor(arm, loss="squared"), True
 
 
-def defaults(arm):
-    """The two estimators as they come."""
-    yield "JointHarmonicRegressor", JointHarmonicRegressor(arm), True
-    yield "ArmResidualRegressor", ArmResidualRegressor(arm), True
-
-
-def methods_of_inputs(arm):
+def inputs(arm, tracked, real):
     """The same network with other inputs."""
-    for joints in ("pose", "all"):
-        for encoding in ("angle", "periodic"):
-            name = f"joints={joints!r}, encoding={encoding!r}"
-            yield name, network(arm, joints=joints, encoding=encoding), False
-    yield "all but joint 1, encoding='periodic'", all_but_the_first(arm), False
+    words = {"angle": "angles", "periodic": "cosines and sines"}
+    for joints, name in (("pose", "pose"), ("all", "all joints")):
+        for encoding, what in words.items():
+            yield f"{name}, {what}", network(arm, joints=joints, encoding=encoding), False
+    yield "all but the first, cosines and sines", all_but_the_first(arm), False
+
+
+def no_others(arm, tracked, real):
+    return ()
 
 
 def readers():
@@ -181,8 +179,8 @@ def simulated_folds(mix):
         yield cone.arm, cone.data, cone.target, cone.groups, mask
 
 
-def gauge_errors(mix, chosen):
-    """Mean absolute error of 500 mm gauges by each model of all positions."""
+def gauge_errors(mix):
+    """Mean absolute error of 500 mm gauges: no correction, a model, one that knows 300 mm."""
     cone = make_single_point(10, 40, machine=mix, random_state=0)
     gauge = make_gauge(machine=mix, random_state=0)
     long = gauge.lengths == 500
@@ -191,50 +189,94 @@ def gauge_errors(mix, chosen):
         lengths = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs)
         return np.abs(lengths - gauge.lengths)[long].mean()
 
-    found = {"no correction": error(0.0)}
-    for title, model, takes_groups in chosen(cone.arm):
-        extra = {"groups": cone.groups} if takes_groups else {}
-        found[title] = error(model.fit(cone.data, cone.target, **extra).predict(gauge.data))
+    model = JointHarmonicRegressor(cone.arm).fit(cone.data, cone.target, groups=cone.groups)
+    found = [error(0.0), error(model.predict(gauge.data))]
     short = np.isin(gauge.groups, gauge.pairs[~long])
     theta = np.vstack([cone.data, gauge.data[short]])
     y = np.vstack([cone.target, gauge.target[short]])
     groups = np.r_[cone.groups, 100 + gauge.groups[short]]
     known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[~long]]
     model = JointHarmonicRegressor(cone.arm).fit(theta, y, groups=groups, lengths=known)
-    found["JointHarmonicRegressor, 300 mm known"] = error(model.predict(gauge.data))
-    return found
+    return [*found, error(model.predict(gauge.data))]
 
 
-def run(name, n_rows, chosen):
-    tracked = name.startswith("ur10")
+def folds_of(name, n_rows):
     if name == "ur10b-space":
-        folds = ur10b_folds()
-    elif tracked:
-        folds = ur10_folds(name.split("-")[1], n_rows)
-    else:
-        folds = simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
-    lefts, labels = {}, []
-    for arm, theta, y, groups, train in folds:
+        return ur10b_folds()
+    if name.startswith("ur10"):
+        return ur10_folds(name.split("-")[1], n_rows)
+    return simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
+
+
+def by_default(arm, theta, y, groups, train):
+    """Predictions of the two estimators, and z: residuals in standard deviations."""
+    of_train = {"groups": groups[train]}
+    chain = ArmResidualRegressor(arm).fit(theta[train], y[train], **of_train)
+    mean, std = chain.predict(theta[~train], return_std=True, with_noise=True)
+    first = mean
+    if chain.use_ != "harmonics":  # otherwise the chain is its first stage
+        linear = JointHarmonicRegressor(arm).fit(theta[train], y[train], **of_train)
+        first = linear.predict(theta[~train])
+    return first, mean, std
+
+
+def run(name, n_rows, others, with_defaults):
+    """What is left by each method in all folds, their groups, and shares inside 1.96 deviations."""
+    tracked, real = name.startswith("ur10"), not name.startswith("sim")
+    lefts, labels, inside = {}, [], []
+    for arm, theta, y, groups, train in folds_of(name, n_rows):
         labels.append(groups[~train])
-        lefts.setdefault("no correction", []).append(y[~train])
-        for title, model, takes_groups in chosen(arm):
+
+        def left_by(prediction, y=y, train=train, groups=groups):
+            left = y[~train] - prediction
+            return left if tracked else position_residuals(left, groups[~train])
+
+        found = {NONE: y[~train] if tracked else left_by(0.0)}
+        for title, model, takes_groups in others(arm, tracked, real):
             extra = {"groups": groups[train]} if takes_groups else {}
-            left = y[~train] - model.fit(theta[train], y[train], **extra).predict(theta[~train])
-            if not tracked:
-                left = position_residuals(left, groups[~train])
+            model.fit(theta[train], y[train], **extra)
+            found[title] = left_by(model.predict(theta[~train]))
+        if with_defaults:
+            first, mean, std = by_default(arm, theta, y, groups, train)
+            found[LINEAR], found[CHAIN] = left_by(first), left_by(mean)
+            inside.append(np.abs(found[CHAIN]) < 1.96 * std)
+        for title, left in found.items():
             lefts.setdefault(title, []).append(left)
         print(f"  {name}: fold done", file=sys.stderr, flush=True)
-    groups = np.concatenate(labels)
-    reference = np.linalg.norm(np.concatenate(lefts["no correction"]), axis=1)
-    gauges = gauge_errors(name[4:], chosen) if name.startswith("sim") else {}
-    print(f"\n{name}: {len(groups)} poses, {len(np.unique(groups))} positions")
-    print(f"{'':<40}{'mean':>8}{'+-':>8}{'max':>8}{'2S':>8}" + f"{'500 mm':>8}" * bool(gauges))
-    for title, parts in lefts.items():
-        mean, half, largest, two_s = statistics(np.concatenate(parts), groups, reference)
-        text = f"{title:<40}{mean:8.4f}{half:8.4f}{largest:8.3f}{two_s:8.4f}"
-        print(text + (f"{gauges.pop(title):8.4f}" if gauges else ""))
-    for title, error in gauges.items():
-        print(f"{title:<72}{error:8.4f}")
+    lefts = {title: np.concatenate(parts) for title, parts in lefts.items()}
+    return lefts, np.concatenate(labels), 100 * np.mean(np.concatenate(inside)) if inside else None
+
+
+def rows_of(name, lefts, groups, inside):
+    """Rows of the two tables, as dictionaries of their cells by column."""
+    reference = np.linalg.norm(lefts[NONE], axis=1)
+    found = {title: statistics(left, groups, reference) for title, left in lefts.items()}
+    ideas = {title: f"{found[title][0]:.4f} / {found[title][2]:.3f}" for title in found}
+    if LINEAR not in found:
+        return ideas, {}
+    defaults = {NONE: ideas[NONE]}
+    for title in (LINEAR, CHAIN):
+        mean, half, largest, _ = found[title]
+        defaults[title] = f"{mean:.4f} ± {half:.4f} / {largest:.3f}"
+    if np.array_equal(lefts[CHAIN], lefts[LINEAR]):
+        defaults[CHAIN] = "same"
+    defaults["2S: none, model"] = f"{found[NONE][3]:.4f}, {found[LINEAR][3]:.4f}"
+    defaults["inside"] = f"{inside:.1f} %"
+    if name.startswith("sim"):
+        gauges = ", ".join(f"{error:.4f}" for error in gauge_errors(name[4:]))
+        defaults["500 mm: none, model, 300 mm known"] = gauges
+    del ideas[CHAIN]
+    return ideas, defaults
+
+
+def print_table(rows):
+    """A table of Markdown; `rows` has a dictionary of cells for each data set."""
+    heads = list(dict.fromkeys(head for cells in rows.values() for head in cells))
+    # The default stands behind the ideas that it is made of, before its variants.
+    heads.sort(key=lambda head: head.startswith("the default"))
+    print("\n| | " + " | ".join(heads) + " |\n|" + "---|" * (len(heads) + 1))
+    for name, cells in rows.items():
+        print(f"| {name} | " + " | ".join(cells.get(head, "") for head in heads) + " |")
     sys.stdout.flush()
 
 
@@ -377,12 +419,19 @@ def main():
         parser.error(f"no such set: {', '.join(sorted(wrong))}; there are {', '.join(sets)}.")
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
     warnings.filterwarnings("ignore", message="With kinematics=False")
-    chosen = methods_of_inputs if args.inputs else defaults if args.defaults else methods
+    compared = inputs if args.inputs else no_others if args.defaults else ideas
+    tables = {}, {}
     for name in args.sets:
         if name in others:
             others[name]()
-        else:
-            run(name, args.rows, chosen)
+            continue
+        found = run(name, args.rows, compared, not args.inputs)
+        for table, cells in zip(tables, rows_of(name, *found), strict=True):
+            table[name] = cells
+    if tables[0] and not args.defaults:
+        print_table(tables[0])
+    if tables[1] and not args.inputs:
+        print_table(tables[1])
 
 
 if __name__ == "__main__":

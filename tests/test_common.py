@@ -235,7 +235,7 @@ def may_settle_elsewhere(estimator):
     """Whether weights may differ from repeated rows where nothing is known but noise.
 
     The check fits 15 rows of noise with more columns than rows, to 1e-7. Robust weights are found
-    by turns, and rounding may decide there after how many: in some of 60 combinations.
+    by turns, and rounding grows there from turn to turn: to 2e-7 in one of 40 combinations.
     """
     return isinstance(estimator, OF_VECTORS) and getattr(estimator, "loss", "tukey") == "tukey"
 

@@ -354,7 +354,8 @@ def _pose_weights(data, model, factor):
     if not limit > 0 or (np.all(factor == 1) and not far):
         return factor
     share = np.square(np.minimum(distance, limit) / limit)  # of next to nothing, no overflow
-    return np.square(np.maximum(1 - share, 0.0))
+    # Rows without weight keep theirs: they must not decide when the others have settled.
+    return np.where(used, np.square(np.maximum(1 - share, 0.0)), factor)
 
 
 def _expected(model, X):

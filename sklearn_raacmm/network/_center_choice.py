@@ -29,6 +29,8 @@ _UNSEEN = 0.01
 # Of a warm start: candidates beside the last centres, as a share of these and at the least. With
 # 1 % more rows a twentieth would do; the rest is for rows from where there were none.
 _NEW, _FEWEST_NEW = 0.3, 50
+# Frames from a warning here to the line on which a user has called `fit`, whose decorators count.
+_CALLER = 9
 # Ratio of ridges up to which outputs see the candidates alike.
 _ALIKE = 4.0
 
@@ -186,7 +188,7 @@ def _most_steps(settings, criterion, n_candidates):
         warnings.warn(
             f"n_centers={settings.n_centers}, but there are only {n_candidates} distinct "
             "candidate rows: all of them are taken.",
-            stacklevel=5,
+            stacklevel=_CALLER,
         )
     return min(settings.n_centers, n_candidates)
 
@@ -220,7 +222,7 @@ def _warn_of_limits(found, candidates, settings, goal):
                 f"{100 * share:.2g} % of what the criterion asks for is not reached. Give a larger "
                 "max_centers, or set it to this number if the network is good enough.",
                 ConvergenceWarning,
-                stacklevel=5,
+                stacklevel=_CALLER,
             )
     if candidates.unseen > _UNSEEN:
         warnings.warn(
@@ -229,7 +231,7 @@ def _warn_of_limits(found, candidates, settings, goal):
             "from which centres are chosen. A larger max_centers raises their number, to "
             f"{_RANK_PER_CENTER:g} times as many.",
             ConvergenceWarning,
-            stacklevel=5,
+            stacklevel=_CALLER,
         )
 
 

@@ -418,6 +418,22 @@ def test_offsets_auto(eccentric):
         assert not model.fit(theta, centred, groups=groups).offsets_
 
 
+def test_rows_without_weight_do_not_decide_when_the_others_have_settled():
+    """Fifteen rows of noise, some without weight, whose robust weights take several turns."""
+    rng = np.random.RandomState(42)
+    X = np.resize(rng.rand(15, 30).T, (6, 15)).T
+    y = np.tile(rng.randint(0, 3, 15)[:, None], 3).astype(float)
+    weights = rng.randint(0, 5, 15)
+    model = JointHarmonicRegressor(
+        Arm.from_name("aacmm6"), gravity=False, kinematics=False, max_order=3
+    )
+    used = weights > 0
+    assert 8 < used.sum() < 15
+    expected = clone(model).fit(X[used], y[used], sample_weight=weights[used]).predict(X)
+    model.fit(X, y, sample_weight=weights)
+    np.testing.assert_allclose(model.predict(X), expected, rtol=0, atol=1e-9)
+
+
 def test_weights_are_repeats(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 12

@@ -423,8 +423,11 @@ def test_replicates_that_differ_show_the_noise():
 
 def test_more_centres_than_candidates_takes_all_and_says_so():
     X, y, _ = smooth(30)
-    with pytest.warns(UserWarning, match="n_centers=31, but there are only 30 distinct candidate"):
+    with pytest.warns(
+        UserWarning, match="n_centers=31, but there are only 30 distinct candidate"
+    ) as caught:
         model = RBFNetRegressor(31, length_scale=0.5, alpha=0.1).fit(X, y)
+    assert caught[0].filename == __file__  # the line of the call
     every = RBFNetRegressor(30, length_scale=0.5, alpha=0.1).fit(X, y)
     np.testing.assert_array_equal(model.predict(X), every.predict(X))
 

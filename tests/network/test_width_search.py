@@ -161,8 +161,11 @@ def test_a_width_at_its_bound_is_said(monkeypatch):
     monkeypatch.setattr("sklearn_raacmm.network._width_objective.WIDTH_BOUNDS", (0.8, 1e3))
     monkeypatch.setattr(_width_search, "WIDTH_BOUNDS", (0.8, 1e3))
     X = np.sort(np.random.default_rng(0).uniform(-1, 1, (200, 1)), axis=0)
-    with pytest.warns(ConvergenceWarning, match="width of feature 0 ended at its lower bound"):
+    with pytest.warns(
+        ConvergenceWarning, match="width of feature 0 ended at its lower bound"
+    ) as said:
         RBFNetRegressor(random_state=0).fit(X, np.sin(8 * X[:, 0]))
+    assert said[0].filename == __file__  # the line of the call
 
 
 def test_units_of_steps_save_evaluations(monkeypatch):
