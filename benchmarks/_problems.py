@@ -145,7 +145,7 @@ def panda_folds(joints="pose"):
         for rows in (train, ~train):
             points = result.arm.forward(data.angles[rows])
             residuals[rows] = position_residuals(points, data.groups[rows])
-        learn = np.delete(np.flatnonzero(train), result.outliers)
+        learn = np.flatnonzero(train)[result.sample_weight > 0]
         yield _problem(result.arm, data.angles, residuals, learn, ~train, joints)
 
 

@@ -44,7 +44,7 @@ def without(data, placement, keep_outliers=False):
     learn = np.flatnonzero(train)
     if not keep_outliers:
         # Calibration weighs outliers down by itself; least squares of the residuals would not.
-        learn = np.delete(learn, result.outliers)
+        learn = learn[result.sample_weight > 0]
     return SimpleNamespace(
         arm=result.arm,
         learn=learn,

@@ -60,7 +60,7 @@ for name in names:
     train, test = data.placements != name, data.placements == name
     known = [length for length in data.lengths if not length[0].startswith(f"{name}/")]
     result = calibrate(data.nominal_arm, data.data[train], data.groups[train], lengths=known)
-    arm, learn = result.arm, np.delete(np.flatnonzero(train), result.outliers)
+    arm, learn = result.arm, np.flatnonzero(train)[result.sample_weight > 0]
     points = arm.forward(data.data)
     residuals = position_residuals(points[learn], data.groups[learn])
     corrected.setdefault("calibrated, uncorrected", np.empty_like(points))[test] = points[test]

@@ -22,7 +22,7 @@ from sklearn_raacmm.calibration._checks import (
     warn_of_what_no_arm_is,
     warn_of_wrong_lengths,
 )
-from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, outlier_limit
+from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._problem import pack
@@ -271,7 +271,7 @@ def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
     all_names, x_names = _all_names(fit, names, station_labels)
     found = _identified(fit, mask, x_names)
     sd = found["standard_deviations"][: len(all_names)]
-    far, limit, rows = _outliers(fit)
+    rows, limit, weight = _outliers(fit)
     values = fit.x[: len(all_names)].copy()
     for s in range(problem.n_stations):
         values[fit.base_columns(s)[:3]] = turn_vectors(fit.rotations[s])
@@ -296,7 +296,7 @@ def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
         sigma_rad=None if problem.turns is None else float(fit.sigma_turn),
         outliers=rows,
         outlier_limit_mm=limit,
-        sample_weight=np.where(far, 0.0, 1.0),
+        sample_weight=weight,
         groups=None if groups is None else np.asarray(groups),
         arms=_by_label(tool_labels, map(fit.arm, range(problem.n_tools))),
         bases=_by_label(station_labels, stations),
@@ -343,13 +343,15 @@ def _identified(fit, mask, x_names):
 
 
 def _outliers(fit):
-    """Whether each row is an outlier, from which distance on, and those rows, farthest first."""
+    """Outliers, the farthest first, from which distance on, and the weight of each row."""
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.robust_distances()
-    limit = outlier_limit(robust[fit.problem.informative], fit.sigma)
-    far = robust > limit
+    informative = robust[fit.problem.informative]
+    limit = outlier_limit(informative, fit.sigma)
     farthest = np.argsort(-robust, kind="stable")
-    return far, float(limit), tuple(int(i) for i in farthest if far[i])
+    rows = tuple(int(i) for i in farthest if robust[i] > limit)
+    weight = np.where(robust > min(limit, doubt_limit(informative, fit.sigma)), 0.0, 1.0)
+    return rows, float(limit), weight
 
 
 def _by_label(labels, values):

@@ -78,7 +78,8 @@ class CalibrationResult:
         Distance that at most one set in twenty without outliers exceeds, from the number of rows,
         how long the tail of the distances is, and how well so many rows show that.
     sample_weight : ndarray of shape (n_samples,)
-        0 for outliers, 1 for all others: for the fit of a correction to the same rows.
+        For the fit of a correction to the same rows: 0 for outliers and for rows that may be some,
+        1 for all others. Three in ten of small sets without outliers lose a row by it.
     groups : ndarray of shape (n_samples,) or None
         The labels, as given.
     arms : dict

@@ -103,7 +103,7 @@ class Data:
 
         Calibration alone names too many: poses in which the arm bends most are not slipped probes.
         """
-        far = np.sort(np.asarray(calibration.outliers, dtype=int))
+        far = np.flatnonzero(calibration.sample_weight == 0)
         if not len(far):
             return far
         every = np.arange(len(self.angles))
