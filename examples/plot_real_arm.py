@@ -68,8 +68,10 @@ for name in names:
         model = clone(model)
         if isinstance(model, JointHarmonicRegressor):
             model.fit(data.data[learn], residuals, groups=data.groups[learn])
-        else:
+        elif "three" in model_name:
             model.fit(data.data[learn], residuals, rbfnetregressor__groups=data.groups[learn])
+        else:
+            model.fit(data.data[learn], residuals)
         left = points[test] - model.predict(data.data[test])
         corrected.setdefault(model_name, np.empty_like(points))[test] = left
 

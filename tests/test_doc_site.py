@@ -107,8 +107,8 @@ def test_what_the_pages_say_of_the_results_is_true(results):
         others = [name for name in models if name not in (results.LINEAR, results.GUARDED)]
         best = min(models[name]["mean_mm"] for name in others)
         assert models[results.LINEAR]["mean_mm"] < best
-        # "All joints were better on every arm that we have tried."
-        assert models[results.ALL]["mean_mm"] < models[results.THREE]["mean_mm"]
+        # "All joints were better or within 1 % on every arm that we have tried."
+        assert models[results.ALL]["mean_mm"] < 1.01 * models[results.THREE]["mean_mm"]
     # "The paper's 15 % lies in this range."
     low, high = map(int, results.substitutions()["span_three_typical"].split(" to "))
     assert low <= 15 <= high

@@ -327,6 +327,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             Label of each row's group, for targets known up to one constant a group, such as
             residuals from the mean point of a position. Where the groups' mean targets are zero,
             only differences within a group teach the network; elsewhere labels change nothing.
+            It helps where the features do not tell the group, such as the three pose angles, and
+            may do harm where they do.
 
         Returns
         -------
