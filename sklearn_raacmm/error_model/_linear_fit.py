@@ -23,6 +23,7 @@ from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmoni
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import (
     candidate_sums,
+    sums_of_both,
     sums_of_pairs,
     sums_with_other_weights,
 )
@@ -49,7 +50,8 @@ _ROBUST_ROUNDS = 4
 # those chosen while outliers counted fully are a worse beginning than none.
 _MAX_CHOICES = 3
 _SETTLED_WEIGHT = 0.05
-# Where less than this share of the poses is concerned, two sums over them cost less than a new one.
+# Where less than this share of the poses is concerned, sums over them cost less than new ones: of
+# candidates that are asked for later both are needed.
 _FEW_POSES = 0.4
 # Points and turns are weighed anew by what the model leaves of them, at most so often, and until
 # the ratio of their noises changes by less than this share.
@@ -230,6 +232,10 @@ class FitData(NamedTuple):
         empty = any(not np.any(self.weights * factor * touched) for factor in (old, new))
         if self.lengths or empty or touched.mean() > _FEW_POSES:
             return self.sums(new, terms)
+        if self.codes is None:  # sums are in proportion to the weights
+            poses = self.X[touched], self.y[touched], (self.weights * (new - old))[touched]
+            change = candidate_sums(self.arm, *poses, None, terms.harmonics, terms, self.turn_mm)
+            return sums_of_both(sums[0], change), None
         less, more = (self.sums(factor * touched, terms)[0] for factor in (old, new))
         return sums_with_other_weights(sums[0], less, more), None
 

@@ -17,6 +17,7 @@ from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmoni
 from sklearn_raacmm.error_model._order_scan import (
     CandidateSums,
     candidate_sums,
+    sums_of_both,
     sums_of_pairs,
     sums_of_the_others,
     sums_with_other_weights,
@@ -24,6 +25,7 @@ from sklearn_raacmm.error_model._order_scan import (
 from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import Lengths
 from sklearn_raacmm.error_model._smooth_functions import add_smooth
+from sklearn_raacmm.error_model._wave_sums import waves
 
 ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
 ALONE = {"gravity": False, "kinematics": False, "wobble": False}
@@ -132,7 +134,15 @@ def test_sums_follow_weights_that_change(with_offsets):
 
     every = np.ones(80, dtype=bool)
     found = sums_with_other_weights(sums(old, every), sums(old, touched), sums(new, touched))
-    expected, pairs = sums(new, every), np.array([2, 50, 51])
+    follow_weights(found, sums(new, every))
+    if not with_offsets:  # sums are in proportion to the weights
+        poses = theta[touched], y[touched], (new - old)[touched]
+        change = candidate_sums(ARM, *poses, None, offered, terms)
+        follow_weights(sums_of_both(sums(old, every), change), sums(new, every))
+
+
+def follow_weights(found, expected):
+    pairs = np.array([2, 50, 51])
     columns = np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
     assert found.n_observations == pytest.approx(expected.n_observations)
     for name in ("gram", "moment", "square"):
@@ -489,6 +499,6 @@ def test_orders_and_ratios_are_checked(params, message):
 def test_high_orders_are_exact():
     """Waves by doubling against cosines and sines, at the highest order of all."""
     theta = draw_angles(500, width=6.0)[:, 0]
-    waves = _order_scan._waves(theta, np.arange(1, 1001))
+    found = waves(theta, np.arange(1, 1001))
     phase = np.arange(1, 1001) * theta[:, None]
-    assert np.abs(waves - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12
+    assert np.abs(found - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12
