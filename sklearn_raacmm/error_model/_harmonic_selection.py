@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dtrtri
 
 from sklearn_raacmm.error_model._order_scan import columns_of
@@ -216,7 +217,7 @@ class Problem:
         """Normal equations of some pairs; the variance of those of `smooth` is a share of its."""
         sums, columns = self.sums, columns_of(pairs)
         cross = sums.cross[:, columns]
-        rows = sums.rows(pairs)[:, columns]
+        rows = sums.rows(pairs, columns=columns)
         gram = np.block([[sums.gram, cross], [cross.T, 0.5 * (rows + rows.T)]])
         lengths = self.lengths
         if lengths is not None:
@@ -357,15 +358,13 @@ def extend(problem, pairs, variance, noise, prices, known=None):
         left = Leftover(problem, *known, variance, noise)
     except LinAlgError:  # so little noise that only rounding is left of the others
         return pairs
-    if not left.n_pairs:  # no orders are offered
-        return pairs
     chosen = pairs.tolist()
-    alive = np.ones(left.n_pairs, dtype=bool)
-    alive[known[0]] = False
+    alive = np.ones(len(left.free), dtype=bool)
     while alive.any():
         gain, sound = left.gains()
         alive &= sound
-        net = np.where(alive, gain - prices(np.array(chosen, dtype=int)), -np.inf)
+        price = prices(np.array(chosen, dtype=int))[left.free]
+        net = np.where(alive, gain - price, -np.inf)
         best = int(np.argmax(net))
         if not net[best] > 0:
             break
@@ -375,7 +374,7 @@ def extend(problem, pairs, variance, noise, prices, known=None):
             left.take(best, likely.tolist())
         except LinAlgError:
             continue
-        chosen.append(best)
+        chosen.append(int(left.free[best]))
     return np.sort(np.array(chosen, dtype=int))
 
 
@@ -404,6 +403,18 @@ def alone(pairs):
     return np.zeros(len(pairs), dtype=bool), np.ones(len(pairs))
 
 
+def _root_of_parts(S, m):
+    """Upper Cholesky factor of S, whose first m columns may hold rounding, but not the others."""
+    root = np.zeros(S.shape, order="F")
+    root[:m, :m] = first = _root(S[:m, :m]) if m else S[:m, :m]
+    beside = solve_triangular(first, S[:m, m:], trans="T", check_finite=False) if m else S[:m, m:]
+    left = S[m:, m:] - beside.T @ beside
+    root[:m, m:] = beside
+    if len(left):
+        root[m:, m:] = cholesky(0.5 * (left + left.T), check_finite=False)
+    return root
+
+
 def gains_of(found):
     """Rise of the log evidence by each pair, beside all others."""
     n_waves = len(found.coef) - found.n_always
@@ -419,69 +430,84 @@ def gains_of(found):
 
 
 class Leftover:
-    """What the chosen columns leave of the candidates, at given variances."""
+    """What the chosen columns leave of the candidates, at given variances.
+
+    Arrays over candidates hold those that are not chosen at the beginning, `free`: of others
+    nothing is left, and nothing is asked.
+    """
 
     def __init__(self, problem, pairs, smooth, share, variance, noise):
         sums, lengths = problem.sums, problem.lengths
         self.problem, self.noise = problem, noise
         self.prior = variance[problem.harmonic]
-        self.n_pairs = sums.own.shape[1]
-        S, r = sums.gram / noise, sums.moment / noise
-        cross, own = sums.cross / noise, sums.own / noise
-        self.r = sums.candidate_moment / noise
+        self.free = np.setdiff1d(np.arange(sums.own.shape[1]), pairs)
+        self.columns, chosen = columns_of(self.free), columns_of(pairs)
+        self.r = sums.candidate_moment[self.columns] / noise
+        self.own = sums.own[:, self.free] / noise + np.array([[1.0], [1.0], [0.0]]) / self.prior
         self.lengths = None
+        m = len(sums.gram)
+        self.size = m + len(chosen)
+        self.factor = np.empty((self.size + 64, len(self.columns)))
+        self.factor[:m] = sums.cross[:, self.columns]
+        self.factor[m : self.size] = sums.rows(pairs, columns=self.columns)
+        S = np.empty((self.size, self.size))
+        S[:m, :m], S[:m, m:] = sums.gram, sums.cross[:, chosen]
+        S[m:, m:] = sums.rows(pairs, columns=chosen)
+        S /= noise
+        r = np.concatenate([sums.moment, sums.candidate_moment[chosen]]) / noise
         if lengths is not None:
-            n_waves = cross.shape[1]
-            rows = lengths.rows / np.sqrt(lengths.variance + noise * lengths.share)[:, None]
-            errors = lengths.errors / np.sqrt(lengths.variance + noise * lengths.share)
-            self.lengths, always = rows[:, :n_waves], rows[:, n_waves:]
-            S, r = S + always.T @ always, r + always.T @ errors
-            cross = cross + always.T @ self.lengths
-            cos, sin = self.lengths[:, ::2], self.lengths[:, 1::2]
-            own = own + [(a * b).sum(axis=0) for a, b in ((cos, cos), (sin, sin), (cos, sin))]
-            self.r = self.r + self.lengths.T @ errors
-        self.own = own + np.array([[1.0], [1.0], [0.0]]) / self.prior
-        self.factor, self.size = np.empty((len(S) + 2 * len(pairs) + 64, cross.shape[1])), 0
-        if len(S):
-            S[np.diag_indices(len(S))] += 1 / variance[problem.family]
-            self._add(_root(S), cross, r)
-        if len(pairs):
-            prior = np.repeat(share * np.where(smooth, variance[-1], self.prior), 2)
-            block, *products = self._left_of(pairs, (), prior)
-            self._add(cholesky(block, check_finite=False), *products)
+            r += self._add_lengths(lengths, sums.cross.shape[1], chosen, S)
+        prior = share * np.where(smooth, variance[-1], self.prior)
+        S[np.diag_indices(self.size)] += 1 / np.r_[variance[problem.family], np.repeat(prior, 2)]
+        if self.size and len(self.columns):
+            root = _root_of_parts(S, m)
+            self.factor[: self.size] *= 1 / noise
+            # The transpose is in Fortran order: the factor is solved for in place.
+            rows = self.factor[: self.size].T
+            dtrsm(1.0, root, rows, side=1, overwrite_b=1)
+            self._explain(self.factor[: self.size], solve_triangular(root, r, trans="T"))
 
-    def _add(self, root, rows, r):
-        """Rows of the factor for columns, given the root of their own block, and products."""
-        new = solve_triangular(root, rows, trans="T", check_finite=False)
-        end = self.size + len(new)
-        if end > len(self.factor):
-            self.factor = np.concatenate([self.factor, np.empty_like(self.factor)])
-        self.factor[self.size : end] = new
-        self.size = end
-        self.r = self.r - new.T @ solve_triangular(root, r, trans="T", check_finite=False)
-        cos, sin = new[:, ::2], new[:, 1::2]
-        parts = (cos, cos), (sin, sin), (cos, sin)
-        self.own = self.own - [np.einsum("kc,kc->c", a, b) for a, b in parts]
+    def _add_lengths(self, lengths, n_waves, chosen, S):
+        """Add what the known lengths say of all columns; of the chosen ones, their products."""
+        scale = 1 / np.sqrt(lengths.variance + self.noise * lengths.share)
+        rows, errors = lengths.rows * scale[:, None], lengths.errors * scale
+        known = rows[:, np.r_[n_waves : rows.shape[1], chosen]]
+        self.lengths = rows[:, self.columns]
+        S += known.T @ known
+        self.factor[: self.size] += self.noise * (known.T @ self.lengths)
+        cos, sin = self.lengths[:, ::2], self.lengths[:, 1::2]
+        self.own += [(a * b).sum(axis=0) for a, b in ((cos, cos), (sin, sin), (cos, sin))]
+        self.r += self.lengths.T @ errors
+        return known.T @ errors
 
-    def take(self, pair, likely):
-        """Move a candidate to the chosen ones; LinAlgError if only rounding is left of it."""
-        block, *products = self._left_of([pair], likely, self.prior)
-        self._add(cholesky(block, check_finite=False), *products)
+    def _explain(self, rows, solved):
+        """Take off what rows of the factor explain; `solved` are their products with y."""
+        cos, sin = rows[:, ::2], rows[:, 1::2]
+        squares = np.einsum("kc,kc->c", rows, rows)
+        self.own -= [squares[::2], squares[1::2], np.einsum("kc,kc->c", cos, sin)]
+        self.r -= solved @ rows
 
-    def _left_of(self, pairs, likely, prior):
-        """Own block, rows of the penalised Gram matrix and products of some candidates."""
-        columns = columns_of(pairs)
-        rows = self.problem.sums.rows(pairs, likely) / self.noise
+    def take(self, candidate, likely):
+        """Choose a candidate; LinAlgError if only rounding is left of it."""
+        columns = columns_of([candidate])
+        pairs, others = self.free[[candidate]], self.free[np.asarray(likely, dtype=int)]
+        rows = self.problem.sums.rows(pairs, others.tolist(), columns=self.columns) / self.noise
         if self.lengths is not None:
-            rows = rows + self.lengths[:, columns].T @ self.lengths
+            rows += self.lengths[:, columns].T @ self.lengths
         known = self.factor[: self.size]
-        rows = rows - known[:, columns].T @ known
+        rows -= known[:, columns].T @ known
         block = rows[:, columns]
-        block = 0.5 * (block + block.T) + np.eye(len(columns)) / prior
-        return block, rows, self.r[columns]
+        root = cholesky(0.5 * (block + block.T) + np.eye(2) / self.prior, check_finite=False)
+        solved = solve_triangular(root, self.r[columns], trans="T", check_finite=False)
+        rows = solve_triangular(root, rows, trans="T", check_finite=False)
+        if self.size + 2 > len(self.factor):
+            self.factor = np.concatenate([self.factor, np.empty_like(self.factor)])
+        self.factor[self.size : self.size + 2] = rows
+        self.size += 2
+        self._explain(rows, solved)
 
     def gains(self):
-        """Rise of the log evidence by each candidate, and whether it can be trusted."""
+        """Rise of the log evidence by each free candidate, and whether it can be trusted."""
         (a, d, o), x, z = self.own, self.r[::2], self.r[1::2]
         determinant = a * d - o * o
         volume = determinant * self.prior**2

@@ -41,7 +41,7 @@ class CandidateSums(NamedTuple):
     candidate_moment: np.ndarray  # (2 n_pairs,) H'y
     square: float  # y'y
     n_observations: float  # coordinates, less those that offsets spent
-    rows: object  # callable: (pairs, likely) to rows of H'H, see `_GramRows`
+    rows: object  # callable: (pairs, likely, columns) to rows of H'H, see `_GramRows`
 
 
 def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
@@ -127,8 +127,8 @@ def sums_of_the_others(parts):
     found = []
     for part in parts:
 
-        def rows(pairs, likely=(), part=part):
-            return every(pairs, likely) - part.rows(pairs)
+        def rows(pairs, likely=(), columns=slice(None), part=part):
+            return every(pairs, likely, columns) - part.rows(pairs, columns=columns)
 
         found.append(CandidateSums(*(a - b for a, b in zip(whole, part[:-1], strict=True)), rows))
     return found
@@ -186,12 +186,16 @@ def sums_of_pairs(sums, pairs):
     -------
     CandidateSums
     """
-    columns = columns_of(pairs)
+    own = columns_of(pairs)
+
+    def rows(some, likely=(), columns=slice(None)):
+        return sums.rows(pairs[np.asarray(some, dtype=int)], columns=own[columns])
+
     return sums._replace(
-        cross=sums.cross[:, columns],
+        cross=sums.cross[:, own],
         own=sums.own[:, pairs],
-        candidate_moment=sums.candidate_moment[columns],
-        rows=lambda some, likely=(): sums.rows(pairs[np.asarray(some, dtype=int)])[:, columns],
+        candidate_moment=sums.candidate_moment[own],
+        rows=rows,
     )
 
 
@@ -206,26 +210,26 @@ class _GramRows:
 
     def __init__(self, sum_up, n_columns):
         self._sum_up, self._place = sum_up, {}
-        self._rows = np.empty((0, 2, n_columns))
+        self._rows = np.empty((0, n_columns))
 
-    def __call__(self, pairs, likely=()):
-        """Rows (2 b, n_columns) of `pairs`; those of `likely` are summed up on the way."""
+    def __call__(self, pairs, likely=(), columns=slice(None)):
+        """Rows (2 b, k) of `pairs`, some columns; those of `likely` are summed up on the way."""
         pairs = np.asarray(pairs, dtype=int).tolist()
         missing = [p for p in pairs if p not in self._place]
         if missing:
             missing += [p for p in likely if p not in self._place and p not in missing]
             self._keep(missing[: max(_BATCH, len(pairs))])
-        places = [self._place[p] for p in pairs]
-        return self._rows[places].reshape(2 * len(pairs), self._rows.shape[2])
+        rows = columns_of([self._place[p] for p in pairs])
+        every = isinstance(columns, slice)
+        return self._rows[rows][:, columns] if every else self._rows[np.ix_(rows, columns)]
 
     def _keep(self, pairs):
         known, needed = len(self._place), len(self._place) + len(pairs)
-        if needed > len(self._rows):  # to the double, so that each row is copied once or twice
-            larger = np.empty((max(needed, 2 * known), *self._rows.shape[1:]))
-            larger[:known] = self._rows[:known]
+        if 2 * needed > len(self._rows):  # to the double, so that each row is copied once or twice
+            larger = np.empty((2 * max(needed, 2 * known), self._rows.shape[1]))
+            larger[: 2 * known] = self._rows[: 2 * known]
             self._rows = larger
-        found = self._sum_up(np.array(pairs))
-        self._rows[known:needed] = found.reshape(len(pairs), 2, -1)
+        self._rows[2 * known : 2 * needed] = self._sum_up(np.array(pairs))
         self._place |= {pair: known + i for i, pair in enumerate(pairs)}
 
 

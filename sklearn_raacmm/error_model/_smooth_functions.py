@@ -125,10 +125,11 @@ def _promise(problem, found, shares):
         left = Leftover(problem, *known, variance, found.noise_variance)
     except LinAlgError:  # so little noise that only rounding is left
         return 1.0, -np.inf
-    free = np.setdiff1d(np.flatnonzero(shares > 0), found.pairs)
-    size = np.maximum(left.own[:2, free] - 1 / left.prior, 0.0)
-    seen = np.square(left.r.reshape(-1, 2)[free].T)
-    sizes = variance[problem.harmonic] * shares[free] * _SMOOTH_SIZES[:, None, None]
+    shares = shares[left.free]
+    some = shares > 0
+    size = np.maximum(left.own[:2, some] - 1 / left.prior, 0.0)
+    seen = np.square(left.r.reshape(-1, 2)[some].T)
+    sizes = variance[problem.harmonic] * shares[some] * _SMOOTH_SIZES[:, None, None]
     rises = seen * sizes / (1 + size * sizes) - np.log1p(size * sizes)
     rises = 0.5 * rises.sum(axis=(1, 2))
     best = int(np.argmax(rises))

@@ -191,9 +191,9 @@ def sums_of(A, H, y):
     gram = H.T @ H
     i = np.arange(H.shape[1] // 2)
 
-    def rows(pairs, likely=()):
+    def rows(pairs, likely=(), columns=slice(None)):
         pairs = np.asarray(pairs, dtype=int)
-        return gram[np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()]
+        return gram[np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()][:, columns]
 
     own = np.array([gram[2 * i, 2 * i], gram[2 * i + 1, 2 * i + 1], gram[2 * i, 2 * i + 1]])
     return CandidateSums(A.T @ A, A.T @ y, A.T @ H, own, H.T @ y, y @ y, len(y), rows)
