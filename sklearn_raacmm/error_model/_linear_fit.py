@@ -14,6 +14,7 @@ from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     HARMONIC,
     Terms,
+    factored_columns,
     scale_direction,
     term_names,
 )
@@ -35,7 +36,7 @@ from sklearn_raacmm.error_model._orders import (
 from sklearn_raacmm.error_model._place_fields import place_fields
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
 from sklearn_raacmm.error_model._smooth_functions import add_smooth, choose_beside_smooth
-from sklearn_raacmm.utils import centred, group_means, stage
+from sklearn_raacmm.utils import centred, chunks, group_means, stage
 
 # Name of the smooth function among the families: of low orders that are not taken for themselves.
 SMOOTH = "smooth"
@@ -53,6 +54,8 @@ _SETTLED_WEIGHT = 0.05
 # Where less than this share of the poses is concerned, sums over them cost less than new ones: of
 # candidates that are asked for later both are needed.
 _FEW_POSES = 0.4
+# Columns of the poses are kept between the rounds where they are at most so many numbers (80 MB).
+_KEPT_COLUMNS, _POSES = 10_000_000, 256
 # Points and turns are weighed anew by what the model leaves of them, at most so often, and until
 # the ratio of their noises changes by less than this share.
 _TURN_ROUNDS = 4
@@ -335,9 +338,9 @@ def _settle(data, factor, sums, found, offer, rounds=_ROBUST_ROUNDS):
     model = model_of(data, factor, found, terms)
     if data.options.loss == "squared":
         return model, factor, found
-    sums = sums_of_pairs(sums[0], found.pairs), None
+    sums, expected = (sums_of_pairs(sums[0], found.pairs), None), _expected_of(data, terms)
     for _ in range(rounds):
-        old, new = factor, _pose_weights(data, model, factor)
+        old, new = factor, _pose_weights(data, expected(model), factor)
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
@@ -348,9 +351,9 @@ def _settle(data, factor, sums, found, offer, rounds=_ROBUST_ROUNDS):
     return model, factor, found
 
 
-def _pose_weights(data, model, factor):
+def _pose_weights(data, expected, factor):
     """Tukey's weights of the poses; those at hand where none is far off."""
-    left = data.y - _expected(model, data.X)
+    left = data.y - expected
     distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
     used = data.weights > 0
     median = np.quantile(distance[used], 0.5, weights=data.weights[used], method="inverted_cdf")
@@ -364,12 +367,18 @@ def _pose_weights(data, model, factor):
     return np.where(used, np.square(np.maximum(1 - share, 0.0)), factor)
 
 
-def _expected(model, X):
-    """What the model expects of the residuals that it was fitted to."""
-    points = model.predict(X)[0]
-    if not model.turn_mm:
-        return points
-    return np.hstack([points, model.turn_mm * model.predict_turn(X)[0]])
+def _expected_of(data, terms):
+    """Rule by which models of these terms expect the residuals that they were fitted to."""
+    if data.turn_mm:
+        return lambda model: np.hstack(
+            [model.predict(data.X)[0], data.turn_mm * model.predict_turn(data.X)[0]]
+        )
+    n_columns = 2 * len(terms.harmonics) + 3 * len(term_names(data.arm, terms)[0])
+    if len(data.X) * n_columns > _KEPT_COLUMNS:
+        return lambda model: model.predict(data.X)[0]
+    parts = chunks(len(data.X), _POSES)
+    kept = [factored_columns(data.arm, data.X[rows], terms) for rows in parts]
+    return lambda model: np.concatenate([columns.dot(model.coef) for columns in kept])
 
 
 def model_of(data, factor, found, terms):

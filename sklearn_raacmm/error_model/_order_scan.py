@@ -21,8 +21,9 @@ from sklearn_raacmm.utils import chunk_size, chunks
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
-# Gram rows summed up together: those of the next best candidates are likely asked for next.
-_BATCH = 48
+# Gram rows summed up together: those of the next best candidates are likely asked for next. At
+# most so many at a time: 40 MB of grids for 400 orders of six joints.
+_BATCH, _LARGEST_BATCH = 48, 192
 # Divides the sums of positions without weight.
 _TINY = 1e-300
 
@@ -41,7 +42,7 @@ class CandidateSums(NamedTuple):
     candidate_moment: np.ndarray  # (2 n_pairs,) H'y
     square: float  # y'y
     n_observations: float  # coordinates, less those that offsets spent
-    rows: object  # callable: (pairs, likely, columns) to rows of H'H, see `_GramRows`
+    rows: object  # callable: (pairs, likely, beside) to rows of H'H, see `_GramRows`
 
 
 def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
@@ -121,14 +122,14 @@ def sums_of_the_others(parts):
     """
     whole = [sum(products) for products in zip(*(part[:-1] for part in parts), strict=True)]
 
-    every = _GramRows(
-        lambda pairs: sum(part.rows(pairs) for part in parts), parts[0].cross.shape[1]
-    )
+    every = _GramRows(lambda pairs: _sum_of_rows(parts, pairs), parts[0].cross.shape[1])
     found = []
     for part in parts:
 
-        def rows(pairs, likely=(), columns=slice(None), part=part):
-            return every(pairs, likely, columns) - part.rows(pairs, columns=columns)
+        def rows(pairs, likely=(), beside=None, part=part):
+            whole = every(pairs, likely, beside)
+            whole -= part.rows(pairs, beside=beside)
+            return whole
 
         found.append(CandidateSums(*(a - b for a, b in zip(whole, part[:-1], strict=True)), rows))
     return found
@@ -169,8 +170,16 @@ def sums_of_both(first, second):
     CandidateSums
     """
     parts = [a + b for a, b in zip(first[:-1], second[:-1], strict=True)]
-    rows = _GramRows(lambda pairs: first.rows(pairs) + second.rows(pairs), first.cross.shape[1])
+    rows = _GramRows(lambda pairs: _sum_of_rows((first, second), pairs), first.cross.shape[1])
     return CandidateSums(*parts, rows)
+
+
+def _sum_of_rows(parts, pairs):
+    """Rows of the Gram matrix over the poses of some sums together."""
+    out = parts[0].rows(pairs)
+    for part in parts[1:]:
+        out += part.rows(pairs)
+    return out
 
 
 def sums_of_pairs(sums, pairs):
@@ -186,15 +195,16 @@ def sums_of_pairs(sums, pairs):
     -------
     CandidateSums
     """
-    own = columns_of(pairs)
+    columns = columns_of(pairs)
 
-    def rows(some, likely=(), columns=slice(None)):
-        return sums.rows(pairs[np.asarray(some, dtype=int)], columns=own[columns])
+    def rows(some, likely=(), beside=None):
+        beside = pairs if beside is None else pairs[beside]
+        return sums.rows(pairs[np.asarray(some, dtype=int)], beside=beside)
 
     return sums._replace(
-        cross=sums.cross[:, own],
+        cross=sums.cross[:, columns],
         own=sums.own[:, pairs],
-        candidate_moment=sums.candidate_moment[own],
+        candidate_moment=sums.candidate_moment[columns],
         rows=rows,
     )
 
@@ -212,16 +222,20 @@ class _GramRows:
         self._sum_up, self._place = sum_up, {}
         self._rows = np.empty((0, n_columns))
 
-    def __call__(self, pairs, likely=(), columns=slice(None)):
-        """Rows (2 b, k) of `pairs`, some columns; those of `likely` are summed up on the way."""
+    def __call__(self, pairs, likely=(), beside=None):
+        """Products of `pairs` with those of `beside`, (2 b, 2 k); with all where it is None.
+
+        Those of `likely` are summed up on the way.
+        """
         pairs = np.asarray(pairs, dtype=int).tolist()
         missing = [p for p in pairs if p not in self._place]
         if missing:
             missing += [p for p in likely if p not in self._place and p not in missing]
             self._keep(missing[: max(_BATCH, len(pairs))])
         rows = columns_of([self._place[p] for p in pairs])
-        every = isinstance(columns, slice)
-        return self._rows[rows][:, columns] if every else self._rows[np.ix_(rows, columns)]
+        if beside is None:
+            return self._rows[rows]
+        return self._rows.view(complex)[np.ix_(rows, beside)].view(float)  # cosine and sine at once
 
     def _keep(self, pairs):
         known, needed = len(self._place), len(self._place) + len(pairs)
@@ -354,8 +368,8 @@ def _own_blocks(turns, angles, weights, starts, spans):
 
 
 def _rows_in_batches(poses, turns, spans, pairs):
-    """As `_gram_rows`; a batch of them and its grids stay in the processor's cache."""
-    parts = [pairs[some] for some in chunks(len(pairs), _BATCH)]
+    """As `_gram_rows`, for any number of pairs."""
+    parts = [pairs[some] for some in chunks(len(pairs), _LARGEST_BATCH)]
     return np.concatenate([_gram_rows(poses, turns, spans, part) for part in parts])
 
 

@@ -95,7 +95,9 @@ def waves(theta, orders):
         np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
         have += more
     if n < len(orders):
-        out[:, n:] = np.exp(1j * theta[:, None] * orders[n:])
+        phase = theta[:, None] * orders[n:]
+        np.cos(phase, out=out.real[:, n:])
+        np.sin(phase, out=out.imag[:, n:])
     return out
 
 

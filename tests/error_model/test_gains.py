@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
 from sklearn_raacmm import Arm, JointHarmonicRegressor
-from sklearn_raacmm.error_model._harmonic_selection import Leftover
+from sklearn_raacmm.error_model._leftover import Leftover
+from sklearn_raacmm.error_model._order_scan import columns_of
 
 
 def log_evidence(y, columns, variances, noise):
@@ -25,8 +26,8 @@ def dense_problem(rng, n=60, n_others=4, n_pairs=5):
     gram = waves.T @ waves
     own = [gram[::2, ::2].diagonal(), gram[1::2, 1::2].diagonal(), gram[::2, 1::2].diagonal()]
 
-    def rows(pairs, likely=(), columns=slice(None)):
-        return gram[[c for p in pairs for c in (2 * p, 2 * p + 1)]][:, columns]
+    def rows(pairs, likely=(), beside=()):
+        return gram[np.ix_(columns_of(pairs), columns_of(beside))]
 
     sums = SimpleNamespace(
         gram=others.T @ others,

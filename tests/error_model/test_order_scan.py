@@ -17,6 +17,7 @@ from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmoni
 from sklearn_raacmm.error_model._order_scan import (
     CandidateSums,
     candidate_sums,
+    columns_of,
     sums_of_both,
     sums_of_pairs,
     sums_of_the_others,
@@ -191,9 +192,9 @@ def sums_of(A, H, y):
     gram = H.T @ H
     i = np.arange(H.shape[1] // 2)
 
-    def rows(pairs, likely=(), columns=slice(None)):
-        pairs = np.asarray(pairs, dtype=int)
-        return gram[np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()][:, columns]
+    def rows(pairs, likely=(), beside=None):
+        beside = np.arange(len(i)) if beside is None else beside
+        return gram[np.ix_(columns_of(pairs), columns_of(beside))]
 
     own = np.array([gram[2 * i, 2 * i], gram[2 * i + 1, 2 * i + 1], gram[2 * i, 2 * i + 1]])
     return CandidateSums(A.T @ A, A.T @ y, A.T @ H, own, H.T @ y, y @ y, len(y), rows)
