@@ -151,6 +151,23 @@ def covariance_factor(Z, kernel, root, alpha):
     return factor
 
 
+def n_parameters(Z, kernel, root, alpha):
+    """Effective number of parameters of a process: the trace of its smoother.
+
+    Parameters
+    ----------
+    Z, kernel, root, alpha
+        As for `covariance_factor`.
+
+    Returns
+    -------
+    float
+    """
+    factor = covariance_factor(Z, kernel, root, alpha)
+    inverse = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
+    return len(Z) - alpha * np.square(inverse).sum()
+
+
 def may_take_all(problem, alpha):
     """Whether a factor of all rows can be had: by their number, and by the size of the ridge.
 
@@ -193,9 +210,7 @@ def share_of_parameters(problem, alpha, functions, enough=0.0):
     size, last = min(n, _FIRST_SAMPLE), None
     while True:
         rows = np.sort(order[:size])
-        factor = covariance_factor(Z[rows], kernel, root[rows], alpha)
-        inverse = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-        share = 1 - alpha * np.square(inverse).sum() / size
+        share = n_parameters(Z[rows], kernel, root[rows], alpha) / size
         if share <= enough or size == n:
             return share
         if size >= _LARGEST_SAMPLE:
