@@ -20,6 +20,7 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
+from sklearn_raacmm.network._training_data import with_tail
 from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
@@ -54,7 +55,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     :math:`\ell` (one a feature) and the ridge :math:`\alpha` maximise the marginal likelihood
     of a Gaussian process [2]_ less a price for every feature that is used, and centres are added
     until the network is as good as that process. Where the data are no more probable than noise
-    alone, the network is a constant.
+    alone, the network is a constant; where a linear model makes them most probable, it is that.
 
     Parameters
     ----------
@@ -81,10 +82,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Ridge, of all outputs or of each, in units of the sum of sample weights. 0 is plain least
         squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
-    degree : {-1, 0, 1}, default=0
+    degree : {-1, 0, 1} or "auto", default="auto"
         Degree of the polynomial: none, a constant, or linear in the features. The linear part has
         a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
-        none if `alpha` is given.
+        none if `alpha` is given. "auto" is a constant, unless `length_scale` and `alpha` are to be
+        found and the data are more probable with a linear model alone than with any radial
+        functions: then the network is that model. Not above 100 000 rows, nor for "newrb".
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:
@@ -149,7 +152,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Constant term.
 
     linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
-        Linear term; zero unless `degree` is 1.
+        Linear term; zero unless `degree` is 1, or "auto" has found it to be.
 
     kernel_ : str
         Name of the radial function, chosen or given.
@@ -169,8 +172,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     relevance_ : ndarray of shape (n_features,)
         How steep the modelled function is along each feature, per standard deviation of the
-        feature: the slope's prior standard deviation, as a share of the sum over features. 0 for a
-        feature that is ignored; all 0 where nothing but noise was found.
+        feature, as a share of the sum over features: prior standard deviation of the slope, and
+        slope of the linear term. 0 for a feature that is ignored; all 0 where all is noise.
 
     log_marginal_likelihood_value_ : float
         Logarithm of the marginal likelihood, summed over outputs, of the up to 1000 rows on which
@@ -261,7 +264,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             "array-like",
         ],
         "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
-        "degree": [Interval(Integral, -1, 1, closed="both")],
+        "degree": [Interval(Integral, -1, 1, closed="both"), StrOptions({"auto"})],
         "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
@@ -280,7 +283,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         kernel="auto",
         length_scale: ArrayLike | str = "auto",
         alpha: float | str = "auto",
-        degree=0,
+        degree: int | str = "auto",
         criterion="auto",
         tol=0.02,
         max_centers=None,
@@ -385,11 +388,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         alpha = check_alpha(self.alpha, len(problem.spread))
         isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
         last = last_network(self, problem) if self.warm_start else None
-        functions, alpha, log_likelihood, n_found = tune(
-            problem, self.kernel, width, alpha, isotropic, rng, last
+        open_degree = self.degree == "auto" and self.selection == "ols"
+        functions, alpha, log_likelihood, n_found, linear = tune(
+            problem, self.kernel, width, alpha, isotropic, rng, last, open_degree
         )
         if log_likelihood is not None:
             self.log_marginal_likelihood_value_ = log_likelihood
+        if linear:
+            problem = with_tail(problem, 1, ridged=True)
         settings = CenterSettings.of(self)
         order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
         path = fit_path(problem, order, alpha, functions)
