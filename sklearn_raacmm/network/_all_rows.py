@@ -23,7 +23,7 @@ from sklearn_raacmm.network._kernels import kernel_matrix, psd_inverse_root
 from sklearn_raacmm.network._likelihood import LEAST_RIDGE
 from sklearn_raacmm.network._nested_fits import triangular_factor
 from sklearn_raacmm.network._network_posterior import Posterior, variances
-from sklearn_raacmm.network._training_data import ridge_rows
+from sklearn_raacmm.network._polynomial_tail import ridge_rows
 from sklearn_raacmm.utils import chunks, stage
 
 # Rows whose kernel matrix is factored: 800 MB, and 10 s of one thread.

@@ -43,7 +43,7 @@ def fit_network(problem, tuned, settings, rng, last=None):
     -------
     FittedNetwork
     """
-    functions, alpha, _, n_found = tuned
+    functions, alpha, n_found = tuned.functions, tuned.alpha, tuned.n_found
     if takes_all_rows(problem, alpha, functions, settings):
         process, n = process_of(problem, alpha, functions, n_found), problem.n_rows
         return FittedNetwork(process, np.arange(n), n, np.empty(0), np.empty(0), "all rows")

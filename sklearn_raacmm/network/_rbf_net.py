@@ -20,6 +20,7 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
+from sklearn_raacmm.network._training_data import with_tail
 from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
@@ -54,15 +55,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     :math:`\ell` (one a feature) and the ridge :math:`\alpha` maximise the marginal likelihood
     of a Gaussian process [2]_ less a price for every feature that is used, and centres are added
     until the network is as good as that process. Where the data are no more probable than noise
-    alone, the network is a constant.
+    alone, the network is a constant; where a linear model makes them most probable, it is that.
 
     Parameters
     ----------
     n_centers : int or "auto", default="auto"
         Number of centres; all candidates, with a warning, where there are fewer. "auto" leaves it
-        to `criterion`. Where a function is so rough that a network would need centres by the
-        thousand, or for every third or fourth row, "auto" makes all distinct rows centres; see the
-        notes.
+        to `criterion`, and makes all distinct rows of a rough function centres; see the notes.
 
     kernel : str, default="auto"
         Radial function of the scaled distance r. "auto" takes "gaussian", or "matern52" or
@@ -83,10 +82,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Ridge, of all outputs or of each, in units of the sum of sample weights. 0 is plain least
         squares. In terms of a Gaussian process it is the noise variance over the signal variance.
 
-    degree : {-1, 0, 1}, default=0
+    degree : {-1, 0, 1} or "auto", default="auto"
         Degree of the polynomial: none, a constant, or linear in the features. The linear part has
         a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
-        none if `alpha` is given.
+        none if `alpha` is given. "auto" is a constant, unless `length_scale` and `alpha` are to be
+        found and the data are more probable with a linear model alone than with any radial
+        functions: then the network is that model. Not above 100 000 rows, nor for "newrb".
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:
@@ -107,8 +108,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     max_centers : int, default=None
         Most centres that "auto" may take. None: 2000 (500 for "gcv"), with a warning where they
-        did not suffice, or all rows of a rough function. ``max_centers=2000`` gives the smaller
-        network in any case.
+        did not suffice, or all rows of a rough function, which ``max_centers=2000`` rules out.
 
     max_candidates : int, default=None
         Most distinct training rows, drawn at random, that may become centres. None: all, or
@@ -152,7 +152,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Constant term.
 
     linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
-        Linear term; zero unless `degree` is 1.
+        Linear term; zero unless `degree` is 1, or "auto" has found it to be.
 
     kernel_ : str
         Name of the radial function, chosen or given.
@@ -172,8 +172,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     relevance_ : ndarray of shape (n_features,)
         How steep the modelled function is along each feature, per standard deviation of the
-        feature: the slope's prior standard deviation, as a share of the sum over features. 0 for a
-        feature that is ignored; all 0 where nothing but noise was found.
+        feature, as a share of the sum over features: prior standard deviation of the slope, and
+        slope of the linear term. 0 for a feature that is ignored; all 0 where all is noise.
 
     log_marginal_likelihood_value_ : float
         Logarithm of the marginal likelihood, summed over outputs, of the up to 1000 rows on which
@@ -184,8 +184,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         centre lowered the objective. Empty where all rows are centres, which have no order.
 
     criterion_path_ : ndarray of shape (n_tried,)
-        The criterion after 1, 2, ... centres. Empty where `n_centers` is given, or all rows are
-        centres.
+        The criterion after 1, 2, ... centres. Empty where none was needed.
 
     stop_reason_ : str
         Why no more centres were tried: "n_centers", "max_centers", "criterion", "dependent" (every
@@ -204,8 +203,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         its mean over the training rows is 0, and deviations are of the difference from that mean.
 
     posterior_ : NetworkPosterior or ProcessPosterior
-        All numbers that predictions are made of, as one value. The latter where all rows are
-        centres.
+        All numbers that predictions are made of; the latter where all rows are centres.
 
     n_features_in_ : int
         Number of features seen during fit.
@@ -274,7 +272,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             "array-like",
         ],
         "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
-        "degree": [Interval(Integral, -1, 1, closed="both")],
+        "degree": [Interval(Integral, -1, 1, closed="both"), StrOptions({"auto"})],
         "criterion": [StrOptions({"auto", "posterior", "gcv", "error_reduction", "mse"})],
         "tol": [Interval(Real, 0, None, closed="left")],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
@@ -293,7 +291,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         kernel="auto",
         length_scale: ArrayLike | str = "auto",
         alpha: float | str = "auto",
-        degree=0,
+        degree: int | str = "auto",
         criterion="auto",
         tol=0.02,
         max_centers=None,
@@ -398,9 +396,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         alpha = check_alpha(self.alpha, len(problem.spread))
         isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
         last = last_network(self, problem) if self.warm_start else None
-        tuned = tune(problem, self.kernel, width, alpha, isotropic, rng, last)
+        open_degree = self.degree == "auto" and self.selection == "ols"
+        tuned = tune(problem, self.kernel, width, alpha, isotropic, rng, last, open_degree)
         if tuned.log_likelihood is not None:
             self.log_marginal_likelihood_value_ = tuned.log_likelihood
+        if tuned.linear:
+            problem = with_tail(problem, 1, ridged=True)
         found = fit_network(problem, tuned, CenterSettings.of(self), rng, last)
         self.posterior_, self.stop_reason_ = found.posterior, found.stop_reason
         self.criterion_path_, self.n_iter_ = found.scores, found.n_tried
