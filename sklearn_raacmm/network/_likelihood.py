@@ -136,10 +136,14 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
 
 def log_likelihood(data, kernel, log_width, log_alpha):
     """Logarithm of the marginal likelihood with its constants, summed over outputs."""
-    n, q = data.n_total, data.Y.shape[1]
     found = exact_likelihood(data, kernel, log_width, log_alpha)
-    constant = 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
-    return -found.value - q * constant
+    return -found.value - data.Y.shape[1] * evidence_constant(data)
+
+
+def evidence_constant(data):
+    """What the values of this module leave out of the negative logarithm, for each output."""
+    n = data.n_total
+    return 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
 
 
 def _weigh(K, root):
@@ -222,18 +226,20 @@ def leave_one_out(data, kernel, log_width, log_alpha):
     -------
     LeaveOneOut
     """
-    X, Y, weights, within, _ = data
-    root, alphas = np.sqrt(weights), np.exp(log_alpha)
-    Xs = X * np.exp(-log_width)
+    Xs = data.X * np.exp(-log_width)
     K = KERNELS[kernel].function(squared_distances(Xs, Xs))
-    _weigh(K, root)
-    K = _centre(_centre(K, data).T, data)
-    Yw = root[:, None] * Y
+    _weigh(K, np.sqrt(data.weights))
+    return left_out(data, _centre(_centre(K, data).T, data), np.exp(log_alpha))
+
+
+def left_out(data, K, alphas):
+    """The same, of a kernel matrix that is weighted, and without what is constant in a group."""
+    Yw = np.sqrt(data.weights)[:, None] * data.Y
     error, density = 0.0, 0.0
     for i, alpha in enumerate(alphas):
         y, one = Yw[:, i : i + 1], alphas[i : i + 1]
         solved, _, _, half = _inverses(K, y, one)
-        signal = ((y * solved).sum() + within[i] / alpha) / data.n_total
+        signal = ((y * solved).sum() + data.within[i] / alpha) / data.n_total
         if data.codes is not None:
             found = _groups_left_out(half + half.T, solved[:, 0], data.codes, alpha, signal)
             error, density = error + found[0], density + found[1]
