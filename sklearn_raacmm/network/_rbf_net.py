@@ -20,6 +20,7 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
+from sklearn_raacmm.network._training_data import with_group_noise
 from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
@@ -194,8 +195,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     n_iter_ : int
         Number of centres tried.
 
-    offsets_ : bool
-        Whether each group has an unknown constant. The level of the prediction is then not known:
+    offsets_, group_share_ : bool, float
+        Whether each group has an unknown constant, and the share of the noise variance that is a
+        smooth function of each group's own. With offsets the level of the prediction is not known:
         its mean over the training rows is 0, and deviations are of the difference from that mean.
 
     posterior_ : NetworkPosterior
@@ -326,9 +328,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         groups : array-like of shape (n_samples,), default=None
             Label of each row's group, for targets known up to one constant a group, such as
             residuals from the mean point of a position. Where the groups' mean targets are zero,
-            only differences within a group teach the network; elsewhere labels change nothing.
-            It helps where the features do not tell the group, such as the three pose angles, and
-            may do harm where they do.
+            such constants, and besides them a smooth function of each group's own, are allowed for
+            if groups that are left out then scatter clearly less; else labels change nothing.
 
         Returns
         -------
@@ -385,11 +386,15 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         alpha = check_alpha(self.alpha, len(problem.spread))
         isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
         last = last_network(self, problem) if self.warm_start else None
-        functions, alpha, log_likelihood, n_found = tune(
-            problem, self.kernel, width, alpha, isotropic, rng, last
-        )
-        if log_likelihood is not None:
-            self.log_marginal_likelihood_value_ = log_likelihood
+        tuned = tune(problem, self.kernel, width, alpha, isotropic, rng, last)
+        functions, alpha, n_found = tuned.functions, tuned.alpha, tuned.n_found
+        if tuned.log_likelihood is not None:
+            self.log_marginal_likelihood_value_ = tuned.log_likelihood
+        if self.offsets_ and not tuned.offsets:
+            problem = read_problem(self, X, y, sample_weight, None, False, rng)
+        elif tuned.share > 0:
+            problem, alpha = with_group_noise(problem, alpha, functions, tuned.share)
+        self.group_share_ = tuned.share
         settings = CenterSettings.of(self)
         order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
         path = fit_path(problem, order, alpha, functions)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.network._group_search import search_groups
 from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._network_posterior import RadialFunctions
 from sklearn_raacmm.network._parameters import leading_bits, warn_of_bound
@@ -17,6 +18,8 @@ class Tuned(NamedTuple):
     alpha: np.ndarray  # (q,) ridge of every output, in units of an observation
     log_likelihood: float | None = None  # of the rows on which kernels were compared
     n_found: float = 0.0  # parameters of each output that the data have decided on
+    offsets: bool = True  # whether groups that were given have unknown constants
+    share: float = 0.0  # of the noise variance that groups' own functions are
 
 
 def last_network(estimator, problem):
@@ -45,7 +48,8 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
     rng : numpy.random.RandomState
         Draws the rows of the search.
     last : NetworkPosterior, optional
-        Of other rows; its kernel, widths and ridges are kept where they are right for these.
+        Of other rows; its kernel, widths and ridges are kept where they are right for these. With
+        groups they are always searched for.
 
     Returns
     -------
@@ -66,7 +70,7 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
     data = Data(sample.X, targets, weights, view.within, sample.codes)
     units = np.log(view.scale).sum()
     given = None if alpha is None else alpha[view.outputs] / sample.unit
-    if last is not None and last.kernel in kernels:
+    if last is not None and last.kernel in kernels and data.codes is None:
         width = last.length_scale if length_scale is None else length_scale
         ridge = last.alpha if alpha is None else alphas
         alike = not isotropic or np.ptp(width / sample.X.std(axis=0)) == 0
@@ -81,14 +85,12 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
         if right and alike:
             functions = RadialFunctions(last.kernel, shift, width)
             return Tuned(functions, ridge, float(value - n_observations * units), n_found)
-    found = search(
-        data,
-        kernels,
-        length_scale=length_scale,
-        isotropic=isotropic,
-        alpha=given,
-        random_state=rng,
-    )
+    options = {"length_scale": length_scale, "isotropic": isotropic, "alpha": given}
+    options |= {"random_state": rng}
+    if data.codes is None:
+        found = search(data, kernels, **options)
+    else:
+        found = search_groups(data, kernels, linear=sample.n_tail > 0, **options)
     if alpha is None:
         alphas[view.outputs] = leading_bits(found.alpha * sample.unit / problem.unit)
     if length_scale is None:
@@ -98,4 +100,6 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None):
         length_scale = unit * leading_bits(found.length_scale / unit)
     functions = RadialFunctions(found.kernel, shift, length_scale)
     value = float(found.log_likelihood - found.n_observations * units)
-    return Tuned(functions, alphas, value, found.n_found)
+    ratio = float(leading_bits(found.share / (1 - found.share)))  # keeps the digits of 1 - share
+    share = ratio / (1 + ratio)
+    return Tuned(functions, alphas, value, found.n_found, found.offsets, share)

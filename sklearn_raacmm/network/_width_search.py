@@ -74,6 +74,8 @@ class Found(NamedTuple):
     n_observations: float = 0.0
     n_found: float = 0.0  # parameters of each output that were found, see `parameters_found`
     at_bound: np.ndarray = np.empty(0, dtype=int)  # features whose width ended at the lower bound
+    offsets: bool = False  # whether groups have unknown constants
+    share: float = 0.0  # of the noise variance that groups' own functions are
 
 
 @stage("widths of the network")
