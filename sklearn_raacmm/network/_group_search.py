@@ -10,7 +10,7 @@ a group which it has not seen. The inverse of the covariance gives it for every 
 import numpy as np
 
 from sklearn_raacmm.network._group_noise import group_errors, group_likelihood
-from sklearn_raacmm.network._likelihood import Data, log_constant
+from sklearn_raacmm.network._likelihood import Data, evidence_constant
 from sklearn_raacmm.network._width_objective import ALPHA_BOUNDS, Task
 from sklearn_raacmm.network._width_search import EXACT_ROWS, EXACT_STEPS, robust_spread, search
 
@@ -42,20 +42,24 @@ def search_groups(data, kernels, *, length_scale, isotropic, alpha, random_state
 
     Returns
     -------
-    Found
+    found : Found
+    data : Data
+        What it was found of: without groups the rows are sorted as they are where none are given,
+        and targets have the unit that they have there.
     """
     options = {"length_scale": length_scale, "isotropic": isotropic, "alpha": alpha}
     options |= {"random_state": random_state}
-    plain = None if linear or not data.codes.any() else _without_groups(data, kernels, options)
+    several, plain = data.codes.any(), data if linear else _without_groups(data)
+    base = search(plain, kernels, **options) if several and not linear else None
     known = search(data, kernels, **options)._replace(offsets=True)
-    if not data.codes.any() or not data.Y.shape[1]:
-        return known
-    base = known if plain is None else plain
+    if not several or not data.Y.shape[1]:
+        return known, data
+    base = known if base is None else base
     own = _with_own_functions(data, known, **options)
     rows = data.draw(EXACT_ROWS, random_state)
     codes = np.unique(data.codes[rows], return_inverse=True)[1]
     if not codes.any():
-        return known
+        return known, data
     left = _errors(data, rows, codes, base)
     best, least = base, left.sum()
     for found in (known, own):
@@ -67,17 +71,14 @@ def search_groups(data, kernels, *, length_scale, isotropic, alpha, random_state
         sure = gain.sum() > margin * gain.std(ddof=1) * np.sqrt(len(gain))
         if sure and errors.sum() < least:
             best, least = found, errors.sum()
-    return best
+    return best, data if best.offsets else plain
 
 
-def _without_groups(data, kernels, options):
-    """What `search` finds in the same rows where nothing is said of groups."""
+def _without_groups(data):
+    """The same data where nothing is said of groups."""
     order, n = np.lexsort(data.X.T[::-1]), data.weights.sum()
     unit = np.sqrt(n / data.n_total)  # targets have unit variance, and offsets no part in it
-    rows = Data(data.X, data.Y * unit, data.weights, data.within * unit**2).rows(order)
-    found = search(rows, kernels, **options)
-    in_units = data.Y.shape[1] * found.n_observations * np.log(unit)
-    return found._replace(log_likelihood=found.log_likelihood + in_units)
+    return Data(data.X, data.Y * unit, data.weights, data.within * unit**2).rows(order)
 
 
 def _errors(data, rows, codes, found):
@@ -118,7 +119,7 @@ def _with_own_functions(data, known, *, length_scale, isotropic, alpha, random_s
         length_scale=np.exp(log_width),
         alpha=np.exp(log_alpha),
         share=1 / (1 + np.exp(-end.theta[-1])),
-        log_likelihood=-value - data.Y.shape[1] * log_constant(judged),
+        log_likelihood=-value - data.Y.shape[1] * evidence_constant(judged),
         n_observations=judged.n_total,
         n_found=known.n_found + 1 / data.Y.shape[1],
     )

@@ -76,6 +76,8 @@ class Found(NamedTuple):
     at_bound: np.ndarray = np.empty(0, dtype=int)  # features whose width ended at the lower bound
     offsets: bool = False  # whether groups have unknown constants
     share: float = 0.0  # of the noise variance that groups' own functions are
+    judged: np.ndarray = np.empty(0, dtype=int)  # rows on which kernels were compared
+    judgement: float = -np.inf  # objective there, nats
 
 
 @stage("widths of the network")
@@ -135,6 +137,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         ends = _refine(task, ends, few, many)
     task, end = _accept(task, ends, many)
     task, end = _leave_out(task, end, many)
+    judgement = end.value
     if len(X) > len(many) and end.theta.size:
         end = _extend(task, end, draw)
     unit = task.data.n_total * q
@@ -156,6 +159,8 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         judged.n_total,
         parameters_found(task.n_widths, searched, task.n_alphas / q, q),
         np.array(narrow, dtype=int),
+        judged=many,
+        judgement=judgement,
     )
 
 
