@@ -11,7 +11,7 @@ References
    2006, section 2.7.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple
@@ -81,6 +81,14 @@ class ProcessPosterior(Posterior):
             triangle = triangular_factor(np.vstack([np.sqrt(alpha) * half, below]))
             found.append((np.flatnonzero(self.alpha == alpha), _Root(factor, half, triangle)))
         return found
+
+    def with_noise(self, factor):
+        """The same with a larger variance of the noise, for one that was estimated too small.
+
+        What the noise makes of the weights is a part of the prior's variance here, whose ratio to
+        that of the noise is the ridge: both grow.
+        """
+        return replace(super().with_noise(factor), signal_variance=factor * self.signal_variance)
 
     def _whitened(self, X, K):
         tail, weighted = self.tail(X).T, (K * np.sqrt(self.weights)).T

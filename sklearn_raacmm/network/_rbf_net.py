@@ -1,6 +1,5 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
-from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -382,8 +381,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 break
             self._fit_weighted(X, y, given * factor, groups, self.offsets_)
         if np.any(factor < 1):
-            noise = self.posterior_.noise_variance / NORMAL_SQUARE
-            self.posterior_ = replace(self.posterior_, noise_variance=noise)
+            self.posterior_ = self.posterior_.with_noise(1 / NORMAL_SQUARE)
         self.row_weight_ = factor
 
     def _fit_weighted(self, X, y, sample_weight, groups, offsets=None):
