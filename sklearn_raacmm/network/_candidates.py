@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
-from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
+from sklearn_raacmm.network._nested_fits import divide, stack_triangles, triangular_factor
 from sklearn_raacmm.utils import chunks
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
@@ -229,7 +229,7 @@ class Features:
             return known if plain else block.weigh(known.copy(order="K"))
         K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
         if self.root is not None:
-            K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
+            K = divide(K, self.root.T)
         return block.weigh(K)
 
 

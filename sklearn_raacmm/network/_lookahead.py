@@ -43,8 +43,9 @@ _FEW_DIGITS = 1e-7
 _ROWS = 512
 # Leading coordinates in a sketch: so many, and so many for each of the directions it is to see, at
 # first and after a wrong guess. With these, runs of 64 guesses are right where functions are smooth
-# (10 000 rows, rank 914); where they are rougher (5000 rows, rank 1142) a tenth is wrong.
-_WIDTH, _PER_DIRECTION = 192, (1.5, 2.5)
+# (10 000 rows, rank 914). Where they are rough (three outputs of different noise) the first number
+# is too small, and 2.5 in place of the last one as well: a third of the guesses was wrong.
+_WIDTH, _PER_DIRECTION = 192, (1.5, 4)
 # Coordinates of all candidates from which a sketch pays: fewer stay in the cache.
 _LARGE = 1_000_000
 
