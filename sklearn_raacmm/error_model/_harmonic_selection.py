@@ -25,10 +25,11 @@ References
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg import LinAlgError, cho_solve
 
+from sklearn_raacmm.error_model._leftover import Leftover, root_of
 from sklearn_raacmm.error_model._order_scan import columns_of
+from sklearn_raacmm.utils import invert_triangle
 
 # Rounds of the choice, and steps of the variances in each, at most. Both stop by the evidence:
 # few problems take more than 5 and 30.
@@ -54,8 +55,6 @@ _LEAST_NOISE, _HALVINGS = 1e-12, 5
 _ROUNDING = 1e-12
 # Size of a column, relative to the largest, that is rounding, too.
 _NO_SIZE = 1e-7
-# Shares of its diagonal that are added to a matrix, one after another, until it has a factor.
-_RIDGES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
 # Harmonics are guessed to be so many, for the first choice.
 _GUESSED_PAIRS = 12
 # Of the next best candidates, how many are named as likely to be asked for next.
@@ -161,7 +160,7 @@ def refit(sums, family, harmonic, prior_variance, found, shares, lengths, start)
     problem = Problem(sums, family, harmonic, prior_variance, lengths)
     every = np.arange(len(found.pairs))
     share = np.where(found.smooth, shares, 1.0)
-    new = problem.find_variances(every, found.smooth, share, *start, max_steps=_REFIT_STEPS)
+    new = problem.find_variances(every, found.smooth, share, start, max_steps=_REFIT_STEPS)
     return new._replace(pairs=found.pairs, gains=gains_of(new))
 
 
@@ -179,6 +178,7 @@ class Problem:
         self.start = noise
         self.assumed = _ASSUMED_ROWS * _ASSUMED_SHARE * noise
         self.guess = self._first_guess()
+        self._last_pairs = self._last_products = None  # most choices have the columns of the last
 
     def first_guess(self):
         """Variances of the families and of the noise before anything is known."""
@@ -196,10 +196,13 @@ class Problem:
                 variance[f] = self.start * self.n / size if size > 0 else 1.0
         return variance
 
-    def find_variances(self, pairs, smooth, share, variance, noise, max_steps=MAX_STEPS):
-        """Coefficients of a fixed choice at the variances of highest evidence."""
+    def find_variances(self, pairs, smooth, share, start, max_steps=MAX_STEPS):
+        """Coefficients of a fixed choice at the variances of highest evidence.
+
+        `start` are variances and noise, or the posterior of this choice where it is known.
+        """
         part = self.part(pairs, smooth, share)
-        found = posterior_of(part, variance, noise)
+        found = start if isinstance(start, Posterior) else posterior_of(part, *start)
         for _ in range(max_steps):
             last = found
             found = self._step(part, last)
@@ -210,25 +213,35 @@ class Problem:
 
     def choice(self, pairs, variance, noise):
         """Coefficients of chosen pairs alone at the variances of highest evidence."""
-        return self.find_variances(pairs, *alone(pairs), variance, noise)
+        return self.find_variances(pairs, *alone(pairs), (variance, noise))
 
     def part(self, pairs, smooth, share):
         """Normal equations of some pairs; the variance of those of `smooth` is a share of its."""
-        sums, columns = self.sums, columns_of(pairs)
-        cross = sums.cross[:, columns]
-        rows = sums.rows(pairs)[:, columns]
-        gram = np.block([[sums.gram, cross], [cross.T, 0.5 * (rows + rows.T)]])
-        lengths = self.lengths
+        columns, lengths = columns_of(pairs), self.lengths
         if lengths is not None:
-            n_waves = sums.cross.shape[1]
+            n_waves = self.sums.cross.shape[1]
             mine = [lengths.rows[:, n_waves:], lengths.rows[:, columns]]
             lengths = lengths._replace(rows=np.concatenate(mine, axis=1))
-        moment = np.concatenate([sums.moment, sums.candidate_moment[columns]])
         of_pair = np.where(smooth, len(self.given) - 1, self.harmonic)
         family = np.concatenate([self.family, np.repeat(of_pair, 2)])
         m = len(self.family)
         share = np.concatenate([np.ones(m), np.repeat(share, 2)])
-        return _Part(gram, moment, sums.square, self.n, self.assumed, family, share, lengths, m)
+        if not np.array_equal(pairs, self._last_pairs):
+            self._last_pairs, self._last_products = pairs, self._products(pairs, columns)
+        sizes = self.sums.square, self.n, self.assumed
+        return _Part(*self._last_products, *sizes, family, share, lengths, m)
+
+    def _products(self, pairs, columns):
+        """Gram matrix of the columns that are always in and of some pairs, and products with y."""
+        sums, m = self.sums, len(self.family)
+        gram = np.empty((m + len(columns), m + len(columns)))
+        gram[:m, :m], gram[:m, m:] = sums.gram, sums.cross[:, columns]
+        gram[m:, :m] = gram[:m, m:].T
+        rows = sums.rows(pairs, beside=pairs)
+        np.add(rows, rows.T, out=gram[m:, m:])
+        gram[m:, m:] *= 0.5
+        moment = np.concatenate([sums.moment, sums.candidate_moment[columns]])
+        return gram, np.ascontiguousarray(gram[::-1, ::-1]), moment
 
     def _step(self, part, last):
         """MacKay's step, half of it and so on (in logarithms) where the evidence falls."""
@@ -250,6 +263,7 @@ class _Part(NamedTuple):
     """Normal equations of a fixed choice of columns."""
 
     gram: np.ndarray
+    backwards: np.ndarray  # the same, from the last row and column to the first
     moment: np.ndarray
     square: float
     n: float
@@ -263,22 +277,25 @@ class _Part(NamedTuple):
 def posterior_of(part, variance, noise):
     """Coefficients and evidence at given variances."""
     prior = variance[part.family] * part.share
-    S, r = part.gram / noise, part.moment / noise
+    # The last column is eliminated first: those that are always in then have the shortest rows of
+    # `half`, which makes standard deviations cheap (see `FactoredColumns`).
+    S, r = part.backwards / noise, part.moment / noise
     fixed = (part.n + _ASSUMED_ROWS) * np.log(noise) + (part.square + part.assumed) / noise
     if part.lengths is not None:
         precision = 1 / (part.lengths.variance + noise * part.lengths.share)
         weighted = part.lengths.rows.T * precision
-        S = S + weighted @ part.lengths.rows
+        S += (weighted @ part.lengths.rows)[::-1, ::-1]
         r = r + weighted @ part.lengths.errors
         fixed += precision @ np.square(part.lengths.errors) - np.log(precision).sum()
-    S[np.diag_indices(len(S))] += 1 / prior
-    # The last column is eliminated first: those that are always in then have the shortest rows of
-    # `half`, which makes standard deviations cheap (see `FactoredColumns`).
-    root = _root(S[::-1, ::-1]) if len(S) else S
-    coef = cho_solve((root, False), r[::-1], check_finite=False)[::-1] if len(S) else r
-    half = dtrtri(root)[0][::-1] if len(S) else S
+    S[np.diag_indices(len(S))] += 1 / prior[::-1]
+    coef, half, volume = r, S, np.log(prior).sum()
+    if len(S):
+        root = root_of(S.T, lower=True)  # of which S.T is the same, in the order of Fortran
+        coef = cho_solve((root, True), r[::-1], check_finite=False)[::-1]
+        volume += 2 * np.log(root.diagonal()).sum()
+        invert_triangle(root)
+        half = root.T[::-1]
     determined = 1 - np.einsum("ij,ij->i", half, half) / prior
-    volume = 2 * np.log(root.diagonal()).sum() + np.log(prior).sum()
     return Posterior(
         pairs=None,
         smooth=None,
@@ -293,18 +310,6 @@ def posterior_of(part, variance, noise):
         determined=determined,
         n_always=part.n_always,
     )
-
-
-def _root(matrix):
-    """Upper Cholesky factor; where rounding has eaten what the priors add, of slightly more."""
-    diagonal = np.diag_indices(len(matrix))
-    for more in _RIDGES:
-        try:
-            return cholesky(matrix, check_finite=False)
-        except LinAlgError:
-            matrix = matrix.copy()
-            matrix[diagonal] *= 1 + more
-    return cholesky(matrix, check_finite=False)
 
 
 def _fixed_point(part, found):
@@ -357,15 +362,13 @@ def extend(problem, pairs, variance, noise, prices, known=None):
         left = Leftover(problem, *known, variance, noise)
     except LinAlgError:  # so little noise that only rounding is left of the others
         return pairs
-    if not left.n_pairs:  # no orders are offered
-        return pairs
     chosen = pairs.tolist()
-    alive = np.ones(left.n_pairs, dtype=bool)
-    alive[known[0]] = False
+    alive = np.ones(len(left.free), dtype=bool)
     while alive.any():
         gain, sound = left.gains()
         alive &= sound
-        net = np.where(alive, gain - prices(np.array(chosen, dtype=int)), -np.inf)
+        price = prices(np.array(chosen, dtype=int))[left.free]
+        net = np.where(alive, gain - price, -np.inf)
         best = int(np.argmax(net))
         if not net[best] > 0:
             break
@@ -375,7 +378,7 @@ def extend(problem, pairs, variance, noise, prices, known=None):
             left.take(best, likely.tolist())
         except LinAlgError:
             continue
-        chosen.append(best)
+        chosen.append(int(left.free[best]))
     return np.sort(np.array(chosen, dtype=int))
 
 
@@ -416,77 +419,3 @@ def gains_of(found):
     fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)
     shrunk = np.linalg.slogdet(covariance)[1] - 2 * np.log(found.prior[first::2])
     return 0.5 * (fit + shrunk)
-
-
-class Leftover:
-    """What the chosen columns leave of the candidates, at given variances."""
-
-    def __init__(self, problem, pairs, smooth, share, variance, noise):
-        sums, lengths = problem.sums, problem.lengths
-        self.problem, self.noise = problem, noise
-        self.prior = variance[problem.harmonic]
-        self.n_pairs = sums.own.shape[1]
-        S, r = sums.gram / noise, sums.moment / noise
-        cross, own = sums.cross / noise, sums.own / noise
-        self.r = sums.candidate_moment / noise
-        self.lengths = None
-        if lengths is not None:
-            n_waves = cross.shape[1]
-            rows = lengths.rows / np.sqrt(lengths.variance + noise * lengths.share)[:, None]
-            errors = lengths.errors / np.sqrt(lengths.variance + noise * lengths.share)
-            self.lengths, always = rows[:, :n_waves], rows[:, n_waves:]
-            S, r = S + always.T @ always, r + always.T @ errors
-            cross = cross + always.T @ self.lengths
-            cos, sin = self.lengths[:, ::2], self.lengths[:, 1::2]
-            own = own + [(a * b).sum(axis=0) for a, b in ((cos, cos), (sin, sin), (cos, sin))]
-            self.r = self.r + self.lengths.T @ errors
-        self.own = own + np.array([[1.0], [1.0], [0.0]]) / self.prior
-        self.factor, self.size = np.empty((len(S) + 2 * len(pairs) + 64, cross.shape[1])), 0
-        if len(S):
-            S[np.diag_indices(len(S))] += 1 / variance[problem.family]
-            self._add(_root(S), cross, r)
-        if len(pairs):
-            prior = np.repeat(share * np.where(smooth, variance[-1], self.prior), 2)
-            block, *products = self._left_of(pairs, (), prior)
-            self._add(cholesky(block, check_finite=False), *products)
-
-    def _add(self, root, rows, r):
-        """Rows of the factor for columns, given the root of their own block, and products."""
-        new = solve_triangular(root, rows, trans="T", check_finite=False)
-        end = self.size + len(new)
-        if end > len(self.factor):
-            self.factor = np.concatenate([self.factor, np.empty_like(self.factor)])
-        self.factor[self.size : end] = new
-        self.size = end
-        self.r = self.r - new.T @ solve_triangular(root, r, trans="T", check_finite=False)
-        cos, sin = new[:, ::2], new[:, 1::2]
-        parts = (cos, cos), (sin, sin), (cos, sin)
-        self.own = self.own - [np.einsum("kc,kc->c", a, b) for a, b in parts]
-
-    def take(self, pair, likely):
-        """Move a candidate to the chosen ones; LinAlgError if only rounding is left of it."""
-        block, *products = self._left_of([pair], likely, self.prior)
-        self._add(cholesky(block, check_finite=False), *products)
-
-    def _left_of(self, pairs, likely, prior):
-        """Own block, rows of the penalised Gram matrix and products of some candidates."""
-        columns = columns_of(pairs)
-        rows = self.problem.sums.rows(pairs, likely) / self.noise
-        if self.lengths is not None:
-            rows = rows + self.lengths[:, columns].T @ self.lengths
-        known = self.factor[: self.size]
-        rows = rows - known[:, columns].T @ known
-        block = rows[:, columns]
-        block = 0.5 * (block + block.T) + np.eye(len(columns)) / prior
-        return block, rows, self.r[columns]
-
-    def gains(self):
-        """Rise of the log evidence by each candidate, and whether it can be trusted."""
-        (a, d, o), x, z = self.own, self.r[::2], self.r[1::2]
-        determinant = a * d - o * o
-        volume = determinant * self.prior**2
-        # A posterior wider than the prior is rounding.
-        sound = volume >= 1 - 1e-6
-        safe = np.where(sound, determinant, 1.0)
-        gain = 0.5 * (x * x * d - 2 * x * z * o + z * z * a) / safe
-        return gain - 0.5 * np.log(np.where(sound, np.maximum(volume, 1.0), 1.0)), sound

@@ -14,6 +14,7 @@ from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     HARMONIC,
     Terms,
+    factored_columns,
     scale_direction,
     term_names,
 )
@@ -23,6 +24,7 @@ from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmoni
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._order_scan import (
     candidate_sums,
+    sums_of_both,
     sums_of_pairs,
     sums_with_other_weights,
 )
@@ -34,7 +36,7 @@ from sklearn_raacmm.error_model._orders import (
 from sklearn_raacmm.error_model._place_fields import place_fields
 from sklearn_raacmm.error_model._position_means import length_equations, mean_columns
 from sklearn_raacmm.error_model._smooth_functions import add_smooth, choose_beside_smooth
-from sklearn_raacmm.utils import centred, group_means, stage
+from sklearn_raacmm.utils import centred, chunks, group_means, stage
 
 # Name of the smooth function among the families: of low orders that are not taken for themselves.
 SMOOTH = "smooth"
@@ -49,8 +51,11 @@ _ROBUST_ROUNDS = 4
 # those chosen while outliers counted fully are a worse beginning than none.
 _MAX_CHOICES = 3
 _SETTLED_WEIGHT = 0.05
-# Where less than this share of the poses is concerned, two sums over them cost less than a new one.
+# Where less than this share of the poses is concerned, sums over them cost less than new ones: of
+# candidates that are asked for later both are needed.
 _FEW_POSES = 0.4
+# Columns of the poses are kept between the rounds where they are at most so many numbers (80 MB).
+_KEPT_COLUMNS, _POSES = 10_000_000, 256
 # Points and turns are weighed anew by what the model leaves of them, at most so often, and until
 # the ratio of their noises changes by less than this share.
 _TURN_ROUNDS = 4
@@ -230,6 +235,10 @@ class FitData(NamedTuple):
         empty = any(not np.any(self.weights * factor * touched) for factor in (old, new))
         if self.lengths or empty or touched.mean() > _FEW_POSES:
             return self.sums(new, terms)
+        if self.codes is None:  # sums are in proportion to the weights
+            poses = self.X[touched], self.y[touched], (self.weights * (new - old))[touched]
+            change = candidate_sums(self.arm, *poses, None, terms.harmonics, terms, self.turn_mm)
+            return sums_of_both(sums[0], change), None
         less, more = (self.sums(factor * touched, terms)[0] for factor in (old, new))
         return sums_with_other_weights(sums[0], less, more), None
 
@@ -329,9 +338,9 @@ def _settle(data, factor, sums, found, offer, rounds=_ROBUST_ROUNDS):
     model = model_of(data, factor, found, terms)
     if data.options.loss == "squared":
         return model, factor, found
-    sums = sums_of_pairs(sums[0], found.pairs), None
+    sums, expected = (sums_of_pairs(sums[0], found.pairs), None), _expected_of(data, terms)
     for _ in range(rounds):
-        old, new = factor, _pose_weights(data, model, factor)
+        old, new = factor, _pose_weights(data, expected(model), factor)
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
@@ -342,9 +351,9 @@ def _settle(data, factor, sums, found, offer, rounds=_ROBUST_ROUNDS):
     return model, factor, found
 
 
-def _pose_weights(data, model, factor):
+def _pose_weights(data, expected, factor):
     """Tukey's weights of the poses; those at hand where none is far off."""
-    left = data.y - _expected(model, data.X)
+    left = data.y - expected
     distance = np.linalg.norm(centred(left, data.codes, data.weights * factor), axis=1)
     used = data.weights > 0
     median = np.quantile(distance[used], 0.5, weights=data.weights[used], method="inverted_cdf")
@@ -358,12 +367,18 @@ def _pose_weights(data, model, factor):
     return np.where(used, np.square(np.maximum(1 - share, 0.0)), factor)
 
 
-def _expected(model, X):
-    """What the model expects of the residuals that it was fitted to."""
-    points = model.predict(X)[0]
-    if not model.turn_mm:
-        return points
-    return np.hstack([points, model.turn_mm * model.predict_turn(X)[0]])
+def _expected_of(data, terms):
+    """Rule by which models of these terms expect the residuals that they were fitted to."""
+    if data.turn_mm:
+        return lambda model: np.hstack(
+            [model.predict(data.X)[0], data.turn_mm * model.predict_turn(data.X)[0]]
+        )
+    n_columns = 2 * len(terms.harmonics) + 3 * len(term_names(data.arm, terms)[0])
+    if len(data.X) * n_columns > _KEPT_COLUMNS:
+        return lambda model: model.predict(data.X)[0]
+    parts = chunks(len(data.X), _POSES)
+    kept = [factored_columns(data.arm, data.X[rows], terms) for rows in parts]
+    return lambda model: np.concatenate([columns.dot(model.coef) for columns in kept])
 
 
 def model_of(data, factor, found, terms):

@@ -16,12 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_raacmm.error_model._columns import observed_columns, scale_direction, term_names
+from sklearn_raacmm.error_model._wave_sums import WaveSums, sums_of_doubles, waves
 from sklearn_raacmm.utils import chunk_size, chunks
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
-# Gram rows summed up together: those of the next best candidates are likely asked for next.
-_BATCH = 48
+# Gram rows summed up together: those of the next best candidates are likely asked for next. At
+# most so many at a time: 40 MB of grids for 400 orders of six joints.
+_BATCH, _LARGEST_BATCH = 48, 192
 # Divides the sums of positions without weight.
 _TINY = 1e-300
 
@@ -40,7 +42,7 @@ class CandidateSums(NamedTuple):
     candidate_moment: np.ndarray  # (2 n_pairs,) H'y
     square: float  # y'y
     n_observations: float  # coordinates, less those that offsets spent
-    rows: object  # callable: (pairs, likely) to rows of H'H, see `_GramRows`
+    rows: object  # callable: (pairs, likely, beside) to rows of H'H, see `_GramRows`
 
 
 def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
@@ -54,6 +56,7 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
     y : ndarray of shape (n, 3) or (n, 6)
         Residuals in mm; then those of the orientation in rad times `turn_mm`.
     weights : ndarray of shape (n,)
+        Where positions have no offsets also changes of weights, which may be negative.
     codes : ndarray of shape (n,) or None
         Position of each row, from 0, where positions have offsets. Offsets are taken out exactly,
         by the deviations from weighted means (Frisch-Waugh theorem).
@@ -74,7 +77,7 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
     terms = terms._replace(harmonics=every_turn)
     n_turns = 2 * arm.n_joints
     turns = np.empty((*y.shape, arm.n_joints))
-    gram, cross, own = 0.0, 0.0, np.zeros((3, len(offered)))
+    gram, own, cross = 0.0, np.zeros((3, len(offered))), _sums_of_joints(spans, len(y))
     for rows, starts in poses.parts:
         columns = observed_columns(arm, poses.angles[rows], terms, turn_mm)
         turns[rows] = columns[:, :, :n_turns:2]  # the cosines of order 0
@@ -82,11 +85,13 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
         weighted = _weighted_deviations(columns, poses.weights[rows], starts)
         flat = columns.reshape(-1, columns.shape[2])
         gram = gram + flat.T @ weighted.reshape(flat.shape)
-        cross = cross + _inner_products(weighted, turns[rows], poses.angles[rows], spans)
+        _add_products(cross, spans, poses.angles[rows], _shares(weighted, turns[rows]))
         own += _own_blocks(turns[rows], poses.angles[rows], poses.weights[rows], starts, spans)
 
+    cross = _products(cross, len(gram))
+
     def rows_of(pairs):
-        return _gram_rows(poses, turns, spans, offered[pairs])
+        return _rows_in_batches(poses, turns, spans, offered[pairs])
 
     sums = CandidateSums(
         gram[:-1, :-1],
@@ -94,7 +99,7 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
         cross[:-1],
         own,
         cross[-1],
-        float(max(gram[-1, -1], 0.0)),
+        float(gram[-1, -1] if codes is None else max(gram[-1, -1], 0.0)),
         float(y.shape[1]) * (poses.weights.sum() - poses.n_groups),
         _GramRows(rows_of, 2 * len(offered)),
     )
@@ -117,14 +122,14 @@ def sums_of_the_others(parts):
     """
     whole = [sum(products) for products in zip(*(part[:-1] for part in parts), strict=True)]
 
-    every = _GramRows(
-        lambda pairs: sum(part.rows(pairs) for part in parts), parts[0].cross.shape[1]
-    )
+    every = _GramRows(lambda pairs: _sum_of_rows(parts, pairs), parts[0].cross.shape[1])
     found = []
     for part in parts:
 
-        def rows(pairs, likely=(), part=part):
-            return every(pairs, likely) - part.rows(pairs)
+        def rows(pairs, likely=(), beside=None, part=part):
+            whole = every(pairs, likely, beside)
+            whole -= part.rows(pairs, beside=beside)
+            return whole
 
         found.append(CandidateSums(*(a - b for a, b in zip(whole, part[:-1], strict=True)), rows))
     return found
@@ -152,6 +157,31 @@ def sums_with_other_weights(sums, less, more):
     return CandidateSums(*parts, rows)
 
 
+def sums_of_both(first, second):
+    """Sums over two sets of poses.
+
+    Parameters
+    ----------
+    first, second : CandidateSums
+        Of the same columns.
+
+    Returns
+    -------
+    CandidateSums
+    """
+    parts = [a + b for a, b in zip(first[:-1], second[:-1], strict=True)]
+    rows = _GramRows(lambda pairs: _sum_of_rows((first, second), pairs), first.cross.shape[1])
+    return CandidateSums(*parts, rows)
+
+
+def _sum_of_rows(parts, pairs):
+    """Rows of the Gram matrix over the poses of some sums together."""
+    out = parts[0].rows(pairs)
+    for part in parts[1:]:
+        out += part.rows(pairs)
+    return out
+
+
 def sums_of_pairs(sums, pairs):
     """Sums with some of the candidates only.
 
@@ -166,11 +196,16 @@ def sums_of_pairs(sums, pairs):
     CandidateSums
     """
     columns = columns_of(pairs)
+
+    def rows(some, likely=(), beside=None):
+        beside = pairs if beside is None else pairs[beside]
+        return sums.rows(pairs[np.asarray(some, dtype=int)], beside=beside)
+
     return sums._replace(
         cross=sums.cross[:, columns],
         own=sums.own[:, pairs],
         candidate_moment=sums.candidate_moment[columns],
-        rows=lambda some, likely=(): sums.rows(pairs[np.asarray(some, dtype=int)])[:, columns],
+        rows=rows,
     )
 
 
@@ -184,20 +219,32 @@ class _GramRows:
     """Rows of the candidates' Gram matrix, summed up when first asked for and kept."""
 
     def __init__(self, sum_up, n_columns):
-        self._sum_up, self._n_columns, self._known = sum_up, n_columns, {}
+        self._sum_up, self._place = sum_up, {}
+        self._rows = np.empty((0, n_columns))
 
-    def __call__(self, pairs, likely=()):
-        """Rows (2 b, n_columns) of `pairs`; those of `likely` are summed up on the way."""
+    def __call__(self, pairs, likely=(), beside=None):
+        """Products of `pairs` with those of `beside`, (2 b, 2 k); with all where it is None.
+
+        Those of `likely` are summed up on the way.
+        """
         pairs = np.asarray(pairs, dtype=int).tolist()
-        missing = [p for p in pairs if p not in self._known]
+        missing = [p for p in pairs if p not in self._place]
         if missing:
-            missing += [p for p in likely if p not in self._known and p not in missing]
-            missing = missing[: max(_BATCH, len(pairs))]
-            found = self._sum_up(np.array(missing)).reshape(-1, 2, self._n_columns)
-            self._known |= dict(zip(missing, found, strict=True))
-        if not pairs:
-            return np.empty((0, self._n_columns))
-        return np.concatenate([self._known[p] for p in pairs])
+            missing += [p for p in likely if p not in self._place and p not in missing]
+            self._keep(missing[: max(_BATCH, len(pairs))])
+        rows = columns_of([self._place[p] for p in pairs])
+        if beside is None:
+            return self._rows[rows]
+        return self._rows.view(complex)[np.ix_(rows, beside)].view(float)  # cosine and sine at once
+
+    def _keep(self, pairs):
+        known, needed = len(self._place), len(self._place) + len(pairs)
+        if 2 * needed > len(self._rows):  # to the double, so that each row is copied once or twice
+            larger = np.empty((2 * max(needed, 2 * known), self._rows.shape[1]))
+            larger[: 2 * known] = self._rows[: 2 * known]
+            self._rows = larger
+        self._rows[2 * known : 2 * needed] = self._sum_up(np.array(pairs))
+        self._place |= {pair: known + i for i, pair in enumerate(pairs)}
 
 
 def _without_motions(sums, arm, terms):
@@ -269,21 +316,6 @@ def _joint_spans(offered):
     return spans
 
 
-def _waves(theta, orders):
-    """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling."""
-    n = len(orders)
-    if not np.array_equal(orders, np.arange(1, n + 1)):
-        return np.exp(1j * theta[:, None] * orders)
-    out = np.empty((len(theta), n), dtype=complex)
-    out[:, 0] = np.exp(1j * theta)
-    have = 1
-    while have < n:
-        more = min(have, n - have)
-        np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
-        have += more
-    return out
-
-
 def _weighted_deviations(columns, weights, starts):
     """Weights times deviations from the position's mean: one side of a product is enough."""
     weighted = weights[:, None, None] * columns
@@ -295,13 +327,22 @@ def _weighted_deviations(columns, weights, starts):
     return weighted
 
 
-def _inner_products(weighted, turns, angles, spans):
-    """``weighted.T @ H`` for columns (n, 3, m): (m, 2 n_pairs)."""
-    parts = []
-    for joint, orders, _ in spans:
-        share = np.einsum("ncm,nc->nm", weighted, turns[:, :, joint])
-        parts.append(share.T @ _waves(angles[:, joint], orders).view(float))
-    return np.concatenate(parts, axis=1) if parts else np.empty((weighted.shape[2], 0))
+def _sums_of_joints(spans, n_poses):
+    """A `WaveSums` for each joint with candidates."""
+    return [WaveSums(orders, n_poses) for _, orders, _ in spans]
+
+
+def _add_products(sums, spans, angles, share_of):
+    """Add some poses to sums; `share_of` gives the columns (n, m) times the turn of a joint."""
+    for joint_sums, (joint, _, _) in zip(sums, spans, strict=True):
+        joint_sums.add(angles[:, joint], share_of(joint))
+
+
+def _products(sums, n_columns):
+    """Inner products of the columns with all candidates, (m, 2 n_pairs)."""
+    if not sums:
+        return np.empty((n_columns, 0))
+    return np.concatenate([joint_sums.result() for joint_sums in sums], axis=1)
 
 
 def _own_blocks(turns, angles, weights, starts, spans):
@@ -309,15 +350,15 @@ def _own_blocks(turns, angles, weights, starts, spans):
     out = np.empty((3, sum(len(orders) for _, orders, _ in spans)))
     for joint, orders, pairs in spans:
         turn = turns[:, :, joint]
-        waves = _waves(angles[:, joint], orders)
         size = weights * np.square(turn).sum(axis=1)
-        double = size @ np.square(waves)
+        double = sums_of_doubles(angles[:, joint], size, orders)
         cc, ss = 0.5 * (size.sum() + double.real), 0.5 * (size.sum() - double.real)
         cs = 0.5 * double.imag
         if starts is not None:
+            means = waves(angles[:, joint], orders)
             total = np.maximum(np.add.reduceat(weights, starts), _TINY)
             for component in range(turn.shape[1]):
-                sums = np.add.reduceat((weights * turn[:, component])[:, None] * waves, starts)
+                sums = np.add.reduceat((weights * turn[:, component])[:, None] * means, starts)
                 sums /= np.sqrt(total)[:, None]
                 cc -= np.square(sums.real).sum(axis=0)
                 ss -= np.square(sums.imag).sum(axis=0)
@@ -326,15 +367,39 @@ def _own_blocks(turns, angles, weights, starts, spans):
     return out
 
 
+def _rows_in_batches(poses, turns, spans, pairs):
+    """As `_gram_rows`, for any number of pairs."""
+    parts = [pairs[some] for some in chunks(len(pairs), _LARGEST_BATCH)]
+    return np.concatenate([_gram_rows(poses, turns, spans, part) for part in parts])
+
+
 def _gram_rows(poses, turns, spans, pairs):
     """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
-    joint, order = pairs.T
-    out = 0.0
+    sums = _sums_of_joints(spans, len(poses.angles))
+    (joint, order), twice = pairs.T, np.repeat(pairs[:, 0], 2)
     for rows, starts in poses.parts:
-        phase = order * poses.angles[rows][:, joint]
-        wave = np.stack([np.cos(phase), np.sin(phase)], axis=2)
-        columns = turns[rows][:, :, joint, None] * wave[:, None]
-        columns = columns.reshape(len(wave), turns.shape[1], -1)
-        weighted = _weighted_deviations(columns, poses.weights[rows], starts)
-        out = out + _inner_products(weighted, turns[rows], poses.angles[rows], spans)
-    return out
+        angles, turn, weights = poses.angles[rows], turns[rows], poses.weights[rows]
+        phase = order * angles[:, joint]
+        wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
+        if starts is None:
+            share_of = _shares_of_waves(wave, twice, turn, weights)
+        else:
+            columns = turn[:, :, twice] * wave[:, None]
+            share_of = _shares(_weighted_deviations(columns, weights, starts), turn)
+        _add_products(sums, spans, angles, share_of)
+    return _products(sums, 2 * len(pairs))
+
+
+def _shares(weighted, turns):
+    """Columns (n, c, m) with weights, contracted with the turn of a joint: (n, m)."""
+    return lambda joint: np.einsum("ncm,nc->nm", weighted, turns[:, :, joint])
+
+
+def _shares_of_waves(wave, joints, turns, weights):
+    """The same for waves (n, m) of some joints (m,): their turns alone are contracted."""
+
+    def share_of(joint):
+        turn = weights[:, None] * turns[:, :, joint]
+        return np.take(np.einsum("ncj,nc->nj", turns, turn), joints, axis=1) * wave
+
+    return share_of

@@ -21,13 +21,13 @@ from scipy.linalg import LinAlgError
 from sklearn_raacmm.error_model._harmonic_selection import (
     MAX_CHOICES,
     MAX_STEPS,
-    Leftover,
     Problem,
     alone,
     extend,
     gains_of,
     posterior_of,
 )
+from sklearn_raacmm.error_model._leftover import Leftover
 
 # Rise of the evidence, less the prices, that a smooth function has to bring, in nats. Eight
 # simulated arms without one show 5 to 10: they gain nothing by it, and their intervals become too
@@ -128,10 +128,11 @@ def _promise(problem, found, shares):
         left = Leftover(problem, *known, variance, found.noise_variance)
     except LinAlgError:  # so little noise that only rounding is left
         return 1.0, -np.inf
-    free = np.setdiff1d(np.flatnonzero(shares > 0), found.pairs)
-    size = np.maximum(left.own[:2, free] - 1 / left.prior, 0.0)
-    seen = np.square(left.r.reshape(-1, 2)[free].T)
-    sizes = variance[problem.harmonic] * shares[free] * _SMOOTH_SIZES[:, None, None]
+    shares = shares[left.free]
+    some = shares > 0
+    size = np.maximum(left.own[:2, some] - 1 / left.prior, 0.0)
+    seen = np.square(left.r.reshape(-1, 2)[some].T)
+    sizes = variance[problem.harmonic] * shares[some] * _SMOOTH_SIZES[:, None, None]
     rises = seen * sizes / (1 + size * sizes) - np.log1p(size * sizes)
     rises = 0.5 * rises.sum(axis=(1, 2))
     best = int(np.argmax(rises))
@@ -167,16 +168,16 @@ def _without_needless(problem, pairs, variance, noise, prices, shares):
 
     The variances follow a few steps at a time while pairs leave, and settle at the end.
     """
-    steps = _STEPS_WHILE_LEAVING
+    steps, start = _STEPS_WHILE_LEAVING, (variance, noise)
     while True:
-        found = problem.find_variances(*_joined(pairs, shares), variance, noise, max_steps=steps)
-        variance, noise = found.prior_variance, found.noise_variance
+        found = problem.find_variances(*_joined(pairs, shares), start, max_steps=steps)
         found = found._replace(gains=gains_of(found))
         worth = _worth(found, prices)
         if not worth.all():
+            start = found.prior_variance, found.noise_variance
             pairs, steps = pairs[worth], _STEPS_WHILE_LEAVING
         elif steps < MAX_STEPS:
-            steps = MAX_STEPS
+            start, steps = found, MAX_STEPS
         else:
             return found
 

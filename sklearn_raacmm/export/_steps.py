@@ -17,7 +17,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import force_on_probe
-from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.network import ProcessPosterior, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show
 
@@ -25,6 +25,9 @@ SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
 # What an ArmResidualRegressor uses, by the number of its stages.
 STAGES = ("none", "harmonics", "harmonics+network")
+# Centres up to which the standard deviation of a process is written: a table of 4 million numbers,
+# as that of the largest network that a fit chooses by itself.
+MOST_CENTERS = 2000
 
 
 class Step(NamedTuple):
@@ -168,8 +171,19 @@ def posterior_spectrum(step):
     tail : ndarray of shape (p, 1 + n_features)
     shrunk : ndarray of shape (n_outputs, rank)
         ``1 / (spectrum + alpha)``.
+
+    Raises
+    ------
+    ValueError
+        If the tables would be too large, as they are where thousands of rows are centres.
     """
     posterior, k = step.posterior_, len(step.centers_)
+    if k > MOST_CENTERS and isinstance(posterior, ProcessPosterior):
+        raise ValueError(
+            f"The standard deviation of a network of {k} centres would need a table of "
+            f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
+            f"max_centers={MOST_CENTERS}."
+        )
     p, rows = len(posterior.tail_map), posterior.design_triangle()
     left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
     tail = solve_triangular(left, posterior.tail_map, trans="T") if p else posterior.tail_map

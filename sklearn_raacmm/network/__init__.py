@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.network._all_rows import ProcessPosterior
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 from sklearn_raacmm.network._network_posterior import NetworkPosterior
 from sklearn_raacmm.network._rbf_net import RBFNetRegressor
@@ -10,6 +11,7 @@ from sklearn_raacmm.network._rbf_net import RBFNetRegressor
 __all__ = [
     "KERNELS",
     "NetworkPosterior",
+    "ProcessPosterior",
     "RBFNetRegressor",
     "kernel_matrix",
 ]

@@ -127,6 +127,8 @@ class SymmetricCandidates:
 class Features:
     """Columns that span the candidates' ones, on any rows: a function of a block.
 
+    The result is to be read only: where no row has a weight, it is the known columns themselves.
+
     Parameters
     ----------
     Z : ndarray of shape (m, d)
@@ -150,7 +152,9 @@ class Features:
 
     def __call__(self, block):
         if self.rows is not None:
-            return block.weigh(self.rows[block.part].copy())
+            known = self.rows[block.part]
+            plain = block.codes is None and np.all(block.root == 1)
+            return known if plain else block.weigh(known.copy(order="K"))
         K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
         if self.root is not None:
             K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)

@@ -48,7 +48,7 @@ class Selection(NamedTuple):
 
 def total_score(gains):
     """Trace of the error reduction (Chen et al. 1991, multi-output)."""
-    return gains.sum(axis=1)
+    return gains.sum(axis=1) if gains.shape[1] > 1 else gains[:, 0]
 
 
 def squared_ratio_score(squared_norms):
@@ -136,16 +136,18 @@ class _ForwardPass:
         """
         u, v = self.candidates.columns(picks)
         self.project(u, v)
-        squared_norms = np.empty(len(picks))
-        for i in range(len(picks)):
-            # Twice is enough for orthogonality to working precision (Giraud et al. 2005).
-            for _ in range(2 if i else 0):
-                c = v[:i] @ u[i]
-                u[i] -= c @ u[:i]
-                if v is not u:
+        if v is u:
+            squared_norms = _orthonormalise(u)
+        else:
+            squared_norms = np.empty(len(picks))
+            for i in range(len(picks)):
+                # Twice is enough for orthogonality to working precision (Giraud et al. 2005).
+                for _ in range(2 if i else 0):
+                    c = v[:i] @ u[i]
+                    u[i] -= c @ u[:i]
                     v[i] -= c @ v[:i]
-            squared_norms[i] = u[i] @ v[i]
-            _normalise(u[i], v[i], squared_norms[i], u is v)
+                squared_norms[i] = u[i] @ v[i]
+                _normalise(u[i], v[i], squared_norms[i], same=False)
         # The second time for the chosen ones before.
         self.project(u, v)
         left = np.einsum("ij,ij->i", u, v)[:, None]
@@ -197,6 +199,20 @@ class _ForwardPass:
             left -= (left @ self.U().T) @ self.U()
             self.norms[stale] = self.fresh[stale] = np.einsum("ij,ij->i", left, left)
             self.correlations[stale] = left @ self.target
+
+
+def _orthonormalise(u):
+    """Make rows orthonormal one after the other, in place; return what was left of their squares.
+
+    Householder reflections lose no digits where rows depend on those before.
+    """
+    Q, R = qr(u.T, mode="economic", check_finite=False)
+    squared_norms = np.zeros(len(u))  # of rows beyond the dimension nothing is left
+    left = R.diagonal()
+    squared_norms[: len(left)] = np.square(left)
+    u[len(left) :] = 0.0
+    np.multiply(Q.T, np.where(left < 0, -1.0, 1.0)[:, None], out=u[: len(left)])
+    return squared_norms
 
 
 def _normalise(u, v, squared_norm, same):

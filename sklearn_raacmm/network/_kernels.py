@@ -12,6 +12,8 @@ from scipy.linalg import blas, lapack
 
 # Pivot of a kernel matrix, whose diagonal is 1, that is far above the rounding of its eigenvalues.
 _SOUND_PIVOT = 1e-6
+# Numbers of a factor for which there is room from the start, 256 MB. To grow costs time.
+_ROOM = 2**25
 _SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
 
 
@@ -87,7 +89,7 @@ KERNELS = {
 }
 
 
-def squared_distances(A, B):
+def squared_distances(A, B, out=None):
     """Squared Euclidean distances between the rows of A (n, d) and B (m, d), as one matrix product.
 
     ``|a|^2 + |b|^2 - 2 a.b`` as ``[-2a, |a|^2, 1] . [b, 1, |b|^2]``. The inputs should be centred:
@@ -101,12 +103,16 @@ def squared_distances(A, B):
     right[:, :-2] = B
     right[:, -2] = 1.0
     right[:, -1] = np.einsum("ij,ij->i", B, B)
-    return left @ right.T
+    return np.matmul(left, right.T, out=out)
 
 
-def kernel_matrix(A, B, kernel):
-    """Kernel values (n, m) between scaled rows A (n, d) and B (m, d)."""
-    return KERNELS[kernel].function(squared_distances(A, B))
+def kernel_matrix(A, B, kernel, out=None):
+    """Kernel values (n, m) between scaled rows A (n, d) and B (m, d); in `out`, if it is given."""
+    values = KERNELS[kernel].function(squared_distances(A, B, out))
+    if out is None or values is out:
+        return values
+    out[:] = values
+    return out
 
 
 def rounding(Z):
@@ -174,7 +180,8 @@ def pivoted_cholesky(
     diagonal = np.ones(n)
     # The factor is kept transposed, one pivot a row, so that new pivots are appended without moving
     # the old ones.
-    factor = np.empty((min(max_rank, 4 * block_size), n))
+    # Memory that is not written to yet is not taken yet.
+    factor = np.empty((min(max_rank, max(4 * block_size, _ROOM // n)), n))
     pivots = np.empty(max_rank, dtype=np.intp)
     rank = 0
     least = rounding(Z)
@@ -188,24 +195,27 @@ def pivoted_cholesky(
         top = top[diagonal[top] > tol]
         if not len(top):
             break
+        part = np.take(factor[:rank], top, axis=1)
         inside = kernel_matrix(Z[top], Z[top], kernel)
-        inside -= factor[:rank, top].T @ factor[:rank, top]
+        inside -= part.T @ part
         # As far as the factor knows it: by rounding the difference may be negative.
         inside[np.diag_indices(len(top))] = diagonal[top]
         most = min(max_rank - rank, max(1, rank))
         chosen, root = _pivots_in_block(inside, max(tol, 0.2 * diagonal[top[0]]), most)
         top = top[chosen]
-        # Transposed, for BLAS to work in place.
-        new = kernel_matrix(Z[top], Z, kernel).T
-        new = blas.dgemm(
-            -1.0, factor[:rank].T, factor[:rank, top], beta=1.0, c=new, overwrite_c=True
-        )
-        new = blas.dtrsm(1.0, root, new, side=1, lower=1, trans_a=1, overwrite_b=True).T
         need = rank + len(top)
         if need > len(factor):
             # In place where the system can move pages: no copy, and not two factors at once.
             factor.resize((min(max_rank, max(need, len(factor) * 5 // 4)), n), refcheck=False)
-        factor[rank:need] = new
+        new = factor[rank:need]
+        kernel_matrix(Z[top], Z, kernel, out=new)
+        # Transposed, for BLAS to work in place. The pivots of a round are alike in size, so that
+        # the inverse of their root loses no digits; a product with it is faster than to solve.
+        if rank:
+            part = np.asfortranarray(part[:, chosen])
+            blas.dgemm(-1.0, factor[:rank].T, part, beta=1.0, c=new.T, overwrite_c=True)
+        inverse = lapack.dtrtri(root, lower=1)[0]
+        blas.dtrmm(1.0, inverse, new.T, side=1, lower=1, trans_a=1, overwrite_b=True)
         pivots[rank:need] = top
         diagonal -= np.einsum("ij,ij->j", new, new)
         diagonal[pivots[:need]] = 0.0

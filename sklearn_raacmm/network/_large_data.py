@@ -13,16 +13,18 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from sklearn.utils import check_array
 
+from sklearn_raacmm.network._polynomial_tail import (
+    independent_features,
+    ridge_rows,
+    tail_coefficients,
+)
 from sklearn_raacmm.network._training_data import (
     Block,
     Merged,
     Problem,
     block_rows,
-    independent_features,
     merge,
     prepare,
-    ridge_rows,
-    tail_coefficients,
     view_of,
 )
 from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, blas, lapack
 
 from sklearn_raacmm.network._kernels import KERNELS, squared_distances
-from sklearn_raacmm.utils import centred, group_sums
+from sklearn_raacmm.utils import centred, group_sums, invert_triangle
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
@@ -33,8 +33,6 @@ MANY_OUTPUTS = 8
 LEAST_PROJECTED_RIDGE = 1e-5
 # Added to the inducing rows' kernel matrix for its Cholesky factor to exist: the first that does.
 JITTER = (1e-10, 1e-8, 1e-6)
-# Rows of a triangle that is inverted as a whole; 32 to 100 take the same time.
-SMALL_TRIANGLE = 64
 
 
 class Data(NamedTuple):
@@ -138,10 +136,14 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
 
 def log_likelihood(data, kernel, log_width, log_alpha):
     """Logarithm of the marginal likelihood with its constants, summed over outputs."""
-    n, q = data.n_total, data.Y.shape[1]
     found = exact_likelihood(data, kernel, log_width, log_alpha)
-    constant = 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
-    return -found.value - q * constant
+    return -found.value - data.Y.shape[1] * evidence_constant(data)
+
+
+def evidence_constant(data):
+    """What the values of this module leave out of the negative logarithm, for each output."""
+    n = data.n_total
+    return 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
 
 
 def _weigh(K, root):
@@ -192,29 +194,12 @@ def _inverses(K, Y, alphas):
             raise LinAlgError("kernel matrix is not positive definite to working precision")
         log_det[i] = 2 * np.log(factor.diagonal()).sum()
         solved[:, i] = lapack.dpotrs(factor, Y[:, i], lower=1)[0]
-        _invert_triangle(factor)
+        invert_triangle(factor)
         one = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # its lower triangle
         trace[i] = np.trace(one)
         half = one if half is None else np.add(half, one, out=half)
     half[np.diag_indices(n)] *= 0.5
     return solved, log_det, trace, half
-
-
-def _invert_triangle(L):
-    """Invert a lower triangular matrix in Fortran order, in place.
-
-    By halves, whose products do most of the work: LAPACK's own inverse takes twice the time where
-    it works on small blocks, and with it the inverse of the whole matrix half as much again.
-    """
-    n = len(L)
-    if n <= SMALL_TRIANGLE:
-        L[:] = lapack.dtrtri(L, lower=1)[0]
-        return
-    half = n // 2
-    _invert_triangle(L[:half, :half])
-    _invert_triangle(L[half:, half:])
-    below = blas.dtrmm(-1.0, L[:half, :half], L[half:, :half], side=1, lower=1)
-    L[half:, :half] = blas.dtrmm(1.0, L[half:, half:], below, side=0, lower=1, overwrite_b=1)
 
 
 class LeaveOneOut(NamedTuple):
@@ -241,18 +226,20 @@ def leave_one_out(data, kernel, log_width, log_alpha):
     -------
     LeaveOneOut
     """
-    X, Y, weights, within, _ = data
-    root, alphas = np.sqrt(weights), np.exp(log_alpha)
-    Xs = X * np.exp(-log_width)
+    Xs = data.X * np.exp(-log_width)
     K = KERNELS[kernel].function(squared_distances(Xs, Xs))
-    _weigh(K, root)
-    K = _centre(_centre(K, data).T, data)
-    Yw = root[:, None] * Y
+    _weigh(K, np.sqrt(data.weights))
+    return left_out(data, _centre(_centre(K, data).T, data), np.exp(log_alpha))
+
+
+def left_out(data, K, alphas):
+    """The same, of a kernel matrix that is weighted, and without what is constant in a group."""
+    Yw = np.sqrt(data.weights)[:, None] * data.Y
     error, density = 0.0, 0.0
     for i, alpha in enumerate(alphas):
         y, one = Yw[:, i : i + 1], alphas[i : i + 1]
         solved, _, _, half = _inverses(K, y, one)
-        signal = ((y * solved).sum() + within[i] / alpha) / data.n_total
+        signal = ((y * solved).sum() + data.within[i] / alpha) / data.n_total
         if data.codes is not None:
             found = _groups_left_out(half + half.T, solved[:, 0], data.codes, alpha, signal)
             error, density = error + found[0], density + found[1]

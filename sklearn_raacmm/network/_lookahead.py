@@ -21,6 +21,8 @@ from sklearn_raacmm.network._kernels import largest
 # Directions looked ahead at least and at most. As many are projected out of the Gram matrix at
 # once: fewer would read the memory too often, more would cost each guess as much.
 FEWEST, MOST = 4, 64
+# Directions that a sketch looks ahead at first: it seldom guesses wrong.
+_FIRST = 16
 # Candidates that enter a pool that does not hold all, when one outside turns out to be the best.
 _ENTRANTS = 64
 # Inner products of vectors, for a Gram matrix, in the time in which one vector is read: a pool is
@@ -39,11 +41,10 @@ _MEMORY, _FREE = 1.25, 5000
 _FEW_DIGITS = 1e-7
 # Rows of the Gram matrix that are updated together.
 _ROWS = 512
-# Leading coordinates in a sketch for each of the directions it is to see: at first, and after a
-# wrong guess; and at the least. With 2, runs of 64 guesses are right where functions are smooth
-# (10 000 rows, rank 892); where they are rougher (5000 rows, rank 1142) a third of the guesses is
-# wrong, and with 3 a tenth, as with all coordinates.
-_PER_DIRECTION, _LEAST_WIDTH = (2, 3), 128
+# Leading coordinates in a sketch: so many, and so many for each of the directions it is to see, at
+# first and after a wrong guess. With these, runs of 64 guesses are right where functions are smooth
+# (10 000 rows, rank 914); where they are rougher (5000 rows, rank 1142) a tenth is wrong.
+_WIDTH, _PER_DIRECTION = 192, (1.5, 2.5)
 # Coordinates of all candidates from which a sketch pays: fewer stay in the cache.
 _LARGE = 1_000_000
 
@@ -62,7 +63,9 @@ def gains(norms, floor, correlations):
     -------
     ndarray of shape (n, n_outputs)
     """
-    return np.square(correlations) / np.where(norms > floor, norms, np.inf)[:, None]
+    gained = np.square(correlations)
+    gained /= np.where(norms > floor, norms, np.inf)[:, None]
+    return gained
 
 
 def all_scores(score, states):
@@ -79,8 +82,13 @@ def all_scores(score, states):
     -------
     ndarray of shape (n,)
     """
-    scores = score(np.hstack([gains(*state) for state in states]))
-    scores[np.all([norms <= floor for norms, floor, _ in states], axis=0)] = -1.0
+    every = [gains(*state) for state in states]
+    scores = score(every[0] if len(every) == 1 else np.hstack(every))
+    norms, floor, _ = states[0]
+    dependent = norms <= floor
+    for norms, floor, _ in states[1:]:
+        dependent &= norms <= floor
+    np.copyto(scores, -1.0, where=dependent)
     return scores
 
 
@@ -120,7 +128,8 @@ class Pool:
         self.pending = [[] for _ in passes]  # products not yet projected out of it
         large = passes[0].whitened and n * rank >= _LARGE
         self.sketch = Sketch(passes, score) if large else None
-        self.length, self.guessed, self.taken, self.rounds, self.n_read = FEWEST, 0, 0, 0, 0
+        self.length = FEWEST if self.sketch is None else _FIRST
+        self.guessed, self.taken, self.rounds, self.n_read = 0, 0, 0, 0
 
     def guess(self, j, scores, room):
         """Candidate j, which scores highest, and those that are likely to be chosen after it."""
@@ -252,51 +261,59 @@ class Sketch:
 
     def walk(self, j, length):
         """Candidate j, and those that a forward selection on the sketch takes after it."""
-        self._widen(self.passes[0].U.size + length)
-        picks = [j]
+        picks, place = [j], int(j)
+        width = self._widen(self.passes[0].U.size + length)
         states = [(one.norms.copy(), one.floor, one.correlations.copy()) for one in self.passes]
-        bases = [np.empty((length, one.candidates.rank)) for one in self.passes]
-        targets = [one.target.copy() for one in self.passes]
+        bases = [_leading_basis(one, width, length) for one in self.passes]
         while len(picks) < length:
-            for number, one in enumerate(self.passes):
-                known = bases[number][: len(picks)]
-                norms, floor, correlations = states[number]
-                if not _direction(one, picks[-1], known, floor[picks[-1]]):
+            for one, leading, basis, state in zip(
+                self.passes, self.leading, bases, states, strict=True
+            ):
+                size = one.U.size + len(picks) - 1
+                if not _project_sketched(leading[:, :width], basis, size, place, *state):
                     return picks
-                u, leading = known[-1], self.leading[number]
-                h = leading @ u[: leading.shape[1]].astype(np.float32)
-                on_target = u @ targets[number]
-                targets[number] -= np.outer(u, on_target)
-                norms -= np.square(h, dtype=float)
-                correlations -= np.outer(h, on_target)
-                norms[picks[-1]] = 0.0
             scores = all_scores(self.score, states)
-            best = int(np.argmax(scores))
-            if scores[best] <= 0:
+            place = int(np.argmax(scores))
+            if scores[place] <= 0:
                 return picks
-            picks.append(best)
+            picks.append(place)
         return picks
 
     def _widen(self, n_directions):
-        """Hold enough coordinates for so many directions; by doubling, to copy little in all."""
+        """Hold enough coordinates for so many directions, and return how many these are."""
         rank, width = self.passes[0].candidates.rank, self.leading[0].shape[1]
-        need = max(_LEAST_WIDTH, self.per_direction * n_directions)
-        if width < min(need, rank):
-            width = min(rank, max(need, 2 * width))
+        need = min(rank, _WIDTH + int(self.per_direction * n_directions))
+        if width < need:
+            # Room for the next time, too, so that little is copied in all.
+            width = min(rank, need + _WIDTH // 2)
             wide = [one.candidates.coordinates[:, :width] for one in self.passes]
             self.leading = [np.asfortranarray(each, dtype=np.float32) for each in wide]
+        return need
 
 
-def _direction(one, j, known, floor):
-    """Unit direction of candidate j as the last row of `known`; False where nothing is left."""
-    u = known[-1]
-    u[:] = one.candidates.coordinates[j]
-    for basis in (one.U(), known[:-1]):
-        u -= (basis @ u) @ basis
-    squared_norm = u @ u
-    if squared_norm <= floor:
+def _leading_basis(one, width, length):
+    """Leading coordinates of the directions chosen so far, with room for more below them."""
+    basis = np.empty((one.U.size + length, width), dtype=np.float32)
+    basis[: one.U.size] = one.U()[:, :width]
+    return basis
+
+
+def _project_sketched(leading, basis, size, place, norms, floor, correlations):
+    """One step of a forward selection on a sketch, in place; False where nothing is left."""
+    known, u = basis[:size], basis[size]
+    u[:] = leading[place]
+    for _ in range(2):
+        u -= (known @ u) @ known
+    squared_norm = float(u @ u)
+    if not squared_norm > floor[place]:
         return False
+    on_target = correlations[place] / np.sqrt(squared_norm)
     u /= np.sqrt(squared_norm)
+    h = (leading @ u).astype(float)
+    correlations -= h[:, None] * on_target
+    h *= h
+    norms -= h
+    norms[place] = 0.0
     return True
 
 

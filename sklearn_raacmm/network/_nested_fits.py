@@ -3,7 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import lapack, qr, solve_triangular
+
+# Columns that a triangular factorisation works on together; 16 and 64 were slower by a tenth.
+_PANEL = 32
 
 
 class NestedFits(NamedTuple):
@@ -27,7 +30,20 @@ class NestedFits(NamedTuple):
 
 def triangular_factor(rows):
     """R of the QR factorisation, upper triangular or trapezoidal; its signs are arbitrary."""
-    return qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][: rows.shape[1]]
+    m, k = rows.shape
+    if m < k or not k:
+        return qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][:k]
+    return _stacked(np.zeros((k, k), order="F"), np.array(rows, order="F"), 0)
+
+
+def _stacked(upper, lower, n_triangular):
+    """R of the square triangle `upper` with rows below it, the last of which form a triangle.
+
+    LAPACK's routine for such a stack keeps what it works on in the cache: twice as fast as the
+    plain one for blocks of a few thousand rows, and nothing is spent on zeros. Overwrites both.
+    """
+    block = min(_PANEL, len(upper))
+    return lapack.dtpqrt(n_triangular, block, upper, lower, overwrite_a=1, overwrite_b=1)[0]
 
 
 def triangle_of_block(columns, block):
@@ -37,7 +53,12 @@ def triangle_of_block(columns, block):
 
 def stack_triangles(upper, lower):
     """The triangular factor of two blocks of rows from those of each."""
-    return triangular_factor(np.vstack([upper, lower]))
+    k = upper.shape[1]
+    if len(upper) < k or not k:
+        return triangular_factor(np.vstack([upper, lower]))
+    triangular = not np.any(np.tril(lower, -1))
+    upper, lower = np.array(upper, order="F"), np.array(lower, order="F")
+    return _stacked(upper, lower, len(lower) if triangular else 0)
 
 
 def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None):

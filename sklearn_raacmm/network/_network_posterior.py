@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -40,44 +41,10 @@ class RadialFunctions(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkPosterior:
-    """Posterior of a network of k centres, d features and q outputs.
+class Posterior:
+    """What the posteriors of a network and of a whole process have in common.
 
-    `RBFNetRegressor` holds it, exporters read it, and files keep it. It does not change;
-    ``dataclasses.replace`` makes another one.
-
-    Attributes
-    ----------
-    kernel : str
-        Radial function.
-
-    centers : ndarray of shape (k, d)
-        In the units of X.
-
-    length_scale : ndarray of shape (d,)
-        Widths.
-
-    coef : ndarray of shape (k, q)
-        Posterior mean of the weights.
-
-    polynomial : ndarray of shape (1 + d, q)
-        Constant and linear term.
-
-    alpha : ndarray of shape (q,)
-        Ridge, in units of an observation.
-
-    weight_unit : float
-        Weight of an observation.
-
-    noise_variance, signal_variance : ndarray of shape (q,)
-        In squared units of y.
-
-    tail_map : ndarray of shape (p, 1 + d)
-        From the coefficients of the polynomial's p columns in the fit to those of (1, x).
-
-    triangle : ndarray of one dimension
-        Triangular factor of the columns at the training rows, polynomial first, packed by rows.
-        Trapezoidal where there were fewer rows than columns.
+    Those that inherit say how a point is seen: `_whitened`, and the derivatives of it, `_slopes`.
     """
 
     kernel: str
@@ -90,7 +57,9 @@ class NetworkPosterior:
     noise_variance: np.ndarray
     signal_variance: np.ndarray
     tail_map: np.ndarray
-    triangle: np.ndarray
+
+    # Shapes of further arrays, and kernel values held at a time for standard deviations.
+    _further, _chunk_of_std = MappingProxyType({}), _CHUNK
 
     def __getstate__(self):
         # Without what `_roots` keeps from one call to the next.
@@ -98,14 +67,15 @@ class NetworkPosterior:
 
     def __setstate__(self, state):
         vars(self).update(state)
+        name = type(self).__name__
         shapes = {"centers": ("k", "d"), "length_scale": ("d",), "coef": ("k", "q")}
         shapes |= {"polynomial": ("d1", "q"), "tail_map": ("p", "d1")}
         shapes |= dict.fromkeys(("alpha", "noise_variance", "signal_variance"), ("q",))
         infinite = ("length_scale", "noise_variance")
-        check_shapes("NetworkPosterior", state, shapes, {}, infinite)
+        check_shapes(name, state, shapes | self._further, {}, infinite)
         if len(self.polynomial) != 1 + len(self.length_scale):
             raise ValueError(
-                f"The file is damaged: polynomial of NetworkPosterior has {len(self.polynomial)} "
+                f"The file is damaged: polynomial of {name} has {len(self.polynomial)} "
                 f"rows, where {1 + len(self.length_scale)} would fit the other arrays."
             )
 
@@ -123,33 +93,15 @@ class NetworkPosterior:
         """Values of the radial functions, (n, k)."""
         return kernel_matrix(self.scaled(X), self._scaled_centers[1], self.kernel)
 
-    def _columns(self, X, K):
-        """Columns of the fit at some rows, (p + k, n)."""
-        tail = np.column_stack([np.ones(len(X)), X]) @ self.tail_map.T
-        return np.hstack([tail, K]).T
-
-    def design_triangle(self):
-        """Triangular factor of the columns at the training rows, polynomial first."""
-        n = len(self.tail_map) + len(self.centers)
-        size = next(m for m in range(n + 1) if m * n - m * (m - 1) // 2 == len(self.triangle))
-        rows = np.zeros((size, n))
-        rows[np.triu_indices(size, m=n)] = self.triangle
-        return rows
+    def tail(self, X):
+        """Columns of the polynomial in the fit, (n, p)."""
+        return np.column_stack([np.ones(len(X)), X]) @ self.tail_map.T
 
     @cached_property
     def prior_root(self):
         """W such that ``|W k(x)|^2`` is the part of the prior variance in the centres' span."""
         centers = self._scaled_centers[1]
         return psd_inverse_root(kernel_matrix(centers, centers, self.kernel))
-
-    @cached_property
-    def _roots(self):
-        """For each output R such that ``(R' R)^-1`` is the weights' covariance, over the noise."""
-        centers = self._scaled_centers[1]
-        root = psd_root(kernel_matrix(centers, centers, self.kernel))
-        rows, p = self.design_triangle(), len(self.tail_map)
-        triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(self.alpha)}
-        return [triangles[a] for a in self.alpha]
 
     def predict(self, X, return_std=False, with_noise=True):
         """Mean and standard deviation.
@@ -174,32 +126,21 @@ class NetworkPosterior:
         if np.any(self.polynomial[1:]):
             mean += X @ self.polynomial[1:]
         variance = np.empty_like(mean) if return_std else None
-        for part in chunks(n, _CHUNK // max(k, 1)):
+        for part in chunks(n, (self._chunk_of_std if return_std else _CHUNK) // max(k, 1)):
             K = self.radial(X[part])
             mean[part] += K @ self.coef
             if return_std:
                 variance[part] = self._variance(X[part], K, with_noise)
         return mean, np.sqrt(variance) if return_std else None
 
-    def outside(self, X):
-        """Part of the prior variance at some rows that the centres do not explain, (n,)."""
-        found = np.empty(len(X))
-        for part in chunks(len(X), _CHUNK // max(len(self.centers), 1)):
-            found[part] = self._outside(self.radial(X[part]))
-        return found
-
-    def _outside(self, K):
-        return np.maximum(1 - np.square(K @ self.prior_root.T).sum(axis=1), 0.0)
-
     def _variance(self, X, K, with_noise):
         """Variance of the weights' part, and of what lies outside the centres' span, (n, q)."""
-        variance = np.outer(self._outside(K), self.signal_variance)
-        rows, of_weights = self._columns(X, K), {}
-        for i, R in enumerate(self._roots):
-            if id(R) not in of_weights:
-                solved = solve_triangular(R, rows, trans="T", check_finite=False)
-                of_weights[id(R)] = np.square(solved).sum(axis=0) + float(with_noise)
-            variance[:, i] += self.noise_variance[i] * of_weights[id(R)]
+        variance = np.empty((len(X), len(self.alpha)))
+        for of, _, inside, solved in self._whitened(X, K):
+            outside = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
+            of_weights = np.square(solved).sum(axis=0) + float(with_noise)
+            variance[:, of] = np.outer(outside, self.signal_variance[of])
+            variance[:, of] += np.outer(of_weights, self.noise_variance[of])
         return variance
 
     def covariance(self, X, with_noise=True):
@@ -217,16 +158,16 @@ class NetworkPosterior:
         ndarray of shape (n, n, q)
         """
         n, Z, K = len(X), self.scaled(X), self.radial(X)
-        inside = K @ self.prior_root.T
-        outside = kernel_matrix(Z, Z, self.kernel) - inside @ inside.T
-        outside[np.diag_indices(n)] = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
-        rows, found = self._columns(X, K), np.empty((n, n, len(self.alpha)))
-        for i, R in enumerate(self._roots):
-            solved = solve_triangular(R, rows, trans="T", check_finite=False)
+        found = np.empty((n, n, len(self.alpha)))
+        prior, diagonal = kernel_matrix(Z, Z, self.kernel), np.diag_indices(n)
+        for of, _, inside, solved in self._whitened(X, K):
+            outside = prior - inside @ inside.T
+            outside[diagonal] = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
             of_weights = solved.T @ solved
-            of_weights[np.diag_indices(n)] += float(with_noise)
-            found[:, :, i] = self.signal_variance[i] * outside
-            found[:, :, i] += self.noise_variance[i] * of_weights
+            of_weights[diagonal] += float(with_noise)
+            for i in of:
+                found[:, :, i] = self.signal_variance[i] * outside
+                found[:, :, i] += self.noise_variance[i] * of_weights
         return found
 
     def sample(self, X, n_samples, rng, with_noise=True):
@@ -303,20 +244,117 @@ class NetworkPosterior:
 
     def _variance_gradient(self, X, Z, K, slope):
         """Derivatives of the variance, whose noise does not depend on x, (n, q, d)."""
-        p, W = len(self.tail_map), self.prior_root
-        inside = K @ W.T
-        # Where the span explains all of the prior variance its part is rounding, and held at 0.
-        positive = np.square(inside).sum(axis=1) < 1
-        by_prior = -2 * positive[:, None] * (inside @ W)
-        rows = self._columns(X, K)
-        found = np.empty((len(X), len(self.alpha), X.shape[1]))
-        for i, R in enumerate(self._roots):
-            solved = solve_triangular(R, rows, trans="T", check_finite=False)
-            by_rows = 2 * self.noise_variance[i] * solve_triangular(R, solved, check_finite=False).T
-            by_kernel = self.signal_variance[i] * by_prior + by_rows[:, p:]
-            found[:, i] = self._along(Z, by_kernel * slope)
-            found[:, i] += by_rows[:, :p] @ self.tail_map[:, 1:]
+        p, found = len(self.tail_map), np.empty((len(X), len(self.alpha), X.shape[1]))
+        for of, root, inside, solved in self._whitened(X, K):
+            # Where the span explains all of the prior variance its part is rounding, held at 0.
+            positive = np.square(inside).sum(axis=1) < 1
+            of_inside, of_solved = self._slopes(root, inside, solved)
+            of_inside *= positive[:, None]
+            for i in of:
+                by_columns = 2 * self.noise_variance[i] * of_solved
+                by_kernel = by_columns[:, p:] - 2 * self.signal_variance[i] * of_inside
+                found[:, i] = self._along(Z, by_kernel * slope)
+                found[:, i] += by_columns[:, :p] @ self.tail_map[:, 1:]
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkPosterior(Posterior):
+    """Posterior of a network of k centres, d features and q outputs.
+
+    `RBFNetRegressor` holds it, exporters read it, and files keep it. It does not change;
+    ``dataclasses.replace`` makes another one.
+
+    Attributes
+    ----------
+    kernel : str
+        Radial function.
+
+    centers : ndarray of shape (k, d)
+        In the units of X.
+
+    length_scale : ndarray of shape (d,)
+        Widths.
+
+    coef : ndarray of shape (k, q)
+        Posterior mean of the weights.
+
+    polynomial : ndarray of shape (1 + d, q)
+        Constant and linear term.
+
+    alpha : ndarray of shape (q,)
+        Ridge, in units of an observation.
+
+    weight_unit : float
+        Weight of an observation.
+
+    noise_variance, signal_variance : ndarray of shape (q,)
+        In squared units of y.
+
+    tail_map : ndarray of shape (p, 1 + d)
+        From the coefficients of the polynomial's p columns in the fit to those of (1, x).
+
+    triangle : ndarray of one dimension
+        Triangular factor of the columns at the training rows, polynomial first, packed by rows.
+        Trapezoidal where there were fewer rows than columns.
+    """
+
+    triangle: np.ndarray
+
+    def design_triangle(self):
+        """Triangular factor of the columns at the training rows, polynomial first."""
+        n = len(self.tail_map) + len(self.centers)
+        size = next(m for m in range(n + 1) if m * n - m * (m - 1) // 2 == len(self.triangle))
+        rows = np.zeros((size, n))
+        rows[np.triu_indices(size, m=n)] = self.triangle
+        return rows
+
+    @cached_property
+    def _roots(self):
+        """For each output R such that ``(R' R)^-1`` is the weights' covariance, over the noise."""
+        centers = self._scaled_centers[1]
+        root = psd_root(kernel_matrix(centers, centers, self.kernel))
+        rows, p = self.design_triangle(), len(self.tail_map)
+        triangles = {a: penalise(rows, p, root, a)[1] for a in np.unique(self.alpha)}
+        return [triangles[a] for a in self.alpha]
+
+    def outside(self, X):
+        """Part of the prior variance at some rows that the centres do not explain, (n,)."""
+        found = np.empty(len(X))
+        for part in chunks(len(X), _CHUNK // max(len(self.centers), 1)):
+            found[part] = 1 - np.square(self.radial(X[part]) @ self.prior_root.T).sum(axis=1)
+        return np.maximum(found, 0.0)
+
+    def _whitened(self, X, K):
+        """How points are seen: outputs of one ridge, their root, and the two parts of the variance.
+
+        Yields
+        ------
+        of : ndarray
+            Outputs.
+        root : ndarray
+        inside : ndarray of shape (n, m)
+            Its squared length is the part of the prior variance that is known of.
+        solved : ndarray of shape (m, n)
+            Its squared length is the variance of the weights' part, over the noise's.
+        """
+        columns, inside = np.hstack([self.tail(X), K]).T, K @ self.prior_root.T
+        for alpha in np.unique(self.alpha):
+            of = np.flatnonzero(self.alpha == alpha)
+            root = self._roots[of[0]]
+            yield of, root, inside, solve_triangular(root, columns, trans="T", check_finite=False)
+
+    def _slopes(self, root, inside, solved):
+        """Half the derivatives of the squared lengths.
+
+        Returns
+        -------
+        of_inside : ndarray of shape (n, k)
+            By the values of the radial functions.
+        of_solved : ndarray of shape (n, p + k)
+            By the columns of the polynomial, and by these values.
+        """
+        return inside @ self.prior_root, solve_triangular(root, solved, check_finite=False).T
 
 
 def fit_path(problem, order, alpha, functions):
@@ -348,6 +386,38 @@ def fit_path(problem, order, alpha, functions):
     return nested_least_squares(R, p, root, alpha, problem.within, problem.tail_dof)
 
 
+def variances(problem, alpha, objective, n_found, plain=None):
+    """Variances of the noise and of the signal, by the likelihood.
+
+    Parameters
+    ----------
+    problem : Problem
+    alpha : ndarray of shape (q,)
+        Ridge of every output, in units of an observation.
+    objective : ndarray of shape (q,)
+        Sum of squares with the penalty.
+    n_found : float
+        Parameters of each output that the data have decided on beside the variances.
+    plain : ndarray of shape (q,), optional
+        Variance of the noise where there is no ridge.
+
+    Returns
+    -------
+    noise, signal : ndarray of shape (q,)
+    """
+    # Without a ridge the residual, and the targets' own variance.
+    ridged = alpha > 0
+    # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
+    free = problem.n_total - problem.n_tail + len(problem.tail_rows)
+    # What was found fits these rows better than others: the mean of an inverse gamma variable.
+    degrees = max(free - n_found - 2, _FEWEST_DEGREES) if n_found else max(free, 1)
+    noise = objective / degrees if plain is None else np.where(ridged, objective / degrees, plain)
+    known = free > 0  # one observation says nothing of its error
+    noise = noise if known else np.full(len(noise), np.inf)
+    signal = np.where(ridged & known, noise / np.where(ridged, alpha, 1.0), problem.spread**2)
+    return noise, signal
+
+
 def posterior_of(problem, path, centers, alpha, functions, n_found=0.0):
     """The network of the first centres of a path.
 
@@ -369,17 +439,8 @@ def posterior_of(problem, path, centers, alpha, functions, n_found=0.0):
     """
     p, k = problem.n_tail, len(centers)
     solution = path.coefficients(k)
-    # The likelihood's estimates; without a ridge the residual and the targets' own variance.
-    ridged = alpha > 0
     plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
-    # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
-    free = problem.n_total - p + len(problem.tail_rows)
-    # What was found fits these rows better than others: the mean of an inverse gamma variable.
-    degrees = max(free - n_found - 2, _FEWEST_DEGREES) if n_found else max(free, 1)
-    noise = np.where(ridged, path.objective[k] / degrees, plain)
-    known = free > 0  # one observation says nothing of its error
-    noise = noise if known else np.full(len(noise), np.inf)
-    signal = noise / np.where(ridged, alpha, 1.0)
+    noise, signal = variances(problem, alpha, path.objective[k], n_found, plain)
     rows, tail_map = path.rows[: p + k, : p + k], problem.tail_map
     if problem.codes is not None:
         constant = _constant_column(problem, centers, functions, p)
@@ -398,7 +459,7 @@ def posterior_of(problem, path, centers, alpha, functions, n_found=0.0):
         alpha,
         float(problem.unit),
         noise,
-        np.where(ridged & known, signal, problem.spread**2),
+        signal,
         tail_map,
         rows[np.triu_indices(size, m=p + k)],
     )

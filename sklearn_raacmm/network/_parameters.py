@@ -55,9 +55,14 @@ def warn_of_bound(features):
 
 def relevance(problem, posterior):
     """Slope of the modelled function along every feature, per spread, as a share of their sum."""
-    varying = (problem.spread > 0) & (posterior.alpha < ALPHA_BOUNDS[1])
-    share = np.sum(posterior.signal_variance[varying] / problem.spread[varying] ** 2)
-    slope = np.sqrt(share) * problem.X.std(axis=0) / posterior.length_scale
+    unit = problem.X.std(axis=0)
+    linear = np.square(posterior.polynomial[1:] * unit[:, None])
+    # Outputs count alike, whatever their units.
+    scale = problem.spread**2 + linear.sum(axis=0)
+    radial = np.where(posterior.alpha < ALPHA_BOUNDS[1], posterior.signal_variance, 0.0)
+    shares = (np.divide(a, scale, out=np.zeros_like(a), where=scale > 0) for a in (radial, linear))
+    radial, linear = (share.sum(axis=-1) for share in shares)
+    slope = np.sqrt(radial * np.square(unit / posterior.length_scale) + linear)
     total = slope.sum()
     return slope / total if 0 < total < np.inf else np.zeros(len(slope))
 

@@ -40,7 +40,9 @@ def read_problem(estimator, X, y, sample_weight, groups, offsets, rng):
     Problem or ChunkedProblem
     """
     held = max(estimator.max_candidates or MAX_CANDIDATES, SAMPLE_ROWS)
-    degree, ridged = estimator.degree, isinstance(estimator.alpha, str)
+    # A linear part that the data have to ask for is added once they have.
+    degree = 0 if estimator.degree == "auto" else estimator.degree
+    ridged = isinstance(estimator.alpha, str)
 
     def in_blocks(chunks, n_features):
         return chunked_problem(chunks, n_features, degree, held, rng.randint(2**31), ridged)

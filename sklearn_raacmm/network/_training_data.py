@@ -11,13 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
+from sklearn_raacmm.network._polynomial_tail import linear_ridge, ridge_rows, tail_columns
 from sklearn_raacmm.utils import centred, chunk_size, chunks
 
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
 SMALL_BLOCK, BLOCK = 2**19, 2**23
-# Ridges of the linear tail that are tried: powers of 2, whose choice no rounding changes.
-TAIL_RIDGES = 2.0 ** np.arange(-40, 41)
 
 
 def block_rows(width):
@@ -88,15 +87,16 @@ class Problem(NamedTuple):
     n_total: float  # number of observations, the sum of the weights in these units, less offsets
     targets: np.ndarray  # (n, q) mean targets times root
     within: np.ndarray  # (q,) sum of squares lost by taking means
-    tail: np.ndarray  # (n, p) polynomial tail times root
-    basis: np.ndarray  # (n, p) orthonormal basis of it, together with `basis_rows`
-    tail_map: np.ndarray  # (p, d + 1) its coefficients to those of (1, x)
-    projection: np.ndarray  # (p, q) targets along the basis
-    spread: np.ndarray  # (q,) root mean square of the targets about the tail, 0 for a constant
-    tail_ridge: float  # of the tail's linear part, in units of an observation
-    basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis; none without it
-    tail_dof: float  # effective number of the tail's columns
-    codes: np.ndarray | None = None  # (n,) group of each row, sorted, where groups have offsets
+    codes: np.ndarray | None  # (n,) group of each row, sorted, where groups have offsets
+    # What `with_tail` adds.
+    tail: np.ndarray = None  # (n, p) polynomial tail times root
+    basis: np.ndarray = None  # (n, p) orthonormal basis of it, together with `basis_rows`
+    tail_map: np.ndarray = None  # (p, d + 1) its coefficients to those of (1, x)
+    projection: np.ndarray = None  # (p, q) targets along the basis
+    spread: np.ndarray = None  # (q,) root mean square of targets about the tail, 0 for a constant
+    tail_ridge: float = 0.0  # of the tail's linear part, in units of an observation
+    basis_rows: np.ndarray = None  # (p - 1, p) the ridge as further rows of the basis, if any
+    tail_dof: float = 0.0  # effective number of the tail's columns
 
     view = view_of
 
@@ -237,14 +237,36 @@ def prepare(merged, degree, ridged=False):
     n_total = count.sum() - (0 if codes is None else codes.max() + 1)
     weights, within = weights / unit, within.sum(axis=0) / unit
     root = np.sqrt(weights)[:, None]
-    tail, tail_map = _polynomial(X, weights, degree, codes)
+    targets = root * centred(Y, codes, weights)
+    bare = Problem(X, first, root, unit, n_total, targets, within, codes)
+    return with_tail(bare, degree, ridged)
+
+
+def with_tail(problem, degree, ridged=False):
+    """The same rows with a polynomial tail, in place of the one they have.
+
+    Parameters
+    ----------
+    problem : Problem
+    degree : {-1, 0, 1}
+    ridged : bool
+        Whether the linear part has a ridge, found by the likelihood.
+
+    Returns
+    -------
+    Problem
+    """
+    X, root, targets, within, codes = (
+        getattr(problem, name) for name in ("X", "root", "targets", "within", "codes")
+    )
+    weights, Y, n_total = root[:, 0] ** 2, targets / root, problem.n_total
+    tail, tail_map = tail_columns(X, weights, degree, codes)
     tail = root * tail
-    Y = centred(Y, codes, weights)
-    targets = root * Y
     ridge = 0.0
     if ridged and degree == 1:
+        constant = int(codes is None)
         about = targets - root * np.average(Y, axis=0, weights=weights)
-        ridge = linear_ridge(tail[:, codes is None :], about, within, n_total)
+        ridge = linear_ridge(tail[:, constant:], about, within, n_total - constant)
     basis = basis_rows = tail
     if tail.size:
         stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge, codes is None)])
@@ -258,114 +280,13 @@ def prepare(merged, degree, ridged=False):
     spread = np.sqrt((left + within) / n_total)
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * np.abs(Y).max(axis=0)] = 0.0
-    return Problem(
-        X,
-        first,
-        root,
-        unit,
-        n_total,
-        targets,
-        within,
-        tail,
-        basis,
-        tail_map,
-        projection,
-        spread,
-        ridge,
-        basis_rows,
-        float(np.square(basis).sum()) if ridge else tail.shape[1],
-        codes,
+    return problem._replace(
+        tail=tail,
+        basis=basis,
+        tail_map=tail_map,
+        projection=projection,
+        spread=spread,
+        tail_ridge=ridge,
+        basis_rows=basis_rows,
+        tail_dof=float(np.square(basis).sum()) if ridge else tail.shape[1],
     )
-
-
-def ridge_rows(n_tail, ridge, constant=True):
-    """Rows that, below those of the tail, give its linear part a ridge: one a linear column.
-
-    `constant` says whether the first column is a constant, which has none.
-    """
-    return np.sqrt(ridge) * np.eye(n_tail)[int(constant) :] if ridge else np.empty((0, n_tail))
-
-
-def linear_ridge(tail, targets, within, n_total):
-    """Ridge of a linear model, the same for all features and outputs, by its likelihood.
-
-    The coefficients of an output have independent normal priors of one variance, the noise variance
-    over the ridge; the noise variance is at its optimum for every output [1]_.
-
-    Parameters
-    ----------
-    tail : ndarray of shape (n, d)
-        Features, centred, in units of their spread, times the root of the weights.
-    targets : ndarray of shape (n, q)
-        About their mean, times the root of the weights.
-    within : ndarray of shape (q,)
-        Sum of squares that merging repeated rows took out of them.
-    n_total : float
-        Number of observations.
-
-    Returns
-    -------
-    float
-        In units of an observation; 0 where there is nothing to be found.
-
-    References
-    ----------
-    .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447.
-    """
-    if not tail.size:
-        return 0.0
-    U, d, _ = np.linalg.svd(tail, full_matrices=False)
-    along = U.T @ targets
-    constant = targets - U @ along
-    left, along, d2 = np.square(constant).sum(axis=0) + within, np.square(along), np.square(d)
-    varying = left + along.sum(axis=0) > 0
-    if not np.any(varying):
-        return 0.0
-
-    def negative_log_likelihood(ridge):
-        misfit = left + (ridge / (d2 + ridge)) @ along
-        return n_total * np.log(misfit[varying]).sum() + varying.sum() * np.log1p(d2 / ridge).sum()
-
-    return min(TAIL_RIDGES, key=negative_log_likelihood)
-
-
-def _polynomial(X, weights, degree, codes=None):
-    """Columns of the tail, in features centred and scaled so that they are well conditioned.
-
-    Where groups have offsets there is no constant, and features are taken less their group's mean.
-    """
-    n, d = X.shape
-    if degree < 0:
-        return np.empty((n, 0)), np.empty((0, d + 1))
-    if codes is not None:
-        center, inner = np.average(X, axis=0, weights=weights), centred(X, codes, weights)
-        _, scale_map = _polynomial(inner, weights, degree)
-        used = np.flatnonzero(scale_map[1:, 1:].any(axis=0))
-        used = used[np.ptp(inner[:, used], axis=0) > 1e-13 * np.abs(X[:, used]).max(axis=0)]
-        scale = np.sqrt(np.average(np.square(inner), axis=0, weights=weights))
-        return inner[:, used] / scale[used], tail_coefficients(d, used, center, scale)[1:]
-    center = np.average(X, axis=0, weights=weights)
-    scale = np.sqrt(np.average(np.square(X - center), axis=0, weights=weights))
-    if degree == 0:
-        used = np.empty(0, dtype=int)
-    else:
-        used = independent_features(X, center, scale, np.abs(X).max(axis=0))
-    tail = np.column_stack([np.ones(n), (X[:, used] - center[used]) / scale[used]])
-    return tail, tail_coefficients(d, used, center, scale)
-
-
-def independent_features(X, center, scale, largest):
-    """Features that vary and are not combinations of others, which add nothing to the span."""
-    used = np.flatnonzero(scale > 1e-13 * largest)
-    R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
-    size = np.abs(R.diagonal())
-    return np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
-
-
-def tail_coefficients(d, used, center, scale):
-    """From coefficients of (1, (x - center) / scale) to those of (1, x), (1 + used, d + 1)."""
-    tail_map = np.zeros((1 + len(used), d + 1))
-    tail_map[0, 0] = 1.0
-    tail_map[1:, 0] = -center[used] / scale[used]
-    tail_map[np.arange(1, 1 + len(used)), 1 + used] = 1 / scale[used]
-    return tail_map

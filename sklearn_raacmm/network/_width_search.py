@@ -74,6 +74,8 @@ class Found(NamedTuple):
     n_observations: float = 0.0
     n_found: float = 0.0  # parameters of each output that were found, see `parameters_found`
     at_bound: np.ndarray = np.empty(0, dtype=int)  # features whose width ended at the lower bound
+    judged: np.ndarray = np.empty(0, dtype=int)  # rows on which kernels were compared
+    judgement: float = -np.inf  # objective there, nats
 
 
 @stage("widths of the network")
@@ -133,6 +135,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         ends = _refine(task, ends, few, many)
     task, end = _accept(task, ends, many)
     task, end = _leave_out(task, end, many)
+    judgement = end.value
     if len(X) > len(many) and end.theta.size:
         end = _extend(task, end, draw)
     unit = task.data.n_total * q
@@ -154,6 +157,8 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         judged.n_total,
         parameters_found(task.n_widths, searched, task.n_alphas / q, q),
         np.array(narrow, dtype=int),
+        many,
+        judgement,
     )
 
 

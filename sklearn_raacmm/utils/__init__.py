@@ -50,6 +50,7 @@ from sklearn_raacmm.utils._sklearn import (
     validate_parameter_constraints,
     validate_params,
 )
+from sklearn_raacmm.utils._triangles import invert_triangle
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
 from sklearn_raacmm.utils._whole_fit import whole_fit
 
@@ -86,6 +87,7 @@ __all__ = [
     "group_sums",
     "group_weights",
     "html_table",
+    "invert_triangle",
     "is_plain",
     "listed",
     "nearest_rotation",

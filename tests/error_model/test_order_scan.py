@@ -17,6 +17,8 @@ from sklearn_raacmm.error_model._harmonic_selection import refit, select_harmoni
 from sklearn_raacmm.error_model._order_scan import (
     CandidateSums,
     candidate_sums,
+    columns_of,
+    sums_of_both,
     sums_of_pairs,
     sums_of_the_others,
     sums_with_other_weights,
@@ -24,6 +26,7 @@ from sklearn_raacmm.error_model._order_scan import (
 from sklearn_raacmm.error_model._orders import offered_harmonics, order_prices
 from sklearn_raacmm.error_model._position_means import Lengths
 from sklearn_raacmm.error_model._smooth_functions import add_smooth
+from sklearn_raacmm.error_model._wave_sums import waves
 
 ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
 ALONE = {"gravity": False, "kinematics": False, "wobble": False}
@@ -132,7 +135,15 @@ def test_sums_follow_weights_that_change(with_offsets):
 
     every = np.ones(80, dtype=bool)
     found = sums_with_other_weights(sums(old, every), sums(old, touched), sums(new, touched))
-    expected, pairs = sums(new, every), np.array([2, 50, 51])
+    follow_weights(found, sums(new, every))
+    if not with_offsets:  # sums are in proportion to the weights
+        poses = theta[touched], y[touched], (new - old)[touched]
+        change = candidate_sums(ARM, *poses, None, offered, terms)
+        follow_weights(sums_of_both(sums(old, every), change), sums(new, every))
+
+
+def follow_weights(found, expected):
+    pairs = np.array([2, 50, 51])
     columns = np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
     assert found.n_observations == pytest.approx(expected.n_observations)
     for name in ("gram", "moment", "square"):
@@ -181,9 +192,9 @@ def sums_of(A, H, y):
     gram = H.T @ H
     i = np.arange(H.shape[1] // 2)
 
-    def rows(pairs, likely=()):
-        pairs = np.asarray(pairs, dtype=int)
-        return gram[np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()]
+    def rows(pairs, likely=(), beside=None):
+        beside = np.arange(len(i)) if beside is None else beside
+        return gram[np.ix_(columns_of(pairs), columns_of(beside))]
 
     own = np.array([gram[2 * i, 2 * i], gram[2 * i + 1, 2 * i + 1], gram[2 * i, 2 * i + 1]])
     return CandidateSums(A.T @ A, A.T @ y, A.T @ H, own, H.T @ y, y @ y, len(y), rows)
@@ -493,6 +504,6 @@ def test_orders_and_ratios_are_checked(params, message):
 def test_high_orders_are_exact():
     """Waves by doubling against cosines and sines, at the highest order of all."""
     theta = draw_angles(500, width=6.0)[:, 0]
-    waves = _order_scan._waves(theta, np.arange(1, 1001))
+    found = waves(theta, np.arange(1, 1001))
     phase = np.arange(1, 1001) * theta[:, None]
-    assert np.abs(waves - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12
+    assert np.abs(found - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12

@@ -1,4 +1,4 @@
-"""The ridge of the linear tail, against closed forms and linear models."""
+"""The linear tail, its ridge and when it is chosen, against closed forms and linear models."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,14 @@ from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._candidates import _projected_triangle
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem
-from sklearn_raacmm.network._training_data import TAIL_RIDGES, linear_ridge, merge, prepare, view_of
+from sklearn_raacmm.network._likelihood import Data
+from sklearn_raacmm.network._polynomial_tail import (
+    TAIL_RIDGES,
+    linear_left_out,
+    linear_process,
+    linear_ridge,
+)
+from sklearn_raacmm.network._training_data import merge, prepare, view_of
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -141,3 +148,108 @@ def test_features_beside_a_tail_with_a_ridge():
     R, rotated = _projected_triangle(problem, features, view, 3)
     np.testing.assert_allclose(R.T @ R, left.T @ left, rtol=1e-9)
     np.testing.assert_allclose(R.T @ rotated, left.T @ y, rtol=1e-9, atol=1e-9)
+
+
+def test_evidence_of_a_linear_model_is_the_density_of_a_normal_variable():
+    X, Y = linear(30, 8, 1.0, q=2)
+    weights = np.random.default_rng(2).uniform(0.5, 2, 30)
+    Y -= np.average(Y, axis=0, weights=weights)
+    found = linear_process(Data(X, Y, weights, np.zeros(2)))
+    center = np.average(X, axis=0, weights=weights)
+    Z = (X - center) / np.sqrt(np.average((X - center) ** 2, axis=0, weights=weights))
+    C = Z @ Z.T / found.ridge + np.diag(1 / weights)
+    density, left_out = 0.0, 0.0
+    for y in Y.T:
+        # The variance at its optimum of as many observations as the weights say.
+        variance = y @ np.linalg.solve(C, y) / weights.sum()
+        n = weights.sum()
+        quadratic = y @ np.linalg.solve(C, y) / variance
+        density -= 0.5 * (n * np.log(2 * np.pi * variance) + np.linalg.slogdet(C)[1] + quadratic)
+        for i in range(30):
+            others = np.arange(30) != i
+            gain = np.linalg.solve(C[np.ix_(others, others)], C[others, i])
+            error = (y[i] - gain @ y[others]) ** 2 * weights[i]
+            spread = variance * (C[i, i] - gain @ C[others, i]) * weights[i]
+            left_out += 0.5 * (error / spread + np.log(spread))
+    assert found.log_likelihood == pytest.approx(density, rel=1e-9)
+    one = linear_left_out(Data(X, Y, weights, np.zeros(2)), found.ridge)
+    assert one.negative_log_density == pytest.approx(left_out, rel=1e-8)
+
+
+def test_as_many_features_as_rows_have_a_ridge():
+    # Without the observation that the mean takes, nothing would be left for the noise.
+    X, Y = linear(10, 20, 20.0)
+    assert linear_ridge(X / X.std(axis=0), Y - Y.mean(), np.zeros(1), 9) > 1.0
+
+
+@pytest.mark.parametrize(("n", "d", "noise"), [(12, 4, 0.1), (40, 12, 0.3), (150, 5, 1.0)])
+def test_default_is_as_good_as_a_linear_model_where_the_data_are_linear(n, d, noise):
+    peer = make_pipeline(StandardScaler(), RidgeCV(np.logspace(-4, 4, 17)))
+    models = [RBFNetRegressor(random_state=0), RBFNetRegressor(degree=0, random_state=0), peer]
+    errors = np.zeros((3, 3))
+    for seed in range(3):
+        X, Y = linear(n + 500, d, 0.0, seed)
+        y = Y[:, 0] / Y.std()
+        observed = y + noise * np.random.default_rng(seed).standard_normal(len(y))
+        learn, test = slice(0, n), slice(n, n + 500)
+        for i, model in enumerate(models):
+            found = model.fit(X[learn], observed[learn]).predict(X[test])
+            errors[i, seed] = np.sqrt(np.mean((found - y[test]) ** 2))
+    default, constant, ridge = errors.mean(axis=1)
+    assert default < 1.15 * ridge
+    assert default < 0.95 * constant
+
+
+def test_relevance_and_intervals_of_a_linear_model():
+    X, Y = linear(530, 4, 1.0)
+    y, learn, test = Y[:, 0], slice(0, 30), slice(30, 530)
+    model = RBFNetRegressor().fit(X[learn], y[learn])
+    slope = np.abs(model.linear_coef_) * X[learn].std(axis=0)
+    np.testing.assert_allclose(model.relevance_, slope / slope.sum(), rtol=1e-9)
+    mean, std = model.predict(X[test], return_std=True)
+    assert 0.9 < np.mean(np.abs(y[test] - mean) < 1.96 * std) < 0.99
+
+
+def test_value_of_a_linear_model_does_not_depend_on_the_unit_of_y():
+    X, Y = linear(50, 4, 1.0)
+    small, large = (RBFNetRegressor().fit(X, unit * Y[:, 0]) for unit in (1.0, 1e3))
+    np.testing.assert_allclose(large.linear_coef_, 1e3 * small.linear_coef_, rtol=1e-8)
+    moved = small.log_marginal_likelihood_value_ - 50 * np.log(1e3)
+    assert large.log_marginal_likelihood_value_ == pytest.approx(moved, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"alpha": 0.1},
+        {"length_scale": 2.0},
+        {"selection": "newrb", "n_centers": 5},
+    ],
+)
+def test_default_is_a_constant_and_radial_functions_elsewhere(settings):
+    rng = np.random.default_rng(3)
+    X = rng.uniform(-2, 2, (40, 2))
+    y = X[:, 0] if settings else X[:, 0] + np.sin(3 * X[:, 1])
+    y = y + 0.1 * rng.standard_normal(40)
+    models = (RBFNetRegressor(degree=degree, **settings).fit(X, y) for degree in ("auto", 0))
+    found, constant = (model.predict(X) for model in models)
+    np.testing.assert_array_equal(found, constant)
+
+
+def test_no_linear_function_in_noise():
+    found = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        model = RBFNetRegressor().fit(rng.standard_normal((40, 4)), rng.standard_normal(40))
+        found += np.any(model.linear_coef_)
+    assert found <= 2
+
+
+def test_rows_in_blocks_keep_the_constant(monkeypatch):
+    monkeypatch.setattr("sklearn_raacmm.network._read_data.IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr("sklearn_raacmm.network._read_data.SAMPLE_ROWS", 150)
+    X, Y = linear(400, 2, 0.3)
+    models = (RBFNetRegressor(degree=d, max_candidates=150, random_state=0) for d in ("auto", 0))
+    found, constant = (model.fit(X, Y).predict(X) for model in models)
+    np.testing.assert_array_equal(found, constant)

@@ -89,7 +89,7 @@ def sketched(monkeypatch, rounds):
     """Guess from a sketch from the first step on, and never from a Gram matrix."""
     monkeypatch.setattr(_lookahead, "_ENTRIES_PER_READ", 1e-9)
     monkeypatch.setattr(_lookahead, "_LARGE", 0)
-    monkeypatch.setattr(_lookahead, "_LEAST_WIDTH", 1)
+    monkeypatch.setattr(_lookahead, "_WIDTH", 1)
     return rounds
 
 

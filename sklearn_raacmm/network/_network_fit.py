@@ -1,0 +1,60 @@
+"""The network with given kernel, widths and ridges: its centres, weights and their posterior."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.network._all_rows import process_of
+from sklearn_raacmm.network._center_choice import choose_centers, choose_size, takes_all_rows
+from sklearn_raacmm.network._network_posterior import (
+    NetworkPosterior,
+    Posterior,
+    fit_path,
+    posterior_of,
+)
+
+
+class FittedNetwork(NamedTuple):
+    """What `RBFNetRegressor` keeps of its last fit."""
+
+    posterior: Posterior
+    centers: np.ndarray  # (k,) rows of the problem
+    n_tried: int  # number of centres tried
+    scores: np.ndarray  # the criterion after 1, 2, ... centres, where it decides on their number
+    error_reduction: np.ndarray  # (k,) share of the variance by centre; empty if all rows are
+    stop_reason: str
+
+
+def fit_network(problem, tuned, settings, rng, last=None):
+    """Choose the centres, or take all rows, and fit the weights.
+
+    Parameters
+    ----------
+    problem : Problem or ChunkedProblem
+    tuned : Tuned
+        Kernel, widths and ridges.
+    settings : CenterSettings
+    rng : numpy.random.RandomState
+        Draws the candidates.
+    last : Posterior, optional
+        Of other rows, for a warm start.
+
+    Returns
+    -------
+    FittedNetwork
+    """
+    functions, alpha, n_found = tuned.functions, tuned.alpha, tuned.n_found
+    if takes_all_rows(problem, alpha, functions, settings):
+        process, n = process_of(problem, alpha, functions, n_found), problem.n_rows
+        return FittedNetwork(process, np.arange(n), n, np.empty(0), np.empty(0), "all rows")
+    # That all rows were centres says nothing of which are needed.
+    last = last if isinstance(last, NetworkPosterior) else None
+    order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
+    path = fit_path(problem, order, alpha, functions)
+    k, scores, reached = choose_size(problem, alpha, path, settings)
+    posterior = posterior_of(problem, path, order[:k], alpha, functions, n_found)
+    varying = problem.spread > 0
+    share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
+    share = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
+    reason = "criterion" if reached else stop_reason
+    return FittedNetwork(posterior, order[:k], len(order), scores, share, reason)

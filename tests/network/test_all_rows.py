@@ -1,0 +1,230 @@
+"""Every row a centre: the posterior of the process itself, and when there are no fewer centres."""
+
+import pickle
+
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network import NetworkPosterior, ProcessPosterior, _all_rows, _center_choice
+from sklearn_raacmm.network._network_posterior import RadialFunctions
+from sklearn_raacmm.network._training_data import merge, prepare
+
+
+@pytest.fixture(autouse=True)
+def few_rows_are_enough(monkeypatch):
+    monkeypatch.setattr(_all_rows, "FEWEST_ROWS", 20)
+
+
+def rough(n=120, d=3, seed=0):
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, d))
+    f = np.sin(5 * X).sum(axis=1)
+    return X, f + 0.1 * rng.standard_normal(n), f
+
+
+GIVEN = {"length_scale": [0.4, 0.5, 0.6], "alpha": 0.02}
+X, Y, _ = rough()
+T = np.random.default_rng(1).uniform(-1.5, 1.5, (15, 3))
+
+
+def test_posterior_is_that_of_the_gaussian_process():
+    model = RBFNetRegressor(**GIVEN, degree=-1).fit(X, Y)
+    assert model.stop_reason_ == "all rows"
+    assert isinstance(model.posterior_, ProcessPosterior)
+    np.testing.assert_array_equal(model.centers_, X[model.center_indices_])
+    assert len(model.centers_) == model.n_iter_ == len(X)
+    assert model.error_reduction_.shape == model.criterion_path_.shape == (0,)
+    signal = model.signal_variance_
+    assert model.noise_variance_ == pytest.approx(0.02 * signal)
+    kernel = ConstantKernel(signal) * RBF(GIVEN["length_scale"]) + WhiteKernel(signal * 0.02)
+    process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, Y)
+    # The variance at which the likelihood of that process is largest.
+    assert signal == pytest.approx(Y @ process.alpha_ * signal / len(X), rel=1e-9)
+    mean, covariance = model.predict(T, return_cov=True)
+    mean_ref, covariance_ref = process.predict(T, return_cov=True)
+    np.testing.assert_allclose(mean, mean_ref, atol=1e-10)
+    np.testing.assert_allclose(covariance, covariance_ref, atol=1e-10 * signal)
+    for with_noise in (True, False):
+        _, std = model.predict(T, return_std=True, with_noise=with_noise)
+        variance = covariance_ref.diagonal() - (0 if with_noise else signal * 0.02)
+        np.testing.assert_allclose(std**2, variance, atol=1e-10 * signal)
+    draws = model.sample_y(T[:3], 4000, random_state=0)
+    error = np.sqrt(covariance[:3, :3].diagonal() / 4000)
+    assert np.all(np.abs(draws.mean(axis=1) - mean[:3]) < 4 * error)
+
+
+def test_weights_repeats_outputs_and_tail_against_extended_precision():
+    """Conditioning of the joint normal distribution, the constant with a variance of 1e30."""
+    rng = np.random.default_rng(2)
+    A = rng.uniform(-1, 1, (22, 2))
+    B = np.column_stack([np.sin(7 * A[:, 0]) + 3 * A[:, 1], np.cos(9 * A[:, 1])])
+    B += 0.1 * rng.standard_normal(B.shape)
+    A, B = np.vstack([A, A[:2]]), np.vstack([B, B[:2] + 0.1])
+    weights = rng.uniform(0.2, 3, len(A))
+    model = RBFNetRegressor(length_scale=[0.3, 0.4], kernel="gaussian", degree=1, random_state=0)
+    model.fit(A, B, sample_weight=weights)
+    posterior = model.posterior_
+    assert model.stop_reason_ == "all rows"
+    assert posterior.tail_ridge > 0
+    assert np.ptp(posterior.alpha) > 0
+    x, center = T[:2, :2], np.average(A, axis=0, weights=weights)
+    spread = np.sqrt(np.average((A - center) ** 2, axis=0, weights=weights))
+
+    def prior(P, Q, noise, signal):
+        """Covariance of the values at two sets of points: function, line and constant."""
+        of_slope, cov = mpf(noise) / mpf(posterior.tail_ridge), mp.matrix(len(P), len(Q))
+        for i, j in np.ndindex(len(P), len(Q)):
+            a, b = ([mpf(v) for v in (P[i], Q[j])[m]] for m in (0, 1))
+            s = sum(((a[m] - b[m]) / mpf([0.3, 0.4][m])) ** 2 for m in (0, 1))
+            line = sum(
+                (a[m] - center[m]) * (b[m] - center[m]) / mpf(spread[m]) ** 2 for m in (0, 1)
+            )
+            cov[i, j] = mpf(signal) * mp.exp(-s / 2) + of_slope * line + mpf(10) ** 30
+        return cov
+
+    mean, covariance = model.predict(x, return_cov=True, with_noise=False)
+    for i in range(2):
+        noise, signal = model.noise_variance_[i], model.signal_variance_[i]
+        with mp.workdps(120):  # the constant's variance squares to 1e60
+            C = prior(A, A, noise, signal)
+            for j, weight in enumerate(weights):
+                C[j, j] += mpf(noise) / mpf(weight) * mpf(posterior.weight_unit)
+            across = prior(x, A, noise, signal)
+            known = across * mp.inverse(C)
+            expected = known * mp.matrix(B[:, i].tolist())
+            left = prior(x, x, noise, signal) - known * across.T
+            expected, left = (np.array(m.tolist(), dtype=float) for m in (expected, left))
+        np.testing.assert_allclose(mean[:, i], expected[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(covariance[:, :, i], left, atol=1e-9 * signal)
+
+
+@pytest.mark.parametrize("degree", [-1, 0, 1])
+def test_it_is_the_network_with_all_centres(degree):
+    y = np.column_stack([Y, Y**2])
+    options = GIVEN | {"alpha": [0.02, 0.1], "degree": degree}
+    weights = np.random.default_rng(3).uniform(0.5, 2, len(X))
+    process = RBFNetRegressor(**options).fit(X, y, sample_weight=weights)
+    network = RBFNetRegressor(len(X), **options).fit(X, y, sample_weight=weights)
+    assert (process.stop_reason_, network.stop_reason_) == ("all rows", "n_centers")
+    pairs = [(process.predict(T), network.predict(T))]
+    both = [m.predict(T, return_cov=True) + m.predict_gradient(T, True) for m in (process, network)]
+    pairs += zip(*both, strict=True)
+    for name in ("intercept_", "linear_coef_", "noise_variance_", "signal_variance_"):
+        pairs.append((getattr(process, name), getattr(network, name)))
+    for ours, other in pairs:
+        np.testing.assert_allclose(ours, other, atol=1e-9 * np.abs(other).max(), rtol=1e-8)
+
+
+@pytest.mark.parametrize("kernel", ["gaussian", "matern52"])
+def test_gradients_are_those_of_differences(kernel):
+    model = RBFNetRegressor(**GIVEN, kernel=kernel, degree=1).fit(X, Y)
+    gradient, of_variance = model.predict_gradient(T, return_variance=True)
+    for j, step in enumerate(1e-5 * np.eye(3)):
+        ends = [model.predict(T + s * step, return_std=True) for s in (1, -1)]
+        np.testing.assert_allclose(gradient[:, j], (ends[0][0] - ends[1][0]) / 2e-5, atol=1e-6)
+        difference = (ends[0][1] ** 2 - ends[1][1] ** 2) / 2e-5
+        np.testing.assert_allclose(of_variance[:, j], difference, atol=1e-6)
+
+
+def test_a_repeated_row_is_one_of_double_weight():
+    twice = np.append(np.arange(len(X)), np.arange(30))
+    weights = np.ones(len(X))
+    weights[:30] = 2
+    order = np.random.default_rng(0).permutation(len(twice))
+    one = RBFNetRegressor(**GIVEN).fit(X[twice][order], Y[twice][order])
+    other = RBFNetRegressor(**GIVEN).fit(X, Y, sample_weight=weights)
+    assert one.stop_reason_ == other.stop_reason_ == "all rows"
+    np.testing.assert_array_equal(one.centers_, other.centers_)
+    np.testing.assert_allclose(one.predict(T), other.predict(T), atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"n_centers": 120},
+        {"max_centers": 500},
+        {"max_candidates": 500},
+        {"criterion": "gcv"},
+        {"refine": True, "max_centers": None},
+        {"alpha": 1e-10},
+        {"length_scale": 3.0},
+    ],
+)
+def test_centres_are_chosen_where_asked_for_or_where_few_do(asked):
+    model = RBFNetRegressor(**(GIVEN | asked)).fit(X, Y)
+    assert model.stop_reason_ != "all rows"
+    assert isinstance(model.posterior_, NetworkPosterior)
+
+
+def test_rows_too_few_too_many_or_with_offsets_have_a_network(monkeypatch):
+    groups = np.repeat(np.arange(30), 4)
+    deviations = Y - (np.bincount(groups, Y) / 4)[groups]
+    with_offsets = RBFNetRegressor(**GIVEN).fit(X, deviations, groups=groups)
+    assert with_offsets.offsets_
+    assert with_offsets.stop_reason_ != "all rows"
+    for name, number in (("FEWEST_ROWS", 121), ("MOST_ROWS", 119)):
+        with monkeypatch.context() as patch:
+            patch.setattr(_all_rows, name, number)
+            assert RBFNetRegressor(**GIVEN).fit(X, Y).stop_reason_ == "criterion"
+
+
+def test_a_limit_of_centres_out_of_reach_takes_all_rows(monkeypatch):
+    smooth = {"length_scale": 1.5, "alpha": 0.02}
+    assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "criterion"
+    monkeypatch.setitem(_center_choice._MAX_CENTERS, "posterior", 10)
+    assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "all rows"
+    with pytest.warns(ConvergenceWarning, match="default limit of 10"):
+        RBFNetRegressor(**smooth, refine=True).fit(X, Y)
+
+
+def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
+    A, y, _ = rough(600)
+    weights = np.random.default_rng(0).uniform(0.5, 2, 600)
+    problem = prepare(merge(A, y[:, None], weights), 0)
+    functions = RadialFunctions("matern32", np.zeros(3), np.array([0.5, 1.0, 2.0]))
+    share = _all_rows.share_of_parameters(problem, 0.1, functions)
+    Z = problem.X / functions.length_scale
+    d = np.sqrt(3) * np.linalg.norm(Z[:, None] - Z, axis=2)
+    values = np.linalg.eigvalsh(problem.root * (1 + d) * np.exp(-d) * problem.root.T)
+    assert share == pytest.approx(np.mean(values / (values + 0.1)), rel=1e-9)
+    # From samples of 100 and 200 rows: a little too large, and an upper bound once it is small.
+    monkeypatch.setattr(_all_rows, "_FIRST_SAMPLE", 100)
+    monkeypatch.setattr(_all_rows, "_LARGEST_SAMPLE", 200)
+    assert share < _all_rows.share_of_parameters(problem, 0.1, functions) < 1.3 * share
+    assert _all_rows.share_of_parameters(problem, 0.1, functions, 0.999) < 0.999
+
+
+def test_a_kept_model_is_small_and_the_same():
+    model = RBFNetRegressor(**GIVEN).fit(X, Y)
+    size = len(pickle.dumps(model))
+    expected = model.predict(T, return_std=True)
+    assert len(pickle.dumps(model)) == size
+    assert size < 8 * len(X) ** 2 / 2
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(model)).predict(T, True), expected)
+    state = model.posterior_.__getstate__()
+    state["weights"] = state["weights"][:-1]
+    with pytest.raises(ValueError, match="weights of ProcessPosterior has shape"):
+        ProcessPosterior.__new__(ProcessPosterior).__setstate__(state)
+
+
+def test_a_warm_start_goes_from_all_rows_to_few_and_back():
+    model = RBFNetRegressor(warm_start=True, **GIVEN).fit(X, Y)
+    first = model.predict(T)
+    assert model.set_params(length_scale=3.0).fit(X, Y).stop_reason_ == "criterion"
+    assert model.set_params(length_scale=GIVEN["length_scale"]).fit(X, Y).stop_reason_ == "all rows"
+    np.testing.assert_array_equal(model.predict(T), first)
+
+
+def test_outliers_are_left_out():
+    y = Y.copy()
+    y[::15] += 20
+    model = RBFNetRegressor(**GIVEN, loss="tukey").fit(X, y)
+    assert model.stop_reason_ == "all rows"
+    assert np.all(model.row_weight_[::15] == 0)
+    clean = RBFNetRegressor(**GIVEN).fit(np.delete(X, np.s_[::15], 0), np.delete(Y, np.s_[::15]))
+    np.testing.assert_allclose(model.predict(T), clean.predict(T), atol=0.1)
