@@ -330,8 +330,12 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         stds = [std for _, std in stages.parts(data.angles, True, data.network)]
         # A network shrinks what it knows little of by itself: it fades beyond its training poses.
         known = ("auto", 1.0)[: len(stds)]
+        widening = (stages.linear.std_scale, None)[: len(stds)]
         rest = data.weights, data.codes, self.fade
-        return [find_fading(data.y, s, *rest, known=k) for s, k in zip(stds, known, strict=True)]
+        return [
+            find_fading(data.y, s, *rest, known=k, widening=w)
+            for s, k, w in zip(stds, known, widening, strict=True)
+        ]
 
     def _longest(self, stages, data, n_stages):
         """Longest correction, mm."""

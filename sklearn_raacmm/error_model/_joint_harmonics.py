@@ -106,8 +106,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 1, or 0.6 where positions have offsets. There t is twice the deviation that
-        99 % of the training poses stay below; elsewhere 0.
+        all. "auto": 1, or where positions have offsets half of the factor by which errors at
+        positions left out widen s, up to 1. There t is twice the deviation that 99 % of the
+        training poses stay below; elsewhere 0.
 
     Attributes
     ----------
@@ -350,7 +351,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         self.orientation_model_ = both
         self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
         std = fitted.model.predict(X, return_std=True)[1]
-        self.fading_ = find_fading(y, std, weights * self.pose_weight_, codes, self.fade)
+        used, widening = weights * self.pose_weight_, fitted.model.std_scale
+        self.fading_ = find_fading(y, std, used, codes, self.fade, widening=widening)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
