@@ -28,6 +28,7 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     check_features,
     check_fitted,
+    check_flags,
     check_shapes,
     check_weights,
     check_whole_number,
@@ -286,7 +287,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def __init__(
         self,
-        n_centers: int | str | None = "auto",
+        n_centers: int | str = "auto",
         *,
         kernel="auto",
         length_scale: ArrayLike | str = "auto",
@@ -447,6 +448,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             If X has another number of features than in fit, or holds NaN or infinity; if both the
             standard deviation and the covariance are asked for.
         """
+        check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
         X = self._checked_rows(X)
