@@ -419,9 +419,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             Rows.
 
         return_std : bool, default=False
-            Also return the standard deviation of the prediction: that of the Gaussian process
-            whose posterior mean the network approximates. It grows to the signal's own standard
-            deviation away from the data.
+            Also return the standard deviation of the Gaussian process whose posterior mean the
+            network approximates: away from the data it grows to the signal's own.
 
         return_cov : bool, default=False
             Also return the covariance of the predictions at these rows. Not with `return_std`.
@@ -453,10 +452,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
         X = self._checked_rows(X)
         mean, std = self.posterior_.predict(X, return_std, with_noise)
-        mean = self._shaped(mean)
         if return_cov:
-            return mean, self._shaped(self.posterior_.covariance(X, with_noise))
-        return (mean, self._shaped(std)) if return_std else mean
+            return self._shaped(mean), self._shaped(self.posterior_.covariance(X, with_noise))
+        return (self._shaped(mean), self._shaped(std)) if return_std else self._shaped(mean)
 
     def sample_y(self, X, n_samples=1, random_state=0, with_noise=True):
         """Draw targets from the posterior of the Gaussian process that the network approximates.
