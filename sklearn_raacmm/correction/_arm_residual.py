@@ -36,6 +36,7 @@ from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     centred,
+    check_flags,
     encode_groups,
     fit_context,
     one_blas_thread,
@@ -396,6 +397,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             If less than a tenth is left of most of the corrections.
         """
         X = check_poses(self, X)
+        check_flags(return_std=return_std, with_noise=with_noise)
         mean, _, parts = self._guarded(X, return_std)
         if parts and self.fadings_[0].factor > 0:
             warn_where_unknown(self.fadings_[0].share(parts[0][1]), stacklevel=2)
