@@ -20,7 +20,6 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
-from sklearn_raacmm.network._training_data import with_tail
 from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
@@ -198,8 +197,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     n_iter_ : int
         Number of centres tried.
 
-    offsets_ : bool
-        Whether each group has an unknown constant. The level of the prediction is then not known:
+    offsets_, group_share_ : bool, float
+        Whether each group has an unknown constant, and the share of the noise variance that is a
+        smooth function of each group's own. With offsets the level of the prediction is not known:
         its mean over the training rows is 0, and deviations are of the difference from that mean.
 
     posterior_ : NetworkPosterior or ProcessPosterior
@@ -337,9 +337,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         groups : array-like of shape (n_samples,), default=None
             Label of each row's group, for targets known up to one constant a group, such as
             residuals from the mean point of a position. Where the groups' mean targets are zero,
-            only differences within a group teach the network; elsewhere labels change nothing.
-            It helps where the features do not tell the group, such as the three pose angles, and
-            may do harm where they do.
+            such constants, and besides them a smooth function of each group's own, are allowed for
+            if groups that are left out then scatter clearly less; else labels change nothing.
 
         Returns
         -------
@@ -400,14 +399,15 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         tuned = tune(problem, self.kernel, width, alpha, isotropic, rng, last, open_degree)
         if tuned.log_likelihood is not None:
             self.log_marginal_likelihood_value_ = tuned.log_likelihood
-        if tuned.linear:
-            problem = with_tail(problem, 1, ridged=True)
+        if self.offsets_ and not tuned.offsets:
+            problem = read_problem(self, X, y, sample_weight, None, False, rng)
+        self.group_share_ = tuned.share
         found = fit_network(problem, tuned, CenterSettings.of(self), rng, last)
         self.posterior_, self.stop_reason_ = found.posterior, found.stop_reason
         self.criterion_path_, self.n_iter_ = found.scores, found.n_tried
         self.center_indices_ = problem.first[found.centers]
         self.error_reduction_ = found.error_reduction
-        self.relevance_ = relevance(problem, self.posterior_)
+        self.relevance_ = relevance(found.problem, self.posterior_)
 
     def predict(self, X, return_std=False, return_cov=False, with_noise=True):
         """Predict targets.

@@ -74,6 +74,8 @@ class Found(NamedTuple):
     n_observations: float = 0.0
     n_found: float = 0.0  # parameters of each output that were found, see `parameters_found`
     at_bound: np.ndarray = np.empty(0, dtype=int)  # features whose width ended at the lower bound
+    offsets: bool = False  # whether groups have unknown constants
+    share: float = 0.0  # of the noise variance that groups' own functions are
     judged: np.ndarray = np.empty(0, dtype=int)  # rows on which kernels were compared
     judgement: float = -np.inf  # objective there, nats
 
@@ -157,8 +159,8 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         judged.n_total,
         parameters_found(task.n_widths, searched, task.n_alphas / q, q),
         np.array(narrow, dtype=int),
-        many,
-        judgement,
+        judged=many,
+        judgement=judgement,
     )
 
 

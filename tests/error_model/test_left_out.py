@@ -150,6 +150,19 @@ def test_scales_are_found(freedom):
     assert_allclose(once, again, rtol=1e-2)
 
 
+def test_prior_of_the_scale_gives_way_to_what_is_shown():
+    """Deviations that noise hides leave the factor at its prior; clear ones find their own."""
+    rng = np.random.default_rng(0)
+    noise, std, ones = np.full((900, 3), 0.01), np.full((900, 3), 0.001), np.ones(900)
+    errors = rng.normal(scale=0.01, size=(900, 3))
+    of_noise, hidden = interval_scales(errors, noise, std, ones, 0.05, 0.7)
+    assert of_noise == pytest.approx(1.0, abs=0.1)
+    assert hidden / of_noise == pytest.approx(np.exp(0.35), rel=0.1)
+    errors = rng.normal(scale=0.01, size=(900, 3))
+    _, shown = interval_scales(errors, noise / 1000, 2 * noise, ones, 0.5, 0.7)
+    assert shown == pytest.approx(0.5, rel=0.1)
+
+
 def test_intervals_hold_where_a_cause_is_missing():
     """Simulated arms with errors that no column has: posterior too sure, intervals right."""
     raw, honest = [], []
