@@ -18,6 +18,7 @@ from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
+    check_flags,
     encode_groups,
     fit_context,
     one_blas_thread,
@@ -437,6 +438,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             within one turn of radians in degrees; if most of the corrections
             are reduced to less than a tenth.
         """
+        check_flags(return_std=return_std, with_noise=with_noise)
         X = check_poses(self, X)
         fades = self.fading_.factor > 0
         mean, std = self.linear_model_.predict(X, return_std or fades)
