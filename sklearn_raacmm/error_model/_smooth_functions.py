@@ -67,8 +67,10 @@ def add_smooth(sums, family, harmonic, prior_variance, prices, lengths, found, s
         return None
     variance = base.prior_variance.copy()
     variance[-1] = at
-    before = base.log_evidence - prices(base.pairs)[base.pairs].sum()
     prices = partial(prices, beside_smooth=True)
+    # Orders 1 and 2 came for nothing: those not worth a price count as though they were not there.
+    paid = np.clip(gains_of(base), 0.0, prices(base.pairs)[base.pairs])
+    before = base.log_evidence - paid.sum()
     new = _beside_smooth(problem, base.pairs, variance, base.noise_variance, prices, shares)
     chosen = new.pairs[~new.smooth]
     if new.log_evidence - prices(chosen)[chosen].sum() < before + _LEAST_RISE:
