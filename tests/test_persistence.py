@@ -26,6 +26,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
+from sklearn_raacmm.network import _all_rows
 from sklearn_raacmm.utils import _versioned
 
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
@@ -148,9 +149,13 @@ def skops():
     return pytest.importorskip("skops.io", reason="needs the extra skops")
 
 
-def test_skops_needs_no_other_trust(skops, fitted, data):
+def test_skops_needs_no_other_trust(skops, fitted, data, monkeypatch):
     needed = set()
-    for model in fitted.values():
+    # A network of which all rows are centres has a posterior of another kind.
+    monkeypatch.setattr(_all_rows, "FEWEST_ROWS", len(data.data))
+    rough = RBFNetRegressor(length_scale=0.3, alpha=0.01).fit(data.data, data.target)
+    assert rough.stop_reason_ == "all rows"
+    for model in [*fitted.values(), rough]:
         text = skops.dumps(model)
         untrusted = skops.get_untrusted_types(data=text)
         needed |= set(untrusted)

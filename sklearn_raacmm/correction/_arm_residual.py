@@ -36,6 +36,7 @@ from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     centred,
+    check_flags,
     encode_groups,
     fit_context,
     one_blas_thread,
@@ -73,7 +74,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     network : RBFNetRegressor, default=None
         The second stage, cloned. None: one without a constant, so that it vanishes away from its
-        centres, ``RBFNetRegressor(degree=-1, random_state=0)``.
+        centres, ``RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)``.
 
     joints : {"pose", "all"}, default="all"
         What the network sees: the pose of :class:`PoseFeatures`, or the angles of all joints.
@@ -297,7 +298,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         """Network to be fitted, with the widths and the ridge of one that is `tuned`."""
         network = self.network
         if network is None:
-            network = RBFNetRegressor(degree=-1, random_state=0)
+            # Fading asks for a standard deviation at every pose: a network has it sooner than a
+            # process with a centre at every row.
+            network = RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)
         if tuned is not None:
             # Most of the time of a network is the search for these: that is done once.
             network = clone(network).set_params(
@@ -328,8 +331,12 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         stds = [std for _, std in stages.parts(data.angles, True, data.network)]
         # A network shrinks what it knows little of by itself: it fades beyond its training poses.
         known = ("auto", 1.0)[: len(stds)]
+        widening = (stages.linear.std_scale, None)[: len(stds)]
         rest = data.weights, data.codes, self.fade
-        return [find_fading(data.y, s, *rest, known=k) for s, k in zip(stds, known, strict=True)]
+        return [
+            find_fading(data.y, s, *rest, known=k, widening=w)
+            for s, k, w in zip(stds, known, widening, strict=True)
+        ]
 
     def _longest(self, stages, data, n_stages):
         """Longest correction, mm."""
@@ -390,6 +397,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             If less than a tenth is left of most of the corrections.
         """
         X = check_poses(self, X)
+        check_flags(return_std=return_std, with_noise=with_noise)
         mean, _, parts = self._guarded(X, return_std)
         if parts and self.fadings_[0].factor > 0:
             warn_where_unknown(self.fadings_[0].share(parts[0][1]), stacklevel=2)

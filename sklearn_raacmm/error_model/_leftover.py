@@ -58,7 +58,7 @@ class Leftover:
         self.factor = np.empty((self.size + 64, len(self.columns)))
         self.factor[:m] = sums.cross[:, self.columns]
         self.factor[m : self.size] = sums.rows(pairs, beside=self.free)
-        S = np.empty((self.size, self.size))
+        S = np.zeros((self.size, self.size))  # of which one triangle is used
         S[:m, :m], S[:m, m:] = sums.gram, sums.cross[:, chosen]
         S[m:, m:] = sums.rows(pairs, beside=pairs)
         S /= noise

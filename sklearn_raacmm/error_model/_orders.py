@@ -12,6 +12,13 @@ from sklearn_raacmm.utils import show
 # Orders up to this are common: eccentric discs (1, 2), poles, teeth. Higher ones come from gears
 # and motor encoders, on some arms only.
 COMMON_ORDER = 72
+# Every encoder is a little eccentric, every disc a little oval: orders up to this are as likely to
+# be there as not, and cost nothing. With the price of the others most of them were missing in a
+# model of few positions. Of 128 simulated single-point tests with 12 or 20 positions the true
+# errors elsewhere are 0.80 to 0.99 of what they were (means of four machines), the measured
+# deviations 0.91 to 1.00; of 50 arms of six machines, half of them with a tracker, the deviations
+# 0.98 in the mean.
+_LIKELY_ORDER = 2
 # Price in nats of an order above that, beside that of a common one. With simulated errors at poses
 # of real arms (with gears, without, and with smooth errors outside the model) steps of 0 to 10 nats
 # and prices that grow with the logarithm of the order leave the same within half a per cent.
@@ -118,6 +125,7 @@ def order_prices(offered, expected):
     one of so many would reach by chance are then even, so that their number hardly matters. Higher
     ones cost 10 nats more, but for those that the user has named, and for small multiples and
     divisors of a high order that has been taken on any joint: gears of one make have one ratio.
+    Orders 1 and 2 cost nothing, but beside a smooth function, of which they are a part.
 
     Parameters
     ----------
@@ -127,14 +135,17 @@ def order_prices(offered, expected):
     Returns
     -------
     callable
-        From indices of the pairs chosen so far to the prices in nats, (n_pairs,).
+        From indices of the pairs chosen so far, and whether there is a smooth function, to the
+        prices in nats, (n_pairs,).
     """
     order = offered[:, 1]
     high = (order > COMMON_ORDER) & ~expected
     common = np.log(max(np.count_nonzero(~high), 1))
-    alone = common + _PRICE_OF_HIGH * high
+    every = common + _PRICE_OF_HIGH * high
+    cheap = np.where(order > _LIKELY_ORDER, every, 0.0)
 
-    def prices(chosen):
+    def prices(chosen, beside_smooth=False):
+        alone = every if beside_smooth else cheap
         gears = np.unique(order[chosen])
         gears = gears[gears > COMMON_ORDER]
         if not len(gears):
@@ -142,7 +153,7 @@ def order_prices(offered, expected):
         related = np.isin(order, np.outer(gears, _MULTIPLES))
         for multiple in _MULTIPLES:
             related |= np.isin(multiple * order, gears)
-        return np.where(related, common, alone)
+        return np.where(related, np.minimum(common, alone), alone)
 
     return prices
 

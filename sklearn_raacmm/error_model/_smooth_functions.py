@@ -13,6 +13,8 @@ evidence, less the prices, clearly.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from functools import partial
+
 import numpy as np
 from scipy.linalg import LinAlgError
 
@@ -65,8 +67,9 @@ def add_smooth(sums, family, harmonic, prior_variance, prices, lengths, found, s
         return None
     variance = base.prior_variance.copy()
     variance[-1] = at
-    new = _beside_smooth(problem, base.pairs, variance, base.noise_variance, prices, shares)
     before = base.log_evidence - prices(base.pairs)[base.pairs].sum()
+    prices = partial(prices, beside_smooth=True)
+    new = _beside_smooth(problem, base.pairs, variance, base.noise_variance, prices, shares)
     chosen = new.pairs[~new.smooth]
     if new.log_evidence - prices(chosen)[chosen].sum() < before + _LEAST_RISE:
         return None
@@ -80,7 +83,7 @@ def choose_beside_smooth(sums, family, harmonic, prior_variance, prices, lengths
     """
     problem = Problem(sums, family, harmonic, prior_variance, lengths)
     start = found.prior_variance, found.noise_variance
-    pairs = found.pairs[~found.smooth]
+    pairs, prices = found.pairs[~found.smooth], partial(prices, beside_smooth=True)
     return _beside_smooth(problem, pairs, *start, prices, shares)
 
 
@@ -101,7 +104,7 @@ def left_out_beside_smooth(sums, family, harmonic, prices, start, shares):
     Posterior
     """
     problem = Problem(sums, family, harmonic, start[0], None)
-    pairs = np.empty(0, dtype=int)
+    pairs, prices = np.empty(0, dtype=int), partial(prices, beside_smooth=True)
     pairs = extend(problem, pairs, *start, prices, _joined(pairs, shares))
     while True:
         every, smooth, share = _joined(pairs, shares)

@@ -74,27 +74,29 @@ _GIVEN = """\
 _VARIANCE = """\
     if (v) {{
         {real} dot[3][{r}] = {{{{0}}}};
-        const {real} *row = column_root;
+        const {of_root} *row = column_root;
         for (int c = 0; c < {m};) {{
             const {real} *u = vector[column_vector[c]];
-            {real} shared[{r}] = {{0}};
+            {of_root} shared[{r}] = {{0}};
             int n = 0; /* entries of a row, up to the diagonal and to the end of a vector */
             do {{
                 n = c / {vector} * {vector} + {vector};
                 n = n < {r} ? n : {r};
                 for (int i = 0; i < n; ++i)
-                    shared[i] += size[c] * row[i];
+                    shared[i] += ({of_root})size[c] * row[i];
                 row += n;
                 ++c;
             }} while (c < {m} && column_vector[c] == column_vector[c - 1]);
             for (int k = 0; k < 3; ++k)
                 for (int i = 0; i < n; ++i)
-                    dot[k][i] += u[k] * shared[i];
+                    dot[k][i] += u[k] * ({real})shared[i];
         }}
         for (int k = 0; k < 3; ++k) {{
             v[k] = 0;
-            for (int i = 0; i < {r}; ++i)
-                v[k] += dot[k][i] * dot[k][i];
+            for (int i = 0; i < {r}; ++i) {{
+                const {real} sum = {unit}dot[k][i];
+                v[k] += sum * sum;
+            }}
         }}
     }}
 """
@@ -103,6 +105,10 @@ _VARIANCE = """\
 # Entries that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that the number of entries is one, they need no remainder: 15 -> 10 us for 177 columns.
 _VECTOR = 8
+# A root of so many entries, of about 450 columns, is written as whole numbers: 2 instead of 7 MB of
+# text for the 821 columns of a UR10. Standard deviations were then good to 7e-6 at training poses,
+# and to 3e-6 at random ones, where no more than the share may be lost; so many are tried.
+_LARGE, _SHARE, _MEASURED_POSES = 200_000, 3e-5, 100
 
 
 def error_model(numbers, linear, std):
@@ -112,7 +118,7 @@ def error_model(numbers, linear, std):
     m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
     if not m:
         return _no_columns(real, std)
-    vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
+    vector = _vector_of(linear)
     order = np.argsort(vector, kind="stable")
     text = numbers.integers("column_vector", vector[order], "turns about axes, then shifts")
     loaded = np.select([table.kind == LOAD, table.kind == PUSH], [1, 2], 0)
@@ -124,11 +130,19 @@ def error_model(numbers, linear, std):
     text += numbers.table("column_coef", linear.coef[order])
     variance = ""
     if std:
-        # Any root gives the same variances; a triangle has half the entries.
-        packed, rank = _packed_root(linear.gauge_free_half[order])
+        root = _root_of(linear, order)
         note = "root of the coefficients' covariance: a triangle, row by row"
-        text += numbers.table("column_root", packed, note)
-        variance = _VARIANCE.format(real=real, m=m, r=rank, vector=_VECTOR)
+        of_root = unit = ""
+        if _is_coarse(linear, root, order):
+            whole, factor = _as_whole_numbers(root)
+            text += numbers.whole("column_root", _packed(whole), f"{note}, whole numbers")
+            text += numbers.table("root_unit", factor, "of each column of it")
+            of_root, unit = "float", "root_unit[i] * "
+        else:
+            text += numbers.table("column_root", _packed(root), note)
+        variance = _VARIANCE.format(
+            real=real, of_root=of_root or real, unit=unit, m=m, r=root.shape[1], vector=_VECTOR
+        )
     tables, extra = _of_extra_columns(numbers, linear, order)
     return f"{text}{tables}\n" + _COLUMNS.format(
         real=real,
@@ -177,24 +191,53 @@ def _no_columns(real, std):
     )
 
 
-def _packed_root(half):
-    """Triangular root of ``half @ half.T``, row by row, filled up with zeros to whole vectors.
+def in_few_digits(linear):
+    """Whether standard deviations of a `LinearModel` are written in single precision."""
+    order = np.argsort(_vector_of(linear), kind="stable")
+    return _is_coarse(linear, _root_of(linear, order), order)
 
-    Parameters
-    ----------
-    half : ndarray of shape (m, r)
 
-    Returns
-    -------
-    packed : ndarray of shape (n,)
-    rank : int
-        Entries of the longest row.
+def _is_coarse(linear, root, order):
+    """Whether a root is large, and whole numbers in its place cost no standard deviation much."""
+    if np.size(root) < _LARGE:
+        return False
+    whole, factor = _as_whole_numbers(root)
+    turns = np.random.default_rng(0).uniform(-np.pi, np.pi, (_MEASURED_POSES, linear.arm.n_joints))
+    known = [reference[0] for _, reference in linear.terms.extra]
+    poses = np.hstack([turns, np.tile(known, (_MEASURED_POSES, 1))])
+    columns = linear.columns(poses)[:, :, order]
+    dots = (columns.astype(np.float32) @ whole.astype(np.float32)) * factor
+    exact, found = (np.square(d).sum(axis=2) for d in (columns @ root, dots))
+    return bool(np.all(np.abs(np.sqrt(found) - np.sqrt(exact)) <= _SHARE * np.sqrt(exact)))
+
+
+def _vector_of(linear):
+    """Which vector each column of the model shares with others: turns about axes, then shifts."""
+    table = column_table(linear.arm, linear.terms)
+    shifts = np.where(table.kind == SHIFT, 3 * (linear.arm.n_joints + 1), 0)
+    return shifts + 3 * table.frame + table.axis
+
+
+def _root_of(linear, order):
+    """Triangular root of the covariance, (m, r), filled up with zeros to whole vectors.
+
+    Any root gives the same variances; a triangle has half the entries.
     """
-    root = np.linalg.qr(half.T, mode="r").T
-    root = np.pad(root, ((0, 0), (0, -root.shape[1] % _VECTOR)))
-    rank = root.shape[1]
-    lengths = np.minimum(np.arange(len(root)) // _VECTOR * _VECTOR + _VECTOR, rank)
-    return np.concatenate([row[:n] for row, n in zip(root, lengths, strict=True)]), rank
+    root = np.linalg.qr(linear.gauge_free_half[order].T, mode="r").T
+    return np.pad(root, ((0, 0), (0, -root.shape[1] % _VECTOR)))
+
+
+def _as_whole_numbers(root):
+    """Whole numbers of 24 bits, and one factor per column of the root."""
+    largest = np.maximum(np.abs(root).max(axis=0), np.finfo(np.float32).tiny)
+    factor = largest / (2**24 - 1)
+    return np.round(root / factor), factor
+
+
+def _packed(root):
+    """Rows of a triangle one after another, each up to the whole vector with the diagonal."""
+    lengths = np.arange(len(root)) // _VECTOR * _VECTOR + _VECTOR
+    return np.concatenate([row[:n] for row, n in zip(root, lengths, strict=True)])
 
 
 _FADED = """\

@@ -5,7 +5,9 @@
 
 import numpy as np
 
+from sklearn_raacmm.export._c_columns import in_few_digits
 from sklearn_raacmm.export._c_text import Numbers
+from sklearn_raacmm.export._steps import leaves
 
 # First line of a CMakeLists.txt that may be replaced.
 _MARK = "# Written by sklearn_raacmm.export.export_c."
@@ -13,7 +15,8 @@ _MARK = "# Written by sklearn_raacmm.export.export_c."
 _N_INSIDE, _N_CORNERS, _N_BAD = 20, 8, 4
 # How far C may be from predict: shares of the largest expected number. Poles of the corners apart,
 # double keeps 1e-12; single precision has 7 digits, of which the weights of a network cost some.
-_TOLERANCE = {"double": 1e-9, "float": 2e-2}
+# Fading by standard deviations in few digits costs 1e-5 of them.
+_TOLERANCE, _OF_FEW_DIGITS = {"double": 1e-9, "float": 2e-2}, 1e-5
 
 
 def rows_to_test(rows):
@@ -187,7 +190,10 @@ def _test(model, names, rows, verb):
     expected = expected_of(model, rows)
     refused = np.isnan(expected).any(axis=1)
     kind = np.select([np.isnan(rows), rows == np.inf, rows == -np.inf], [1, 2, 3], 0)
-    tolerance = _TOLERANCE[names["real"]] * np.abs(expected[~refused]).max(initial=1e-3)
+    linear = [getattr(step.estimator, "linear_model_", None) for step in leaves(model)]
+    few = any(in_few_digits(one) for one in linear if one is not None)
+    share = max(_TOLERANCE[names["real"]], _OF_FEW_DIGITS * few)
+    tolerance = share * np.abs(expected[~refused]).max(initial=1e-3)
     tables = numbers.table("input", np.where(kind == 0, rows, 0.0))
     tables += numbers.integers("input_kind", kind, "0 a number, 1 NaN, 2 infinity, 3 -infinity")
     tables += numbers.table("expected", np.where(refused[:, None], 0.0, expected))

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
-from sklearn.utils import gen_batches
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
-from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
+from sklearn_raacmm.network._nested_fits import divide, stack_triangles, triangular_factor
+from sklearn_raacmm.utils import chunks
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
 # working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
@@ -27,8 +27,13 @@ MAX_SYMMETRIC = 15_000
 # in centres and at the least. With 2.5 the residual was up to 4 % larger than with an exact factor,
 # with 3.5 up to 2 % (three draws of candidates).
 RANK_PER_CENTER, MIN_RANK = 3.5, 256
-# Columns of the kernel matrix looked at together.
-COLUMNS = 256
+# Rows of the kernel matrix worked on together.
+PANEL = 512
+# Of these, rows that stay in the cache while they are computed or used twice.
+_IN_CACHE = 16
+# Distances, in widths, from which a kernel is below 1e-18: a thousand such entries beside one of 1
+# are less than its rounding.
+REACH = {"gaussian": 9.2, "matern32": 26.5, "matern52": 22.5}
 # A factor that leaves more than this of the diagonal does not ask for the last digits.
 COARSE = 1e-5
 
@@ -69,13 +74,82 @@ class WhitenedCandidates:
         return v @ self.coordinates[indices].T
 
 
+class HalfMatrix:
+    """Symmetric matrix that holds its lower triangle only: half the entries to compute and keep.
+
+    Parameters
+    ----------
+    entries : callable
+        From row indices and a slice of columns to entries.
+    n : int
+        Number of rows.
+    first : ndarray of shape (n,), optional
+        Column before which a row's entries are nothing; it must not fall from row to row.
+    """
+
+    def __init__(self, entries, n, first=None):
+        self.entries, self.n = entries, n
+        # Rows, the columns to the left of their block on the diagonal, and the entries of both.
+        self.panels = []
+        for part in chunks(n, PANEL):
+            begin = 0 if first is None else min(int(first[part.start]), part.start)
+            values = np.empty((part.stop - part.start, part.stop - begin))
+            for rows in chunks(len(values), _IN_CACHE):
+                some = slice(part.start + rows.start, part.start + rows.stop)
+                values[rows] = entries(some, slice(begin, part.stop))
+            self.panels.append((part, slice(begin, part.start), values))
+
+    def columns(self, indices):
+        """Whole columns, a row each (m, n), computed anew: to gather them takes longer."""
+        return self.entries(indices, slice(None))
+
+    def times(self, v):
+        """Products (m, n) of the matrix with the rows of v (m, n)."""
+        products = np.zeros((len(v), self.n))
+        for part, left, values in self.panels:
+            n_left = left.stop - left.start
+            products[:, part] += v[:, part] @ values[:, n_left:]
+            # Of a single row memory is the limit: entries are used twice while in the cache.
+            for rows in chunks(len(values), _IN_CACHE if len(v) == 1 else PANEL):
+                some = slice(part.start + rows.start, part.start + rows.stop)
+                panel = values[rows, :n_left]
+                products[:, some] += v[:, left] @ panel.T
+                products[:, left] += v[:, some] @ panel
+        return products
+
+    def squares(self, weights):
+        """Weighted sums (n,) of the squared entries of every column."""
+        sums = np.zeros(self.n)
+        for part, left, values in self.panels:
+            for rows in chunks(len(values), _IN_CACHE):
+                some = slice(part.start + rows.start, part.start + rows.stop)
+                squared = np.square(values[rows])
+                sums[left.start : part.stop] += weights[some] @ squared
+                sums[some] += squared[:, : left.stop - left.start] @ weights[left]
+        return sums
+
+
+def half_kernel(Z, kernel):
+    """Kernel matrix (n, n) of scaled rows as a `HalfMatrix`.
+
+    Rows that are sorted by their first feature may be too far apart in it for a kernel value that
+    any sum would notice.
+    """
+    reach, first = REACH.get(kernel), None
+    if reach is not None and np.all(np.diff(Z[:, 0]) >= 0):
+        first = np.searchsorted(Z[:, 0], Z[:, 0] - reach)
+    return HalfMatrix(
+        lambda rows, columns: kernel_matrix(Z[rows], Z[columns], kernel), len(Z), first
+    )
+
+
 class SymmetricCandidates:
     """Every sample is a candidate, and the symmetric kernel matrix itself is worked on.
 
     Parameters
     ----------
-    K : ndarray of shape (n, n), Fortran order
-        Kernel matrix.
+    K : HalfMatrix
+        Kernel matrix of n samples, whose diagonal is 1.
     weights : ndarray of shape (n,)
     tail : ndarray of shape (n, n_tail)
         Orthonormal basis of the weighted polynomial tail (rows times root weight).
@@ -90,38 +164,36 @@ class SymmetricCandidates:
         self.resolution = 1e-6
         self.root = np.sqrt(weights)
         self.target = self.root[:, None] * Y
-        self.rank = len(K)
+        self.rank = K.n
 
     def _weigh(self, u):
         u = self.root * u
         u -= (u @ self.tail) @ self.tail.T
-        return self.root * u
+        u *= self.root
+        return u
 
     def squared_norms(self):
-        norms, weighted = self.alpha * self.K.diagonal(), self.root[:, None] * self.tail
-        for part in gen_batches(len(norms), COLUMNS):
-            columns = self.K[:, part]
-            norms[part] += self.root**2 @ np.square(columns)
-            norms[part] -= np.square(weighted.T @ columns).sum(axis=0)
-        return norms
+        norms = self.alpha + self.K.squares(self.root**2)
+        along = self.K.times((self.root[:, None] * self.tail).T)
+        return norms - np.square(along).sum(axis=0)
 
     def correlations(self):
-        return self.K @ self.target
+        return self.K.times(self.target.T).T
 
     def columns(self, indices):
-        u = np.ascontiguousarray(self.K[:, indices].T)
+        u = self.K.columns(indices)
         v = self._weigh(u)
         v[np.arange(len(v)), indices] += self.alpha
         return u, v
 
     def inner(self, v):
-        if len(v) == 1:
-            return blas.dsymv(1.0, self.K, v[0], lower=1)[None]  # reads one triangle
-        return v @ self.K
+        return self.K.times(v)
 
     def products(self, v, indices):
-        every = np.array_equal(indices, np.arange(self.rank))  # needs no copy
-        return v @ (self.K if every else self.K[:, indices])
+        if np.array_equal(indices, np.arange(self.rank)):
+            return self.K.times(v)
+        parts = chunks(len(indices), PANEL)
+        return np.hstack([v @ self.K.columns(indices[part]).T for part in parts])
 
 
 class Features:
@@ -157,7 +229,7 @@ class Features:
             return known if plain else block.weigh(known.copy(order="K"))
         K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
         if self.root is not None:
-            K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
+            K = divide(K, self.root.T)
         return block.weigh(K)
 
 
@@ -230,19 +302,23 @@ def whiten(problem, view, factor, features, members, alphas):
         gram = solve_triangular(root, solve_triangular(root, gram, lower=True).T, lower=True)
         cross = solve_triangular(root, cross, lower=True)
         along = solve_triangular(root, along.T, lower=True).T
-    gram -= along.T @ along
+    gram = gram.T  # of which BLAS takes the lower triangle
+    if len(along):
+        gram = blas.dsyrk(-1.0, along, trans=1, beta=1.0, c=gram, lower=1, overwrite_c=1)
     triangle = None
     groups, degrees = [], []
     for alpha, of in zip(alphas, members, strict=True):
         # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
         # machine epsilon; a ridge, or a coarse factor, does not ask for more.
+        last = len(groups) == len(alphas) - 1
         trusted, failed = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT), True
         strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
         if strong or coarse or (alpha == 0 and resolution >= 1e-9):
             trusted = max(resolution, 1e-7)
             gram[np.diag_indices(rank)] += alpha
-            root, failed = lapack.dpotrf(gram, lower=1, clean=1)
-            gram[np.diag_indices(rank)] -= alpha
+            root, failed = lapack.dpotrf(gram, lower=1, clean=1, overwrite_a=last)
+            if not last:
+                gram[np.diag_indices(rank)] -= alpha
         if not failed:
             projected = solve_triangular(root, cross[:, of], lower=True, check_finite=False)
         else:
@@ -252,7 +328,6 @@ def whiten(problem, view, factor, features, members, alphas):
             Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
             root, projected = R.T, Q[:rank].T @ rotated[:, of]
         # The last group's take the rows' place, which nobody needs any more.
-        last = len(groups) == len(alphas) - 1
         coordinates = blas.dtrmm(1.0, root, rows, side=1, lower=1, overwrite_b=last)
         groups.append(WhitenedCandidates(coordinates, projected, trusted))
         inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
@@ -330,7 +405,7 @@ def candidate_groups(
     limits = {"max_rank": max_rank, "all_or_nothing": may_be_symmetric}
     factor = pivoted_cholesky(Z, kernel, tol=tol, resolve=resolve, **limits)
     if may_be_symmetric and not factor.complete:
-        K = kernel_matrix(Z, Z, kernel).T
+        K = half_kernel(Z, kernel)
         block = problem.block(slice(None))
         basis, targets = view.of(block)
         weights = block.root[:, 0] ** 2

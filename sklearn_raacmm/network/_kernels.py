@@ -14,10 +14,14 @@ from scipy.linalg import blas, lapack
 _SOUND_PIVOT = 1e-6
 # Numbers of a factor for which there is room from the start, 256 MB. To grow costs time.
 _ROOM = 2**25
+# Squared distance from which a gaussian is nothing.
+_FARTHEST = 1414.0
 _SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
 
 
 def _gaussian(s):
+    # Below 1e-307 an exponential takes a hundred times as long.
+    np.minimum(s, _FARTHEST, out=s)
     s *= -0.5
     return np.exp(s, out=s)
 

@@ -108,13 +108,13 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
     root, alphas = np.sqrt(weights), np.exp(log_alpha)
     Xs = X * np.exp(-log_width)
     K, slope = KERNELS[kernel].with_slope(squared_distances(Xs, Xs))
-    _weigh(K, root)
-    _weigh(slope, root)
+    weigh(K, root)
+    weigh(slope, root)
     Yw = root[:, None] * Y
-    K = _centre(_centre(K, data).T, data)
-    solved, log_det, trace, half = _inverses(K, Yw, alphas)
+    K = centre(centre(K, data).T, data)
+    solved, log_det, trace, half = inverses(K, Yw, alphas)
     if data.codes is not None:
-        half = np.asfortranarray(_centre(_centre(half, data).T, data).T)
+        half = np.asfortranarray(centre(centre(half, data).T, data).T)
     of_noise = within / alphas
     quadratic = np.maximum((Yw * solved).sum(axis=0) + of_noise, np.finfo(float).tiny)
     value = log_det + (n_total - n) * log_alpha + n_total * np.log(quadratic)
@@ -123,8 +123,8 @@ def exact_likelihood(data, kernel, log_width, log_alpha):
     d_alpha = 0.5 * (alphas * trace + n_total - n + n_total * d_quadratic / quadratic)
     # Both are symmetric, and the half is in Fortran's order.
     half *= slope.T
-    d_width = _width_gradient(half, Xs, Xs)
-    d_form = -np.array([_rank_one_gradient(slope, a, Xs) for a in solved.T])
+    d_width = width_gradient(half, Xs, Xs)
+    d_form = -np.array([rank_one_gradient(slope, a, Xs) for a in solved.T])
     d_width += 0.5 * n_total * (d_form / quadratic[:, None]).sum(axis=0)
     return Likelihood(
         0.5 * value.sum(),
@@ -146,14 +146,14 @@ def evidence_constant(data):
     return 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
 
 
-def _weigh(K, root):
+def weigh(K, root):
     """Multiply the rows and columns of a kernel matrix, in place."""
     if np.any(root != 1.0):
         K *= root[:, None]
         K *= root
 
 
-def _centre(columns, data):
+def centre(columns, data):
     """Columns of root weighted rows less what is constant in a group; as they are without groups.
 
     The likelihood is then that of the targets' deviations from their group's mean: it is the same
@@ -166,7 +166,7 @@ def _centre(columns, data):
     return columns - root[:, None] * along[data.codes]
 
 
-def _inverses(K, Y, alphas):
+def inverses(K, Y, alphas):
     """Solve with every K + alpha_i I.
 
     Returns
@@ -228,8 +228,8 @@ def leave_one_out(data, kernel, log_width, log_alpha):
     """
     Xs = data.X * np.exp(-log_width)
     K = KERNELS[kernel].function(squared_distances(Xs, Xs))
-    _weigh(K, np.sqrt(data.weights))
-    return left_out(data, _centre(_centre(K, data).T, data), np.exp(log_alpha))
+    weigh(K, np.sqrt(data.weights))
+    return left_out(data, centre(centre(K, data).T, data), np.exp(log_alpha))
 
 
 def left_out(data, K, alphas):
@@ -238,7 +238,7 @@ def left_out(data, K, alphas):
     error, density = 0.0, 0.0
     for i, alpha in enumerate(alphas):
         y, one = Yw[:, i : i + 1], alphas[i : i + 1]
-        solved, _, _, half = _inverses(K, y, one)
+        solved, _, _, half = inverses(K, y, one)
         signal = ((y * solved).sum() + data.within[i] / alpha) / data.n_total
         if data.codes is not None:
             found = _groups_left_out(half + half.T, solved[:, 0], data.codes, alpha, signal)
@@ -308,7 +308,7 @@ def projected_likelihood(data, Z, kernel, log_width, log_alpha):
     Kw, slope_mn = with_slope(squared_distances(Zs, Xs))
     Kw *= root
     slope_mn *= root
-    Kw = _centre(Kw.T, data).T
+    Kw = centre(Kw.T, data).T
     Yw = root[:, None] * Y
     K, slope_mm = with_slope(squared_distances(Zs, Zs))
     L = _root(K)
@@ -332,15 +332,15 @@ def projected_likelihood(data, Z, kernel, log_width, log_alpha):
 
     G = (L_inverse.T @ left) @ right
     G -= (beta * (scale / alphas)) @ residual.T
-    d_width = _width_gradient(G * slope_mn, Zs, Xs)
+    d_width = width_gradient(G * slope_mn, Zs, Xs)
     weighted[np.diag_indices(m)] -= q
     H = L_inverse.T @ weighted @ L_inverse
     H += (beta * scale) @ beta.T
-    d_width += 0.5 * _width_gradient(H * slope_mm, Zs, Zs)
+    d_width += 0.5 * width_gradient(H * slope_mm, Zs, Zs)
     # The quadratic forms alone, for the signal variances.
     d_form = np.array(
         [
-            _rank_one_gradient(slope_mm, b, Zs) - 2 * _across_gradient(slope_mn, b / a, r, Zs, Xs)
+            rank_one_gradient(slope_mm, b, Zs) - 2 * _across_gradient(slope_mn, b / a, r, Zs, Xs)
             for a, b, r in zip(alphas, beta.T, residual.T, strict=True)
         ]
     )
@@ -383,7 +383,7 @@ def _shrink(A, Y, alphas):
     summed, weighted = np.zeros((m, m)), np.zeros((m, m))
     for i, alpha in enumerate(alphas):
         one = slice(i, i + 1)
-        of_output, log_det[one], trace[one], half = _inverses(AA, AY[:, one], alphas[one])
+        of_output, log_det[one], trace[one], half = inverses(AA, AY[:, one], alphas[one])
         solved[:, one] = of_output
         inverse = half + half.T
         summed += inverse
@@ -404,14 +404,14 @@ def _shrink_stably(A, Y, alphas):
     return solved, log_det, inverse.sum(axis=0), left, rotated, weighted
 
 
-def _width_gradient(G, A, B):
+def width_gradient(G, A, B):
     """Sum over pairs of G_ij times d s_ij / d log width, for every feature."""
     return -2 * (
         G.sum(axis=1) @ (A * A) + G.sum(axis=0) @ (B * B) - 2 * np.einsum("ik,ik->k", A, G @ B)
     )
 
 
-def _rank_one_gradient(slope, a, A):
+def rank_one_gradient(slope, a, A):
     """The same of the symmetric G = slope * a a', without forming it."""
     aA = a[:, None] * A
     along = slope @ np.column_stack([a, aA])

@@ -12,11 +12,13 @@ from sklearn_raacmm.network._network_posterior import (
     fit_path,
     posterior_of,
 )
+from sklearn_raacmm.network._training_data import Problem, with_group_noise, with_tail
 
 
 class FittedNetwork(NamedTuple):
     """What `RBFNetRegressor` keeps of its last fit."""
 
+    problem: Problem  # the rows, with the tail and the noise that it was fitted with
     posterior: Posterior
     centers: np.ndarray  # (k,) rows of the problem
     n_tried: int  # number of centres tried
@@ -31,6 +33,7 @@ def fit_network(problem, tuned, settings, rng, last=None):
     Parameters
     ----------
     problem : Problem or ChunkedProblem
+        Before a linear part or noise of groups that `tuned` asks for.
     tuned : Tuned
         Kernel, widths and ridges.
     settings : CenterSettings
@@ -44,9 +47,13 @@ def fit_network(problem, tuned, settings, rng, last=None):
     FittedNetwork
     """
     functions, alpha, n_found = tuned.functions, tuned.alpha, tuned.n_found
+    if tuned.linear:
+        problem = with_tail(problem, 1, ridged=True)
+    if tuned.share > 0:
+        problem, alpha = with_group_noise(problem, alpha, functions, tuned.share)
     if takes_all_rows(problem, alpha, functions, settings):
         process, n = process_of(problem, alpha, functions, n_found), problem.n_rows
-        return FittedNetwork(process, np.arange(n), n, np.empty(0), np.empty(0), "all rows")
+        return FittedNetwork(problem, process, np.arange(n), n, *np.empty((2, 0)), "all rows")
     # That all rows were centres says nothing of which are needed.
     last = last if isinstance(last, NetworkPosterior) else None
     order, stop_reason = choose_centers(problem, alpha, functions, settings, rng, last)
@@ -57,4 +64,4 @@ def fit_network(problem, tuned, settings, rng, last=None):
     share = -np.diff(path.objective, axis=0)[:k, varying] / problem.spread[varying] ** 2
     share = share.sum(axis=1) / (problem.n_total * max(1, varying.sum()))
     reason = "criterion" if reached else stop_reason
-    return FittedNetwork(posterior, order[:k], len(order), scores, share, reason)
+    return FittedNetwork(problem, posterior, order[:k], len(order), scores, share, reason)

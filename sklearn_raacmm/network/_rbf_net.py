@@ -1,6 +1,5 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
-from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -20,7 +19,6 @@ from sklearn_raacmm.network._parameters import (
 )
 from sklearn_raacmm.network._read_data import read_problem
 from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
-from sklearn_raacmm.network._training_data import with_tail
 from sklearn_raacmm.network._tuning import last_network, tune
 from sklearn_raacmm.utils import (
     Interval,
@@ -28,6 +26,7 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     check_features,
     check_fitted,
+    check_flags,
     check_shapes,
     check_weights,
     check_whole_number,
@@ -198,8 +197,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     n_iter_ : int
         Number of centres tried.
 
-    offsets_ : bool
-        Whether each group has an unknown constant. The level of the prediction is then not known:
+    offsets_, group_share_ : bool, float
+        Whether each group has an unknown constant, and the share of the noise variance that is a
+        smooth function of each group's own. With offsets the level of the prediction is not known:
         its mean over the training rows is 0, and deviations are of the difference from that mean.
 
     posterior_ : NetworkPosterior or ProcessPosterior
@@ -286,7 +286,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def __init__(
         self,
-        n_centers: int | str | None = "auto",
+        n_centers: int | str = "auto",
         *,
         kernel="auto",
         length_scale: ArrayLike | str = "auto",
@@ -337,9 +337,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         groups : array-like of shape (n_samples,), default=None
             Label of each row's group, for targets known up to one constant a group, such as
             residuals from the mean point of a position. Where the groups' mean targets are zero,
-            only differences within a group teach the network; elsewhere labels change nothing.
-            It helps where the features do not tell the group, such as the three pose angles, and
-            may do harm where they do.
+            such constants, and besides them a smooth function of each group's own, are allowed for
+            if groups that are left out then scatter clearly less; else labels change nothing.
 
         Returns
         -------
@@ -383,8 +382,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 break
             self._fit_weighted(X, y, given * factor, groups, self.offsets_)
         if np.any(factor < 1):
-            noise = self.posterior_.noise_variance / NORMAL_SQUARE
-            self.posterior_ = replace(self.posterior_, noise_variance=noise)
+            self.posterior_ = self.posterior_.with_noise(1 / NORMAL_SQUARE)
         self.row_weight_ = factor
 
     def _fit_weighted(self, X, y, sample_weight, groups, offsets=None):
@@ -400,14 +398,15 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         tuned = tune(problem, self.kernel, width, alpha, isotropic, rng, last, open_degree)
         if tuned.log_likelihood is not None:
             self.log_marginal_likelihood_value_ = tuned.log_likelihood
-        if tuned.linear:
-            problem = with_tail(problem, 1, ridged=True)
+        if self.offsets_ and not tuned.offsets:
+            problem = read_problem(self, X, y, sample_weight, None, False, rng)
+        self.group_share_ = tuned.share
         found = fit_network(problem, tuned, CenterSettings.of(self), rng, last)
         self.posterior_, self.stop_reason_ = found.posterior, found.stop_reason
         self.criterion_path_, self.n_iter_ = found.scores, found.n_tried
         self.center_indices_ = problem.first[found.centers]
         self.error_reduction_ = found.error_reduction
-        self.relevance_ = relevance(problem, self.posterior_)
+        self.relevance_ = relevance(found.problem, self.posterior_)
 
     def predict(self, X, return_std=False, return_cov=False, with_noise=True):
         """Predict targets.
@@ -418,9 +417,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             Rows.
 
         return_std : bool, default=False
-            Also return the standard deviation of the prediction: that of the Gaussian process
-            whose posterior mean the network approximates. It grows to the signal's own standard
-            deviation away from the data.
+            Also return the standard deviation of the Gaussian process whose posterior mean the
+            network approximates: away from the data it grows to the signal's own.
 
         return_cov : bool, default=False
             Also return the covariance of the predictions at these rows. Not with `return_std`.
@@ -447,14 +445,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             If X has another number of features than in fit, or holds NaN or infinity; if both the
             standard deviation and the covariance are asked for.
         """
+        check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
         X = self._checked_rows(X)
         mean, std = self.posterior_.predict(X, return_std, with_noise)
-        mean = self._shaped(mean)
         if return_cov:
-            return mean, self._shaped(self.posterior_.covariance(X, with_noise))
-        return (mean, self._shaped(std)) if return_std else mean
+            return self._shaped(mean), self._shaped(self.posterior_.covariance(X, with_noise))
+        return (self._shaped(mean), self._shaped(std)) if return_std else self._shaped(mean)
 
     def sample_y(self, X, n_samples=1, random_state=0, with_noise=True):
         """Draw targets from the posterior of the Gaussian process that the network approximates.

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
+from sklearn_raacmm.network._group_noise import whiteners
 from sklearn_raacmm.network._polynomial_tail import linear_ridge, ridge_rows, tail_columns
 from sklearn_raacmm.utils import centred, chunk_size, chunks
 
@@ -35,9 +36,12 @@ class Block(NamedTuple):
     targets: np.ndarray  # (m, q) targets times root
     part: slice  # which of the problem's rows, where it holds them
     codes: np.ndarray | None = None  # (m,) group of each row, where groups have offsets
+    whiteners: list | None = None  # matrix of each of these groups, see `with_group_noise`
 
     def weigh(self, columns):
         """Columns at these rows, less the offsets of groups, times root; may overwrite them."""
+        if self.whiteners is not None:
+            return _whitened(self.whiteners, columns)
         columns = centred(columns, self.codes, self.root[:, 0] ** 2)
         columns *= self.root
         return columns
@@ -97,6 +101,8 @@ class Problem(NamedTuple):
     tail_ridge: float = 0.0  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray = None  # (p - 1, p) the ridge as further rows of the basis, if any
     tail_dof: float = 0.0  # effective number of the tail's columns
+    # What `with_group_noise` adds: a matrix of each group, in place of centring and root.
+    whiteners: list | None = None
 
     view = view_of
 
@@ -121,8 +127,13 @@ class Problem(NamedTuple):
     def block(self, part):
         """Some rows."""
         arrays = self.X, self.root, self.tail, self.basis, self.targets
-        codes = None if self.codes is None else self.codes[part] - self.codes[part][0]
-        return Block(*(a[part] for a in arrays), part, codes)
+        codes, whiteners = self.codes, self.whiteners
+        if codes is not None:
+            codes = codes[part]
+            if whiteners is not None:
+                whiteners = whiteners[codes[0] : codes[-1] + 1]
+            codes = codes - codes[0]
+        return Block(*(a[part] for a in arrays), part, codes, whiteners)
 
     def reduce(self, function, combine, width):
         """Combine the function of every block of rows, one after another.
@@ -140,6 +151,13 @@ class Problem(NamedTuple):
         if self.codes is not None:
             parts = _whole_groups(parts, self.codes)
         return reduce(combine, (function(self.block(part)) for part in parts))
+
+
+def _whitened(whiteners, columns):
+    """The rows of each group multiplied by its matrix."""
+    borders = np.cumsum([len(T) for T in whiteners])[:-1]
+    parts = zip(whiteners, np.split(columns, borders), strict=True)
+    return np.vstack([T @ rows for T, rows in parts])
 
 
 def _whole_groups(parts, codes):
@@ -267,26 +285,63 @@ def with_tail(problem, degree, ridged=False):
         constant = int(codes is None)
         about = targets - root * np.average(Y, axis=0, weights=weights)
         ridge = linear_ridge(tail[:, constant:], about, within, n_total - constant)
+    return _projected(problem._replace(tail=tail, tail_map=tail_map, tail_ridge=ridge))
+
+
+def _projected(problem):
+    """The problem with what follows from its tail and targets: a basis, and the spread about it."""
+    tail, targets, ridge = problem.tail, problem.targets, problem.tail_ridge
     basis = basis_rows = tail
     if tail.size:
-        stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge, codes is None)])
+        stacked = np.vstack([tail, problem.tail_rows])
         basis = qr(stacked, mode="economic", check_finite=False)[0]
-        basis, basis_rows = basis[: len(X)], basis[len(X) :]
+        basis, basis_rows = basis[: len(tail)], basis[len(tail) :]
     projection = basis.T @ targets
     about = targets - basis @ projection
     left = np.square(about).sum(axis=0)
     if ridge:
         left += np.square(basis_rows @ projection).sum(axis=0)
-    spread = np.sqrt((left + within) / n_total)
+    spread = np.sqrt((left + problem.within) / problem.n_total)
     # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * np.abs(Y).max(axis=0)] = 0.0
+    spread[spread <= 1e-13 * np.abs(targets / problem.root).max(axis=0)] = 0.0
     return problem._replace(
-        tail=tail,
         basis=basis,
-        tail_map=tail_map,
         projection=projection,
         spread=spread,
-        tail_ridge=ridge,
         basis_rows=basis_rows,
         tail_dof=float(np.square(basis).sum()) if ridge else tail.shape[1],
     )
+
+
+def with_group_noise(problem, alpha, functions, share):
+    """The problem where a share of the noise is a smooth function of each group's own.
+
+    Its rows are multiplied by matrices that make the noise of a group independent, so that the
+    ordinary least squares of all that follows are generalised ones.
+
+    Parameters
+    ----------
+    problem : Problem
+        Where groups have offsets.
+    alpha : ndarray of shape (q,)
+        Ridges of all noise of an observation.
+    functions : RadialFunctions
+    share : float
+        Below 1.
+
+    Returns
+    -------
+    problem : Problem
+    alpha : ndarray of shape (q,)
+        Ridges of the noise of a deviation: the constant of a group's own function is no noise.
+    """
+    kernel, shift, length_scale = functions
+    Z, weights = (problem.X - shift) / length_scale, problem.root[:, 0] ** 2
+    matrices, variance = whiteners(Z, kernel, weights, problem.codes, share)
+    problem = problem._replace(
+        targets=_whitened(matrices, problem.targets / problem.root),
+        tail=_whitened(matrices, problem.tail / problem.root),
+        within=problem.within * variance / (1 - share),
+        whiteners=matrices,
+    )
+    return _projected(problem), alpha * variance

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.network._group_search import search_groups
 from sklearn_raacmm.network._likelihood import Data, leave_one_out
 from sklearn_raacmm.network._network_posterior import RadialFunctions
 from sklearn_raacmm.network._parameters import leading_bits, warn_of_bound
@@ -37,6 +38,8 @@ class Tuned(NamedTuple):
     log_likelihood: float | None = None  # of the rows on which kernels were compared
     n_found: float = 0.0  # parameters of each output that the data have decided on
     linear: bool = False  # a linear part is better than radial functions
+    offsets: bool = True  # whether groups that were given have unknown constants
+    share: float = 0.0  # of the noise variance that groups' own functions are
 
 
 def last_network(estimator, problem):
@@ -65,7 +68,8 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
     rng : numpy.random.RandomState
         Draws the rows of the search.
     last : NetworkPosterior, optional
-        Of other rows; its kernel, widths and ridges are kept where they are right for these.
+        Of other rows; its kernel, widths and ridges are kept where they are right for these. With
+        groups they are always searched for.
     may_be_linear : bool, default=False
         Whether a linear model is a candidate, too, if widths and ridges are found.
 
@@ -88,7 +92,7 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
     data = Data(sample.X, targets, weights, view.within, sample.codes)
     units = np.log(view.scale).sum()
     given = None if alpha is None else alpha[view.outputs] / sample.unit
-    if last is not None and last.kernel in kernels:
+    if last is not None and last.kernel in kernels and data.codes is None:
         width = last.length_scale if length_scale is None else length_scale
         ridge = last.alpha if alpha is None else alphas
         alike = not isotropic or np.ptp(width / sample.X.std(axis=0)) == 0
@@ -103,20 +107,22 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
         if right and alike:
             functions = RadialFunctions(last.kernel, shift, width)
             return Tuned(functions, ridge, float(value - n_observations * units), n_found)
-    found = search(
-        data,
-        kernels,
-        length_scale=length_scale,
-        isotropic=isotropic,
-        alpha=given,
-        random_state=rng,
-    )
+    options = {"length_scale": length_scale, "isotropic": isotropic, "alpha": given}
+    options |= {"random_state": rng}
+    if data.codes is None:
+        found = search(data, kernels, **options)
+    else:
+        n_total = data.n_total
+        found, data = search_groups(data, kernels, linear=sample.n_tail > 0, **options)
+        # Without offsets the unit of the targets is another one.
+        units += 0.5 * data.Y.shape[1] * np.log(n_total / data.n_total)
     open_all = may_be_linear and length_scale is None and alpha is None
     # Of rows that are not held in memory the tail cannot be made anew.
-    if open_all and sample is problem and len(found.judged):
+    if open_all and sample is problem and len(found.judged) and not found.share:
         value = _linear_likelihood(data.rows(found.judged), found)
         if value is not None:
-            return _linear(problem, found.kernel, float(value - found.n_observations * units))
+            value = float(value - found.n_observations * units)
+            return _linear(problem, found.kernel, value)._replace(offsets=found.offsets)
     if alpha is None:
         alphas[view.outputs] = leading_bits(found.alpha * sample.unit / problem.unit)
     if length_scale is None:
@@ -126,7 +132,9 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
         length_scale = unit * leading_bits(found.length_scale / unit)
     functions = RadialFunctions(found.kernel, shift, length_scale)
     value = float(found.log_likelihood - found.n_observations * units)
-    return Tuned(functions, alphas, value, found.n_found)
+    ratio = float(leading_bits(found.share / (1 - found.share)))  # keeps the digits of 1 - share
+    groups = {"offsets": found.offsets, "share": ratio / (1 + ratio)}
+    return Tuned(functions, alphas, value, found.n_found, **groups)
 
 
 def _linear_likelihood(data, found):

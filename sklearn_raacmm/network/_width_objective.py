@@ -18,9 +18,13 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.optimize import minimize
 
+from sklearn_raacmm.network._group_noise import group_likelihood
 from sklearn_raacmm.network._likelihood import exact_likelihood, projected_likelihood
 
 ALPHA_BOUNDS = (1e-12, 1e6)
+# Variance of the groups' own functions over that of the other noise: below, they are none; above,
+# nothing else.
+RATIO_BOUNDS = (1e-3, 1e3)
 # In spreads of a feature: below, every sample is alone; above, a function is as good as linear.
 WIDTH_BOUNDS = (1e-2, 1e3)
 # The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
@@ -52,7 +56,7 @@ class Task:
     """What is searched for, and the objective.
 
     The parameters theta are the logarithms of the free widths, in units of the features' spread,
-    and of the free ridges.
+    of the free ridges, and of the ratio of the groups' own functions to the other noise.
 
     Parameters
     ----------
@@ -63,16 +67,19 @@ class Task:
     alpha : ndarray of shape (q,) or None
     used : ndarray of shape (d,), optional
         Mask of the features; the width of the others is infinite.
+    own : bool
+        Whether groups have functions of their own (`_group_noise`).
     """
 
-    def __init__(self, data, spread, length_scale, isotropic, alpha, used=None):
+    def __init__(self, data, spread, length_scale, isotropic, alpha, used=None, own=False):
         self.data, self.spread, self.isotropic = data, spread, isotropic
-        self.length_scale, self.alpha = length_scale, alpha
+        self.length_scale, self.alpha, self.own = length_scale, alpha, own
         d = data.X.shape[1]
         self.used = np.ones(d, dtype=bool) if used is None else used
         self.n_widths = 0 if length_scale is not None else 1 if isotropic else self.used.sum()
         self.n_alphas = data.Y.shape[1] if alpha is None else 0
         bounds = [np.log(WIDTH_BOUNDS)] * self.n_widths + [np.log(ALPHA_BOUNDS)] * self.n_alphas
+        bounds += [np.log(RATIO_BOUNDS)] * own
         self.bounds = np.reshape(bounds, (-1, 2))
 
     def unpack(self, theta):
@@ -83,7 +90,7 @@ class Task:
         else:
             log_width = np.log(self.length_scale)
         if self.n_alphas:
-            return log_width, theta[self.n_widths :]
+            return log_width, theta[self.n_widths :][: self.n_alphas]
         return log_width, np.log(np.maximum(self.alpha, ALPHA_BOUNDS[0]))
 
     def start(self, width, alpha):
@@ -99,7 +106,9 @@ class Task:
         """Negative log likelihood with the penalty, in nats, and its gradient."""
         log_width, log_alpha = self.unpack(theta)
         try:
-            if inducing is None:
+            if self.own:
+                found = group_likelihood(data, kernel, log_width, log_alpha, theta[-1])
+            elif inducing is None:
                 found = exact_likelihood(data, kernel, log_width, log_alpha)
             else:
                 found = projected_likelihood(data, inducing, kernel, log_width, log_alpha)
@@ -123,20 +132,21 @@ class Task:
             doubt = SILENT / (SILENT + noise)
             value += DOUBT * np.log1p(SILENT / noise).sum()
             gradient -= DOUBT * (doubt / found.signal) @ of_signal
-            gradient[self.n_widths :] -= DOUBT * doubt
+            gradient[self.n_widths :][: self.n_alphas] -= DOUBT * doubt
         return value, gradient
 
     def _reduce(self, gradient):
-        """From derivatives by (log_width, log_alpha) to those by theta."""
-        d = len(self.spread)
+        """From derivatives by (log_width, log_alpha, log_ratio) to those by theta."""
+        d, q = len(self.spread), self.data.Y.shape[1]
         by_width = gradient[:d][self.used]
         if self.isotropic:
             by_width = [by_width.sum()]
-        return np.append(by_width[: self.n_widths], gradient[d:] if self.n_alphas else [])
+        by_alpha, by_ratio = gradient[d:][: self.n_alphas], gradient[d + q :]
+        return np.concatenate([by_width[: self.n_widths], by_alpha, by_ratio])
 
     def variant(self, **changes):
         """The same task but for some of its parameters."""
-        names = ("data", "spread", "length_scale", "isotropic", "alpha", "used")
+        names = ("data", "spread", "length_scale", "isotropic", "alpha", "used", "own")
         return Task(**{name: getattr(self, name) for name in names} | changes)
 
     def _penalty(self, log_width, signal, of_signal, n_total, kappa):

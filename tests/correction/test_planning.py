@@ -153,7 +153,7 @@ def test_a_model_without_terms_and_wrong_names_get_one_sentence():
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (60, 6))
     bare = JointHarmonicRegressor(
-        ARM, max_order=2, gravity=False, kinematics=False, wobble=False
+        ARM, orders=[50], gravity=False, kinematics=False, wobble=False
     ).fit(X, rng.normal(0, 0.01, (60, 3)))
     assert len(bare.coef_) == 0
     with pytest.raises(ValueError, match="no terms that a measurement could narrow"):

@@ -177,7 +177,10 @@ def test_length_rows_are_changes_of_the_distance():
 
 
 def test_chance_does_not_look_like_a_harmonic():
-    """Of 40 fits to noise, at most a few find anything: the threshold grows with the offer."""
+    """Of 40 fits to noise, at most a few find anything: the threshold grows with the offer.
+
+    Orders 1 and 2, which every encoder shows, have none: they are found more often, and small.
+    """
     arm = ARMS["standard"]
     theta = draw_angles(arm, 100)
     for max_order in (5, 60):
@@ -185,7 +188,8 @@ def test_chance_does_not_look_like_a_harmonic():
         for seed in range(20):
             y = np.random.default_rng(seed).normal(size=(100, 3))
             model = JointHarmonicRegressor(arm, max_order=max_order, **ALONE).fit(theta, y)
-            counts.append(len(model.harmonics_))
+            counts.append(np.count_nonzero(model.harmonics_["order"] > 2))
+            assert np.linalg.norm(model.predict(theta), axis=1).mean() < 0.4  # of noise: 1.6
         assert np.count_nonzero(counts) <= 5
 
 

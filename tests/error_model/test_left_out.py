@@ -150,6 +150,19 @@ def test_scales_are_found(freedom):
     assert_allclose(once, again, rtol=1e-2)
 
 
+def test_prior_of_the_scale_gives_way_to_what_is_shown():
+    """Deviations that noise hides leave the factor at its prior; clear ones find their own."""
+    rng = np.random.default_rng(0)
+    noise, std, ones = np.full((900, 3), 0.01), np.full((900, 3), 0.001), np.ones(900)
+    errors = rng.normal(scale=0.01, size=(900, 3))
+    of_noise, hidden = interval_scales(errors, noise, std, ones, 0.05, 0.7)
+    assert of_noise == pytest.approx(1.0, abs=0.1)
+    assert hidden / of_noise == pytest.approx(np.exp(0.35), rel=0.1)
+    errors = rng.normal(scale=0.01, size=(900, 3))
+    _, shown = interval_scales(errors, noise / 1000, 2 * noise, ones, 0.5, 0.7)
+    assert shown == pytest.approx(0.5, rel=0.1)
+
+
 def test_intervals_hold_where_a_cause_is_missing():
     """Simulated arms with errors that no column has: posterior too sure, intervals right."""
     raw, honest = [], []
@@ -179,9 +192,12 @@ def test_fading_is_wieners_factor_beyond_what_is_known():
     assert_array_equal(Fading(0.1, 0.0).share(std), 1)
     y, weights = np.full((3, 3), 0.1), np.ones(3)
     assert find_fading(y, std, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0, 0.0)
-    assert (
-        find_fading(np.ones((9, 3)), np.ones((9, 3)), np.ones(9), np.arange(9) // 3).factor == 0.6
-    )
+    single_point = np.ones((9, 3)), np.ones((9, 3)), np.ones(9), np.arange(9) // 3
+    assert find_fading(*single_point).factor == 0.6
+    assert find_fading(*single_point, widening=1.6).factor == pytest.approx(0.8)
+    assert find_fading(*single_point, widening=4.0).factor == 1.0
+    assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
+    assert find_fading(*single_point[:3], None, widening=1.6).factor == 1.0
 
 
 def test_distance_std_is_that_of_the_difference():

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import warnings
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -33,7 +34,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import describe, export_c, fingerprint, from_json, to_json
+from sklearn_raacmm.export import _c_columns, describe, export_c, fingerprint, from_json, to_json
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -610,6 +611,49 @@ def _far_away():
         yield
 
 
+@pytest.fixture(scope="module")
+def noisy_linear():
+    """A linear model, and its training poses."""
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1.5, 1.5, (120, 6))
+    y = np.deg2rad(30 / 3600) * AACMM.jacobian(X)[:, :, 1] * np.cos(3 * X[:, 1:2])
+    y += rng.normal(scale=0.02, size=y.shape)
+    return JointHarmonicRegressor(AACMM, max_order=20).fit(X, y), X
+
+
+@pytest.mark.parametrize("dtype", ["double", "float"])
+def test_a_large_covariance_is_written_in_few_digits(
+    build, noisy_linear, dtype, monkeypatch, tmp_path
+):
+    model, X = noisy_linear
+    new = np.concatenate([X, angles_everywhere(6, 30)[:60]]).astype(np.float32).astype(float)
+    mean, std = model.predict(new, return_std=True)
+    exact = export_c(model, tmp_path / "exact.c", dtype="double", std=True)[0]
+    monkeypatch.setattr(_c_columns, "_LARGE", 0)
+    assert _c_columns.in_few_digits(model.linear_model_)
+    call = build(model, dtype=dtype, std=True, poses=X)
+    got_mean, got_std = call("correct_std", new, 3, n_results=2)
+    np.testing.assert_allclose(got_std, std, rtol=3e-5 if dtype == "double" else 1e-3)
+    worst = 1e-5 if dtype == "double" else 1e-3
+    np.testing.assert_allclose(got_mean, mean, rtol=0, atol=worst * np.abs(mean).max())
+    folder = next(tmp_path.glob("*/arm_test.c")).parent
+    assert (folder / "arm.c").stat().st_size < 0.6 * exact.stat().st_size
+    command = [COMPILERS[0], *C99, "-o", "test", "arm_test.c", "arm.c", "-lm"]
+    subprocess.run(command, check=True, cwd=folder)
+    subprocess.run(["./test"], check=True, capture_output=True, cwd=folder)
+
+
+def test_all_digits_stay_where_rounding_decides(noisy_linear, monkeypatch):
+    """A direction of next to no effect, of which next to nothing is known."""
+    linear = noisy_linear[0].linear_model_
+    columns = linear.columns(angles_everywhere(6, 100)).reshape(-1, len(linear.coef))
+    nothing = np.linalg.svd(columns / np.linalg.norm(columns, axis=0).max())[2][-1]
+    assert np.abs(columns @ nothing).max() < 1e-9
+    half = np.column_stack([linear.gauge_free_half, 1e9 * nothing])
+    monkeypatch.setattr(_c_columns, "_LARGE", 0)
+    assert not _c_columns.in_few_digits(replace(linear, gauge_free_half=half))
+
+
 def agree(call, model, X, with_std=True):
     """Compare with predict to a share of the terms' size: coefficients may nearly cancel."""
     mean, std = model.predict(X, return_std=True)
@@ -709,7 +753,7 @@ def test_a_model_of_zero_terms(build, data):
     """Nothing is found in noise, and nothing is what is written."""
     rng = np.random.default_rng(0)
     y = 1e-3 * rng.normal(size=data.target.shape)
-    none = {"gravity": False, "kinematics": False, "wobble": False, "max_order": 2}
+    none = {"gravity": False, "kinematics": False, "wobble": False, "orders": [50]}
     model = harmonics(data.arm, **none).fit(data.data, y)
     assert len(model.coef_) == 0
     call = build(model, std=True, card=describe(model, data.data, y))

@@ -10,9 +10,12 @@ from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._candidates import (
+    REACH,
+    HalfMatrix,
     SymmetricCandidates,
     WhitenedCandidates,
     candidate_groups,
+    half_kernel,
 )
 from sklearn_raacmm.network._forward_selection import (
     _Subset,
@@ -221,7 +224,8 @@ def test_twins_on_the_matrix_itself():
     X, Y, _ = problem(n=10)
     X, Y = np.vstack([X, X + 2e-5]), np.vstack([Y, Y + 0.01 * np.arange(10)[:, None]])
     K = kernel_matrix(X / 0.5, X / 0.5, "gaussian")
-    candidates = SymmetricCandidates(np.asfortranarray(K), np.ones(20), np.zeros((20, 0)), Y, 0.0)
+    half = HalfMatrix(lambda rows, columns: K[rows][:, columns], 20)
+    candidates = SymmetricCandidates(half, np.ones(20), np.zeros((20, 0)), Y, 0.0)
     found = forward_selection([candidates], 14)
     n_steps = len(found.indices)
     assert n_steps > 10  # of some both
@@ -585,3 +589,33 @@ def test_root_of_a_kernel_matrix(length_scale):
     np.testing.assert_allclose(root.T @ root, K, atol=1e-12)
     # No direction is without a penalty.
     assert np.linalg.svd(root, compute_uv=False).min() ** 2 > 1e-16 * len(K)
+
+
+@pytest.mark.parametrize("kernel", ["gaussian", "matern32", "matern52", "rational_quadratic"])
+@pytest.mark.parametrize("n", [10, 700])
+def test_half_a_kernel_matrix_is_as_good_as_all_of_it(kernel, n):
+    rng = np.random.default_rng(0)
+    # Wide enough for entries that are left out, and panels of which none is left.
+    Z = rng.uniform(0, 60, (n, 2))
+    Z = Z[np.argsort(Z[:, 0])] - 30
+    whole = kernel_matrix(Z, Z, kernel)
+    half = half_kernel(Z, kernel)
+    v, weights = rng.normal(size=(3, n)), rng.uniform(0.5, 2, n)
+    for some in (v, v[:1]):
+        np.testing.assert_allclose(half.times(some), some @ whole, atol=1e-12)
+    np.testing.assert_allclose(half.squares(weights), weights @ whole**2, rtol=1e-12)
+    np.testing.assert_allclose(half.columns([0, n - 1]), whole[[0, n - 1]], atol=1e-14)
+    held = sum(values.size for _, _, values in half.panels)
+    if n > 10:
+        assert held < (0.75 if kernel == "gaussian" else 0.9) * n**2
+
+
+@pytest.mark.parametrize("kernel", ["gaussian", "matern32", "matern52"])
+def test_entries_left_out_are_below_rounding(kernel):
+    far = np.array([[0.0], [REACH[kernel]]])
+    assert 1e-20 < kernel_matrix(far, far, kernel)[0, 1] < 1e-18
+
+
+def test_far_rows_have_a_kernel_of_nothing():
+    far = np.array([[0.0], [1e3], [1e8]])
+    np.testing.assert_allclose(kernel_matrix(far, far, "gaussian"), np.eye(3), atol=1e-300)

@@ -8,7 +8,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, RBFNetRegressor
-from sklearn_raacmm.network import _read_data
+from sklearn_raacmm.network import _group_search, _read_data
+from sklearn_raacmm.network._group_noise import group_errors, group_likelihood
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import (
     Data,
@@ -16,6 +17,8 @@ from sklearn_raacmm.network._likelihood import (
     leave_one_out,
     projected_likelihood,
 )
+from sklearn_raacmm.network._network_posterior import RadialFunctions, fit_path, posterior_of
+from sklearn_raacmm.network._training_data import merge, prepare, with_group_noise
 from sklearn_raacmm.utils import centred, group_weights
 
 
@@ -82,6 +85,108 @@ def test_groups_left_out_by_leaving_them_out():
         error += np.sum((data.Y[out, 0] - (predicted - predicted.mean())) ** 2)
     found = leave_one_out(data, "gaussian", theta[:3], theta[3:])
     np.testing.assert_allclose(found.squared_error, error, rtol=1e-9)
+
+
+def group_covariance(data, theta, share, kernel="matern52"):
+    """Of one output over the signal variance, for all rows, and of the function alone."""
+    Z = data.X / np.exp(theta[:3])
+    K = kernel_matrix(Z, Z, kernel)
+    noise = (1 - share) * np.diag(1 / data.weights) + share * K * np.equal.outer(
+        data.codes, data.codes
+    )
+    return K + np.exp(theta[3]) * noise, K
+
+
+def test_likelihood_with_functions_of_the_groups_own():
+    data = some_data(weighted=True)
+    weights = data.weights / data.weights.mean()  # as many observations as rows
+    data, Q = data._replace(weights=weights, within=np.zeros(2)), contrasts(data.codes)
+
+    def expected(share):
+        value = 0.0
+        for y, alpha in zip(data.Y.T, THETA[3:], strict=True):
+            C = Q.T @ group_covariance(data, np.append(THETA[:3], alpha), share)[0] @ Q
+            quadratic = y @ Q @ np.linalg.solve(C, Q.T @ y)
+            value += 0.5 * (np.linalg.slogdet(C)[1] + len(C) * np.log(quadratic))
+        return value
+
+    def found(share):
+        ratio = np.log(share / (1 - share))
+        return group_likelihood(data, "matern52", THETA[:3], THETA[3:], ratio).value
+
+    # They differ by a constant, the volume of the differences in units of the weights.
+    np.testing.assert_allclose(found(0.7) - found(0.1), expected(0.7) - expected(0.1), rtol=1e-7)
+
+
+def test_without_a_share_it_is_the_likelihood_with_offsets():
+    data = some_data(weighted=True)
+    found = group_likelihood(data, "matern52", THETA[:3], THETA[3:], -40.0)
+    expected = exact_likelihood(data, "matern52", THETA[:3], THETA[3:])
+    np.testing.assert_allclose(found.value, expected.value, rtol=1e-10)
+    np.testing.assert_allclose(found.gradient[:5], expected.gradient, rtol=1e-7, atol=1e-9)
+
+
+def test_gradients_with_functions_of_the_groups_own():
+    data, theta = some_data(weighted=True), np.append(THETA, 0.4)
+
+    def function(t):
+        return group_likelihood(data, "matern52", t[:3], t[3:5], t[5])
+
+    found = function(theta)
+    for part, gradient in (
+        (lambda t: function(t).value, found.gradient),
+        (lambda t: function(t).signal[1], found.signal_gradient[1]),
+    ):
+        numeric = approx_fprime(theta, part, 1e-7)
+        np.testing.assert_allclose(gradient, numeric, atol=2e-5 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+def test_errors_of_groups_by_leaving_them_out(offsets):
+    data = some_data(q=1, weighted=True)
+    share, theta, codes = 0.6 * offsets, THETA[:4], data.codes
+    C, K = group_covariance(data, theta, share)
+    expected = []
+    for g in range(6):
+        out, w = codes == g, data.weights
+        Q = contrasts(codes[~out]) if offsets else np.eye(np.sum(~out))
+        inner = Q.T @ C[np.ix_(~out, ~out)] @ Q
+        predicted = K[np.ix_(out, ~out)] @ Q @ np.linalg.solve(inner, Q.T @ data.Y[~out, 0])
+        left = data.Y[out, 0] - predicted
+        expected.append(w[out] @ (left - np.average(left, weights=w[out])) ** 2)
+    given = data if offsets else data._replace(codes=None)
+    found = group_errors(given, codes, "matern52", theta[:3], theta[3:], share)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_network_with_functions_of_the_groups_own_is_generalised_least_squares():
+    data, share = some_data(q=1, weighted=True), 0.6
+    data = data._replace(weights=data.weights / data.weights.mean())
+    C, K = group_covariance(data, THETA[:4], share)
+    merged = merge(data.X, data.Y, data.weights, codes=data.codes)
+    functions = RadialFunctions("matern52", np.zeros(3), np.exp(THETA[:3]))
+    problem, alpha = with_group_noise(prepare(merged, 0), np.exp(THETA[3:4]), functions, share)
+    every = np.arange(40)
+    path = fit_path(problem, every, alpha, functions)
+    posterior = posterior_of(problem, path, every, alpha, functions)
+    Q = contrasts(data.codes)
+    inverse = np.linalg.inv(Q.T @ C @ Q)
+    expected = K @ Q @ inverse @ Q.T @ data.Y[:, 0]
+    found = posterior.predict(data.X)[0][:, 0]
+    np.testing.assert_allclose(found - found.mean(), expected - expected.mean(), atol=1e-8)
+    # The noise is that of a deviation from the group's mean.
+    signal = data.Y[:, 0] @ Q @ inverse @ Q.T @ data.Y[:, 0] / len(inverse)
+    root = np.sqrt(data.weights)
+    centring = (
+        np.eye(40)
+        - np.equal.outer(data.codes, data.codes)
+        * data.weights
+        / (group_weights(data.codes, data.weights)[data.codes, None])
+    )
+    weighed = root[:, None] * (centring @ (C - K) @ centring.T) * root
+    noise = signal * np.trace(weighed) / len(inverse)
+    np.testing.assert_allclose(posterior.noise_variance, noise, rtol=1e-8)
+    np.testing.assert_allclose(posterior.signal_variance, signal, rtol=1e-8)
 
 
 def grouped_wave(n=120, n_groups=8, seed=0):
@@ -207,3 +312,50 @@ def test_groups_that_cannot_be(monkeypatch):
     monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 100)
     with pytest.raises(ValueError, match="at most 100 rows"):
         RBFNetRegressor().fit(X, y, groups=groups)
+
+
+def test_a_function_of_each_groups_own_is_not_carried_to_others(monkeypatch):
+    monkeypatch.setattr(_group_search, "MARGIN", 0.0)  # 12 groups are few to be sure of it
+    rng = np.random.default_rng(5)
+    groups = np.repeat(np.arange(24), 25)
+    X = rng.uniform(-1, 1, (600, 1))
+    # Functions of the same prior: one that all groups share, and a smaller one for each.
+    waves = np.sin(X @ rng.normal(0, 3, (1, 40)) + rng.uniform(0, 2 * np.pi, 40)) / np.sqrt(20)
+    shared, own = waves @ rng.normal(size=40), waves * rng.normal(size=(24, 40))[groups]
+    y = centred(shared + 0.7 * own.sum(axis=1) + 0.05 * rng.normal(size=600), groups)
+    learn, of = groups < 12, groups[groups >= 12]
+    within = np.eye(len(of)) - np.equal.outer(of, of) / 25
+
+    def judge(model):
+        """Error of the shared function, the same in deviations, and coverage of the targets."""
+        found, covariance = model.predict(X[~learn], return_cov=True, with_noise=False)
+        error = centred(shared[~learn] - found, of)
+        ratio = error / np.sqrt(np.diag(within @ covariance @ within))
+        covariance = model.predict(X[~learn], return_cov=True)[1]
+        left = np.abs(centred(y[~learn] - found, of))
+        inside = left < 1.96 * np.sqrt(np.diag(within @ covariance @ within))
+        return error.std(), np.sqrt(np.mean(ratio**2)), inside.mean()
+
+    told = RBFNetRegressor().fit(X[learn], y[learn], groups=groups[learn])
+    assert told.offsets_
+    assert told.group_share_ > 0.9
+    unknown = judge(RBFNetRegressor().fit(X[learn], y[learn]))
+    error, ratio, inside = judge(told)
+    assert error < 0.85 * unknown[0]
+    assert unknown[1] > 1.5  # too sure of what it takes for 300 independent rows
+    assert 0.6 < ratio < 1.3
+    assert 0.93 < inside < 0.97
+
+
+def test_groups_that_tell_nothing_are_as_if_not_given():
+    rng = np.random.default_rng(0)
+    half = rng.uniform(-1, 1, (60, 2))
+    X, groups = np.vstack([half, -half]), np.tile(np.arange(60) % 10, 2)
+    y = np.sin(3 * X[:, 0]) + 0.3 * centred(rng.standard_normal(120), groups)  # odd: no offsets
+    model = RBFNetRegressor().fit(X, y, groups=groups)
+    assert not model.offsets_
+    assert model.group_share_ == 0
+    expected = RBFNetRegressor().fit(X, y)
+    np.testing.assert_allclose(model.predict(X), expected.predict(X), atol=1e-9)
+    found, known = (m.log_marginal_likelihood_value_ for m in (model, expected))
+    np.testing.assert_allclose(found, known, rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm.network import _lookahead
-from sklearn_raacmm.network._candidates import SymmetricCandidates, WhitenedCandidates
+from sklearn_raacmm.network._candidates import HalfMatrix, SymmetricCandidates, WhitenedCandidates
 from sklearn_raacmm.network._forward_selection import forward_selection, squared_ratio_score
 from sklearn_raacmm.network._kernels import kernel_matrix
 
@@ -22,8 +22,9 @@ def views(n=120, length_scale=0.25, symmetric=False):
     for alpha, of in ((1e-3, [0, 1]), (1e-2, [2])):
         if symmetric:
             tail = np.full((n, 1), 1 / np.sqrt(n))
+            half = HalfMatrix(lambda rows, columns: K[rows][:, columns], n)
             about = Y[:, of] - Y[:, of].mean(axis=0)
-            groups.append(SymmetricCandidates(K, np.ones(n), tail, about, alpha))
+            groups.append(SymmetricCandidates(half, np.ones(n), tail, about, alpha))
         else:
             root = np.linalg.cholesky(K @ K + alpha * K + 1e-10 * np.eye(n))
             groups.append(WhitenedCandidates(root, np.linalg.solve(root, K @ Y[:, of]), 1e-7))
