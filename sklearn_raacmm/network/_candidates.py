@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
-from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
+from sklearn_raacmm.network._nested_fits import divide, stack_triangles, triangular_factor
 from sklearn_raacmm.utils import chunks
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
@@ -229,7 +229,7 @@ class Features:
             return known if plain else block.weigh(known.copy(order="K"))
         K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
         if self.root is not None:
-            K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
+            K = divide(K, self.root.T)
         return block.weigh(K)
 
 
@@ -302,19 +302,23 @@ def whiten(problem, view, factor, features, members, alphas):
         gram = solve_triangular(root, solve_triangular(root, gram, lower=True).T, lower=True)
         cross = solve_triangular(root, cross, lower=True)
         along = solve_triangular(root, along.T, lower=True).T
-    gram -= along.T @ along
+    gram = gram.T  # of which BLAS takes the lower triangle
+    if len(along):
+        gram = blas.dsyrk(-1.0, along, trans=1, beta=1.0, c=gram, lower=1, overwrite_c=1)
     triangle = None
     groups, degrees = [], []
     for alpha, of in zip(alphas, members, strict=True):
         # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
         # machine epsilon; a ridge, or a coarse factor, does not ask for more.
+        last = len(groups) == len(alphas) - 1
         trusted, failed = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT), True
         strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
         if strong or coarse or (alpha == 0 and resolution >= 1e-9):
             trusted = max(resolution, 1e-7)
             gram[np.diag_indices(rank)] += alpha
-            root, failed = lapack.dpotrf(gram, lower=1, clean=1)
-            gram[np.diag_indices(rank)] -= alpha
+            root, failed = lapack.dpotrf(gram, lower=1, clean=1, overwrite_a=last)
+            if not last:
+                gram[np.diag_indices(rank)] -= alpha
         if not failed:
             projected = solve_triangular(root, cross[:, of], lower=True, check_finite=False)
         else:
@@ -324,7 +328,6 @@ def whiten(problem, view, factor, features, members, alphas):
             Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
             root, projected = R.T, Q[:rank].T @ rotated[:, of]
         # The last group's take the rows' place, which nobody needs any more.
-        last = len(groups) == len(alphas) - 1
         coordinates = blas.dtrmm(1.0, root, rows, side=1, lower=1, overwrite_b=last)
         groups.append(WhitenedCandidates(coordinates, projected, trusted))
         inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0

@@ -254,10 +254,12 @@ def forward_selection(groups, n_select, *, score=total_score, enough=None):
             break
         picks = pool.guess(j, scores, n_select - len(indices))
         ways = [one.directions(picks) for one in passes]
-        before = len(indices)
+        before, wrong = len(indices), False
         for i, j in enumerate(picks):
-            if i and not _still_best(j, passes, score):
-                break
+            if i:
+                wrong, sure = _judged(j, passes, score)
+                if wrong or not sure:
+                    break
             if _corrected(j, i, passes, ways):
                 break  # choose again, with the truth about this candidate
             dependent = [one.dependent(j) for one in passes]
@@ -273,16 +275,17 @@ def forward_selection(groups, n_select, *, score=total_score, enough=None):
                 break
         for one in passes:
             one.refresh()
-        pool.count(len(indices) - before)
+        pool.count(len(indices) - before, wrong)
     n_outputs = sum(one.target.shape[1] for one in passes)
     reduction = np.reshape(reductions, (len(indices), n_outputs))
     return Selection(np.array(indices, dtype=np.intp), reduction, stop or "n_select")
 
 
-def _still_best(j, passes, score):
-    """Whether a choice that was guessed is the one to make, beyond doubt."""
+def _judged(j, passes, score):
+    """Whether a choice that was guessed is wrong, and whether running figures leave no doubt."""
     scores = all_scores(score, [one.state() for one in passes])
-    return np.argmax(scores) == j and not any(one.doubtful(scores, scores[j]) for one in passes)
+    wrong = int(np.argmax(scores)) != j
+    return wrong, not any(one.doubtful(scores, scores[j]) for one in passes)
 
 
 def _corrected(j, i, passes, ways):

@@ -43,8 +43,9 @@ _FEW_DIGITS = 1e-7
 _ROWS = 512
 # Leading coordinates in a sketch: so many, and so many for each of the directions it is to see, at
 # first and after a wrong guess. With these, runs of 64 guesses are right where functions are smooth
-# (10 000 rows, rank 914); where they are rougher (5000 rows, rank 1142) a tenth is wrong.
-_WIDTH, _PER_DIRECTION = 192, (1.5, 2.5)
+# (10 000 rows, rank 914). Where they are rough (three outputs of different noise) the first number
+# is too small, and 2.5 in place of the last one as well: a third of the guesses was wrong.
+_WIDTH, _PER_DIRECTION = 192, (1.5, 4)
 # Coordinates of all candidates from which a sketch pays: fewer stay in the cache.
 _LARGE = 1_000_000
 
@@ -129,7 +130,7 @@ class Pool:
         large = passes[0].whitened and n * rank >= _LARGE
         self.sketch = Sketch(passes, score) if large else None
         self.length = FEWEST if self.sketch is None else _FIRST
-        self.guessed, self.taken, self.rounds, self.n_read = 0, 0, 0, 0
+        self.taken, self.rounds, self.n_read = 0, 0, 0
 
     def guess(self, j, scores, room):
         """Candidate j, which scores highest, and those that are likely to be chosen after it."""
@@ -144,7 +145,6 @@ class Pool:
             if self.size < FEWEST or min(self.n_read + step, room * step) < price:
                 picks = [j] if self.sketch is None else self.sketch.walk(j, length)
                 self.n_read += step * len(picks)
-                self.guessed = len(picks)
                 return picks
             self.rounds, self.taken = 0, 0
         if not self.grams or j not in self.members:
@@ -157,9 +157,9 @@ class Pool:
             self.size, self.grams = 0, []
         self.sketch, self.rounds, self.taken = None, 0, 0
 
-    def count(self, taken):
-        """Note how many choices of the last guess were right."""
-        if self.sketch is not None and taken < self.guessed:
+    def count(self, taken, wrong):
+        """Note how many choices of the last guess were taken, and whether the next was wrong."""
+        if self.sketch is not None and wrong:
             self.sketch.per_direction = _PER_DIRECTION[1]
         if self.grams or self.sketch is not None:
             self.rounds, self.taken = self.rounds + 1, self.taken + taken
@@ -252,12 +252,15 @@ class Sketch:
 
     def __init__(self, passes, score):
         self.passes, self.score, self.per_direction = passes, score, _PER_DIRECTION[0]
-        self.leading = [np.empty((len(passes[0].norms), 0), dtype=np.float32)] * len(passes)
+        # Room for all of them; memory that is not written to yet is not taken yet.
+        sizes = [one.candidates.coordinates.shape for one in passes]
+        self.leading = [np.empty(size, dtype=np.float32, order="F") for size in sizes]
+        self.width = 0
 
     @property
     def share(self):
         """Part of all coordinates that a step reads."""
-        return 0.5 * self.leading[0].shape[1] / self.passes[0].candidates.rank
+        return 0.5 * self.width / self.passes[0].candidates.rank
 
     def walk(self, j, length):
         """Candidate j, and those that a forward selection on the sketch takes after it."""
@@ -281,13 +284,12 @@ class Sketch:
 
     def _widen(self, n_directions):
         """Hold enough coordinates for so many directions, and return how many these are."""
-        rank, width = self.passes[0].candidates.rank, self.leading[0].shape[1]
+        rank = self.passes[0].candidates.rank
         need = min(rank, _WIDTH + int(self.per_direction * n_directions))
-        if width < need:
-            # Room for the next time, too, so that little is copied in all.
-            width = min(rank, need + _WIDTH // 2)
-            wide = [one.candidates.coordinates[:, :width] for one in self.passes]
-            self.leading = [np.asfortranarray(each, dtype=np.float32) for each in wide]
+        new = slice(self.width, need)
+        for leading, one in zip(self.leading, self.passes, strict=True):
+            leading[:, new] = one.candidates.coordinates[:, new]
+        self.width = max(self.width, need)
         return need
 
 

@@ -1,7 +1,7 @@
 """The fitted network as a value: its functions, weights and their posterior."""
 
-from dataclasses import dataclass, fields
-from functools import cached_property, partial
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from sklearn_raacmm.network._nested_fits import (
     nested_least_squares,
     penalise,
     stack_triangles,
-    triangle_of_block,
+    triangle_of_all,
 )
 from sklearn_raacmm.utils import check_shapes, chunks
 
@@ -84,6 +84,10 @@ class Posterior:
         """Middle of the centres, and the centres about it in units of the widths."""
         shift = self.centers.mean(axis=0) if len(self.centers) else 0.0
         return shift, (self.centers - shift) / self.length_scale
+
+    def with_noise(self, factor):
+        """The same with a larger variance of the noise, for one that was estimated too small."""
+        return replace(self, noise_variance=factor * self.noise_variance)
 
     def scaled(self, X):
         """Rows as the radial functions see them, (n, d)."""
@@ -378,7 +382,7 @@ def fit_path(problem, order, alpha, functions):
     root = psd_root(kernel_matrix(Z, Z, kernel))
     columns = Features(Z, shift, length_scale, kernel)
     p = problem.n_tail
-    R = problem.reduce(partial(triangle_of_block, columns), stack_triangles, p + len(order))
+    R = triangle_of_all(problem, columns, p + len(order))
     if len(problem.tail_rows):
         below = np.zeros((len(problem.tail_rows), R.shape[1]))
         below[:, :p] = problem.tail_rows

@@ -1,9 +1,17 @@
 """Triangular factors of blocks of rows, against NumPy's QR of all rows at once."""
 
+from functools import reduce
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from sklearn_raacmm.network._nested_fits import stack_triangles, triangular_factor
+from sklearn_raacmm.network._nested_fits import (
+    divide,
+    stack_triangles,
+    triangle_of_all,
+    triangular_factor,
+)
 
 
 def magnitudes(rows):
@@ -39,3 +47,43 @@ def test_arguments_are_not_overwritten():
     before = upper.copy(), lower.copy()
     stack_triangles(upper, lower)
     np.testing.assert_array_equal((upper, lower), before)
+
+
+def test_division_by_a_triangle():
+    rng = np.random.default_rng(3)
+    root = np.triu(rng.normal(size=(150, 150))) + 10 * np.eye(150)
+    rows = np.asfortranarray(rng.normal(size=(40, 150)))
+    expected = np.linalg.solve(root.T, rows.T).T
+    assert divide(rows, root) is rows
+    np.testing.assert_allclose(rows, expected, rtol=1e-10, atol=1e-13)
+
+
+class Rows:
+    """As much of a problem as `triangle_of_all` looks at: rows of columns and a target."""
+
+    def __init__(self, columns, sample=None):
+        self.columns, self.n_rows, self.sample = columns, len(columns), sample or self
+        self.spread = np.ones(1)
+        self.passes = []
+
+    def reduce(self, function, combine, width):
+        self.passes.append(width)
+        blocks = (
+            SimpleNamespace(tail=rows[:, :1], inner=rows[:, 1:-1], targets=rows[:, -1:])
+            for rows in np.array_split(self.columns, 5)
+        )
+        return reduce(combine, map(function, blocks))
+
+
+@pytest.mark.parametrize("like", [True, False])
+def test_factor_of_a_sample_divided_out_changes_nothing(like):
+    rng = np.random.default_rng(4)
+    columns = rng.normal(size=(2000, 12)) @ np.diag(10.0 ** -np.arange(0.0, 6.0, 0.5))
+    columns = columns @ rng.normal(size=(12, 12))  # a Gram matrix of these has four digits
+    few = columns[:100].copy()
+    if not like:  # what the sample hardly shows dominates the others: reflections are back
+        few[:, 3] = few[:, 4] + 1e-8 * few[:, 3]
+    problem = Rows(columns, Rows(few))
+    found = triangle_of_all(problem, lambda block: block.inner, 11)
+    np.testing.assert_allclose(np.abs(found), magnitudes(columns), rtol=1e-9, atol=1e-13)
+    assert len(problem.passes) == (1 if like else 2)
