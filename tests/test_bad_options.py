@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sklearn.linear_model import Ridge
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
+    CylindricalResidualTarget,
     JointHarmonicRegressor,
+    RBFNetRegressor,
     app,
     check_correction,
     cross_validate_correction,
@@ -210,3 +213,38 @@ def test_poses_that_are_not_known_are_warned_of_on_the_line_of_the_call(both):
     with pytest.warns(UserWarning, match="50 of 50 poses lie where the model knows li") as caught:
         model.predict(far)
     assert [Path(warning.filename).name for warning in caught] == [Path(__file__).name]
+
+
+@pytest.mark.parametrize("judge", [learn_correction, cross_validate_correction])
+def test_what_calibration_warns_of_names_the_line_of_the_call(judge):
+    few = make_single_point(4, 4, random_state=0)
+    model = JointHarmonicRegressor(max_order=1, gravity=False, wobble=False)
+    with pytest.warns(UserWarning, match="coordinates for .* free parameters") as caught:
+        judge(few.nominal_arm, few.data, few.groups, model=model, cv=2)
+    assert [Path(warning.filename).name for warning in caught] == [Path(__file__).name]
+
+
+@pytest.mark.parametrize("flag", ["return_std", "with_noise"])
+@pytest.mark.parametrize("value", ["yes", None, 2, 0.5, TEST.groups, [True]])
+def test_what_is_neither_true_nor_false(model, flag, value):
+    """Such as labels in the second place of predict."""
+    network = RBFNetRegressor(2).fit(TEST.data, TEST.target)
+    chain = ArmResidualRegressor(TEST.arm, harmonics=model, use="harmonics")
+    chain.fit(TEST.data, TEST.target, groups=TEST.groups)
+    doors = [one.predict for one in (model, network, chain)]
+    for door in (*doors, model.predict_orientation, chain.predict_orientation):
+        with pytest.raises(TypeError, match=f"{flag} must be True or False, got "):
+            door(TEST.data, **{flag: value})
+    for good in (True, np.True_, 1):
+        assert len(model.predict(TEST.data, return_std=good)) == 2
+
+
+def test_the_chain_says_what_is_no_row_and_no_number():
+    chain = CylindricalResidualTarget(Ridge(), azimuth=TEST.arm.azimuth)
+    with pytest.raises(ValueError, match="X has no rows"):
+        chain.fit([], TEST.target)
+    with pytest.raises(ValueError, match="y must hold numbers"):
+        chain.fit(TEST.data, [1, "a", None] + [0] * (len(TEST.data) - 3))
+    chain.fit(TEST.data, TEST.target)
+    with pytest.raises(ValueError, match="X has no rows"):
+        chain.predict([])

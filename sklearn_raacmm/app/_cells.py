@@ -150,8 +150,22 @@ def _find_encoding(path):
                 chunk = file.read(_CHUNK_BYTES)
             decoder.decode(b"", final=True)
         except UnicodeDecodeError:
-            return "cp1252"
+            return _checked_windows(path)
     return "utf-8"
+
+
+def _checked_windows(path):
+    """The encoding of Windows, if the file is text in it."""
+    try:
+        with open(path, encoding="cp1252") as file:
+            while file.read(_CHUNK_BYTES):
+                pass
+    except UnicodeDecodeError:
+        raise TableError(
+            f"{path} is no table of text: it holds bytes that are no letters in UTF-8, in UTF-16 "
+            "with its mark, or in the encoding of Windows (cp1252)."
+        ) from None
+    return "cp1252"
 
 
 def _sheet_rows(path):

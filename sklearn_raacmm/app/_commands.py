@@ -222,12 +222,19 @@ def export(options):
 
 def arm(options):
     """Show an arm, and write its file."""
+    is_urdf = bool(options.source) and Path(options.source).suffix.lower() == ".urdf"
+    if (options.base or options.tip) and not is_urdf:
+        raise TableError("--base and --tip name links of a URDF, and none is given.")
+    if (options.elbow_offset or options.wrist_offset) and not (
+        options.lengths_222 or options.lengths_223
+    ):
+        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
     if options.lengths_222 or options.lengths_223:
         layout = "2-2-2" if options.lengths_222 else "2-2-3"
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
-    elif options.source and Path(options.source).suffix.lower() == ".urdf":
+    elif is_urdf:
         shown = Arm.from_urdf(options.source, base=options.base, tip=options.tip)
     elif options.source:
         shown = load_arm(options.source)

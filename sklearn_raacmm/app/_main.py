@@ -7,6 +7,7 @@ Plain argparse: no further packages, and the same help on every terminal.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import argparse
+import re
 import sys
 import warnings
 
@@ -44,11 +45,20 @@ def main(arguments=None):
             return options.run(options)
         # ImportError: an extra is missing, and the sentence says which.
         except (ValueError, TypeError, OSError, ImportError) as error:
-            print(f"raacmm {options.word}: {error}", file=sys.stderr)
+            print(f"raacmm {options.word}: {_sentence_of(error)}", file=sys.stderr)
             return _commands.BAD_INPUT
         except KeyboardInterrupt:
             print("raacmm: interrupted", file=sys.stderr)
             return 130
+
+
+def _sentence_of(error):
+    """What an error says; of the system's own, without its number."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        # Files are written under another name first.
+        name = re.sub(r"\.[0-9a-f]+\.tmp$", "", str(error.filename))
+        return f"{name}: {error.strerror.lower()}."
+    return error
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):

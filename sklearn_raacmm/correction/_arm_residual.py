@@ -36,6 +36,7 @@ from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     centred,
+    check_flags,
     encode_groups,
     fit_context,
     one_blas_thread,
@@ -330,8 +331,12 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         stds = [std for _, std in stages.parts(data.angles, True, data.network)]
         # A network shrinks what it knows little of by itself: it fades beyond its training poses.
         known = ("auto", 1.0)[: len(stds)]
+        widening = (stages.linear.std_scale, None)[: len(stds)]
         rest = data.weights, data.codes, self.fade
-        return [find_fading(data.y, s, *rest, known=k) for s, k in zip(stds, known, strict=True)]
+        return [
+            find_fading(data.y, s, *rest, known=k, widening=w)
+            for s, k, w in zip(stds, known, widening, strict=True)
+        ]
 
     def _longest(self, stages, data, n_stages):
         """Longest correction, mm."""
@@ -392,6 +397,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             If less than a tenth is left of most of the corrections.
         """
         X = check_poses(self, X)
+        check_flags(return_std=return_std, with_noise=with_noise)
         mean, _, parts = self._guarded(X, return_std)
         if parts and self.fadings_[0].factor > 0:
             warn_where_unknown(self.fadings_[0].share(parts[0][1]), stacklevel=2)

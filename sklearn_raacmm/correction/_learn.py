@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
-import warnings
 from dataclasses import dataclass, field
 from html import escape
 
@@ -14,7 +13,7 @@ from sklearn.base import BaseEstimator
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std, say_again
 from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.utils import check_path, write_whole
@@ -280,9 +279,7 @@ def learn_correction(
 
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", UserWarning)
-        calibration = data.calibrate(np.arange(len(data.angles)))
+    calibration, said = data.calibrate_all()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
     if scatter > _SHARE_OF_REACH * reach:
         positions = data.positions if data.points is None else None
@@ -292,8 +289,7 @@ def _calibrated(data, angles, angle_unit):
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
-    for warning in said:
-        warnings.warn(warning.message, stacklevel=3)
+    say_again(said, stacklevel=3)
     return calibration
 
 

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import warnings
 from dataclasses import dataclass
 from inspect import ismethod
 
@@ -92,6 +93,13 @@ class Data:
         groups, lengths = self.positions[rows], self.lengths_among(rows)
         return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
 
+    def calibrate_all(self):
+        """Calibrate on all rows: the calibration, and what it has to warn of, for `say_again`."""
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", UserWarning)
+            calibration = self.calibrate(np.arange(len(self.angles)))
+        return calibration, said
+
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
         if self.points is None:
@@ -142,6 +150,12 @@ def _regions(points):
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")
     codes = KMeans(n_regions, n_init=4, random_state=0).fit_predict(points)
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
+
+
+def say_again(said, stacklevel):
+    """Give recorded warnings on the line of a caller."""
+    for warning in said:
+        warnings.warn(warning.message, stacklevel=stacklevel + 1)
 
 
 def model_for(model, arm):

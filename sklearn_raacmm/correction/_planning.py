@@ -144,10 +144,11 @@ def next_poses(
         if groups is not None:
             raise ValueError("measured poses count one by one: give them, or groups.")
         design = _after(design, _check_poses(model, measured))
+    seen = design.seen(X)
     aim = X if targets is None else _check_poses(model, targets)
-    if len(aim) > _MOST_TARGETS:
-        aim = aim[np.linspace(0, len(aim) - 1, _MOST_TARGETS).astype(int)]
-    rows, aim = design.seen(X) / design.noise_sd, design.seen(aim)
+    some = np.linspace(0, len(aim) - 1, min(len(aim), _MOST_TARGETS)).astype(int)
+    aim = seen[some] if targets is None else design.seen(aim[some])
+    rows = seen / design.noise_sd
     if design.offsets:
         rows = rows - group_means(rows, codes, np.ones(len(X)))[codes]
     chosen, variance = _greedy(

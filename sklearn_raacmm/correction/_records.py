@@ -27,6 +27,8 @@ def append_record(path, record):
     """Append one record to a CSV file, or to one of a JSON object in each line."""
     path = check_path("path", path)
     is_new = not path.exists() or path.stat().st_size == 0
+    if not is_new:
+        read_check_records(path)  # refuses a file of anything else
     with path.open("a", encoding="utf-8", newline="") as file:
         if path.suffix.lower() != ".csv":
             file.write(json.dumps(record) + "\n")
@@ -61,7 +63,10 @@ def read_check_records(path):
     >>> records = read_check_records("checks_of_arm_7.csv")  # doctest: +SKIP
     """
     path = check_path("path", path)
-    text = path.read_text(encoding="utf-8-sig")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not the record of checks: it is no text in UTF-8.") from None
     records = []
     is_csv = path.suffix.lower() == ".csv"
     lines = csv.DictReader(text.splitlines()) if is_csv else text.splitlines()

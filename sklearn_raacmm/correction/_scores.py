@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std, say_again
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
     HasMethods,
@@ -242,7 +242,8 @@ def cross_validate_correction(
         progress=progress,
     )
     data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-    calibration = data.calibrate(np.arange(len(data.angles)))
+    calibration, said = data.calibrate_all()
+    say_again(said, stacklevel=2)
     return scores_of(data, calibration, model, cv, n_jobs, progress)
 
 

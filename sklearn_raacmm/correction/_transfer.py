@@ -54,7 +54,10 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     Parameters
     ----------
     models : JointHarmonicRegressor or ArmResidualRegressor, or list of them
-        Fitted models of earlier arms, one for each arm. Their linear models are used.
+        Fitted models of earlier arms, one for each arm. Their linear models are used. They must
+        not have extra columns: what a temperature or a force does counts from its mean over the
+        rows of one fit, and tools go by their numbers, so that such coefficients of different arms
+        do not mean the same.
 
     arm : Arm
         The new arm, calibrated: ``result.arm`` of ``result = calibrate(nominal, angles,

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.display._drawing import (
     AFTER,
@@ -12,6 +11,8 @@ from sklearn_raacmm.display._drawing import (
     FLOOR,
     SHIFT,
     axes_grid,
+    check_model,
+    check_name,
     marks,
     name_places,
     new_axes,
@@ -108,7 +109,7 @@ class RepeatabilityDisplay:
         self.positions = positions
         self.floor = floor
         self.statistic = statistic
-        self.name = name
+        self.name = check_name(name)
         self.before_interval = before_interval
         self.after_interval = after_interval
 
@@ -142,7 +143,7 @@ class RepeatabilityDisplay:
         display : RepeatabilityDisplay
             What was drawn.
         """
-        check_is_fitted(estimator)
+        check_model(estimator)
         prediction = estimator.predict(X)
         return cls.from_predictions(points, prediction, groups=groups, ax=ax, **options)
 
@@ -312,7 +313,7 @@ class LengthErrorDisplay:
         self.after = after
         self.lengths = lengths
         self.floor = floor
-        self.name = name
+        self.name = check_name(name)
 
     @classmethod
     def from_estimator(cls, estimator, X, points, *, groups, pairs, lengths, axes=None, **options):
@@ -337,7 +338,7 @@ class LengthErrorDisplay:
         display : LengthErrorDisplay
             What was drawn.
         """
-        check_is_fitted(estimator)
+        check_model(estimator)
         return cls.from_predictions(
             points,
             estimator.predict(X),

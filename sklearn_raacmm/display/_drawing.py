@@ -4,8 +4,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
+from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.utils import check_points
+from sklearn_raacmm.utils import check_points, show
 
 # Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
 # have no order, so that no line joins them.
@@ -35,9 +36,23 @@ def pyplot():
     return plt
 
 
+def check_model(estimator):
+    """Refuse what is no fitted model."""
+    if not hasattr(estimator, "predict"):
+        raise TypeError(f"estimator must be a fitted model, got {show(estimator)}.")
+    check_is_fitted(estimator)
+
+
+def check_name(name):
+    """Text for a legend."""
+    if not isinstance(name, str):
+        raise TypeError(f"name must be a text for the legend, got {show(name)}.")
+    return name
+
+
 def new_axes(ax, figsize):
     """Given axes, or new ones."""
-    return pyplot().subplots(figsize=figsize, layout="constrained")[1] if ax is None else ax
+    return axes_grid(ax, (1, 1), figsize=figsize)[0, 0]
 
 
 def axes_grid(axes, shape, **options):
@@ -47,6 +62,9 @@ def axes_grid(axes, shape, **options):
     axes = np.asarray(axes, dtype=object)
     if axes.size != np.prod(shape):
         raise ValueError(f"{axes.size} axes were given, but {np.prod(shape)} are needed.")
+    for ax in axes.flat:
+        if not hasattr(ax, "axhline"):
+            raise TypeError(f"Axes of matplotlib are needed to draw on, got {show(ax)}.")
     return axes.reshape(shape)
 
 

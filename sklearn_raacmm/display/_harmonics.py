@@ -4,9 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.display._drawing import AFTER, axes_grid
+from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
 from sklearn_raacmm.error_model import likely_gear_ratios
 
 _DOTS = {"color": AFTER["color"], "linestyle": "", "marker": "o", "markersize": 4, "capsize": 2}
@@ -103,7 +102,7 @@ class HarmonicDisplay:
         TypeError
             If it is a model of another kind.
         """
-        check_is_fitted(estimator)
+        check_model(estimator)
         table = getattr(estimator, "harmonics_", None)
         names = getattr(getattr(table, "dtype", None), "names", None) or ()
         if "amplitude_arcsec" not in names:

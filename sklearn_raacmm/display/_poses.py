@@ -6,10 +6,9 @@
 from numbers import Real
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import arm_or_built_in, check_arm
-from sklearn_raacmm.display._drawing import AFTER, BEFORE, pyplot, subtract
+from sklearn_raacmm.display._drawing import AFTER, BEFORE, check_model, check_name, pyplot, subtract
 from sklearn_raacmm.utils import (
     check_option,
     check_points,
@@ -80,7 +79,7 @@ class ArmPosesDisplay:
         self.chains = chains
         self.before = before
         self.after = after
-        self.name = name
+        self.name = check_name(name)
 
     @classmethod
     def from_estimator(cls, estimator, X, y, *, arm=None, ax=None, **options):
@@ -102,7 +101,7 @@ class ArmPosesDisplay:
         display : ArmPosesDisplay
             What was drawn.
         """
-        check_is_fitted(estimator)
+        check_model(estimator)
         return cls.from_predictions(X, y, estimator.predict(X), arm=arm, ax=ax, **options)
 
     @classmethod

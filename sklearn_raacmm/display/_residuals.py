@@ -4,9 +4,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.display._drawing import AFTER, BEFORE, axes_grid, subtract, unit_of
+from sklearn_raacmm.display._drawing import (
+    AFTER,
+    BEFORE,
+    axes_grid,
+    check_model,
+    check_name,
+    subtract,
+    unit_of,
+)
 from sklearn_raacmm.residuals import PoseFeatures, cartesian_to_cylindrical
 from sklearn_raacmm.utils import check_points, deviations_by_group
 
@@ -77,7 +84,7 @@ class ResidualDisplay:
         self.before = before
         self.after = after
         self.feature_names = feature_names
-        self.name = name
+        self.name = check_name(name)
 
     @classmethod
     def from_estimator(cls, estimator, X, y, *, arm=None, axes=None, **options):
@@ -99,7 +106,7 @@ class ResidualDisplay:
         display : ResidualDisplay
             What was drawn.
         """
-        check_is_fitted(estimator)
+        check_model(estimator)
         return cls.from_predictions(X, y, estimator.predict(X), arm=arm, axes=axes, **options)
 
     @classmethod

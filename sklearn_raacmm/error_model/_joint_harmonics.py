@@ -18,6 +18,7 @@ from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
     VersionedEstimator,
+    check_flags,
     encode_groups,
     fit_context,
     one_blas_thread,
@@ -106,8 +107,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
         standard deviation at this pose and r the root mean square of the training residuals, both
         as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 1, or 0.6 where positions have offsets. There t is twice the deviation that
-        99 % of the training poses stay below; elsewhere 0.
+        all. "auto": 1, or where positions have offsets half of the factor by which errors at
+        positions left out widen s, up to 1. There t is twice the deviation that 99 % of the
+        training poses stay below; elsewhere 0.
 
     Attributes
     ----------
@@ -350,7 +352,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         self.orientation_model_ = both
         self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
         std = fitted.model.predict(X, return_std=True)[1]
-        self.fading_ = find_fading(y, std, weights * self.pose_weight_, codes, self.fade)
+        used, widening = weights * self.pose_weight_, fitted.model.std_scale
+        self.fading_ = find_fading(y, std, used, codes, self.fade, widening=widening)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -435,6 +438,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             within one turn of radians in degrees; if most of the corrections
             are reduced to less than a tenth.
         """
+        check_flags(return_std=return_std, with_noise=with_noise)
         X = check_poses(self, X)
         fades = self.fading_.factor > 0
         mean, std = self.linear_model_.predict(X, return_std or fades)

@@ -16,6 +16,7 @@ from sklearn_raacmm.error_model._left_out import (
 from sklearn_raacmm.error_model._linear_fit import fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._poses import check_poses
+from sklearn_raacmm.utils import check_flags
 
 
 class Fitted(NamedTuple):
@@ -116,6 +117,7 @@ def predict_turns(estimator, X, return_std, with_noise):
     share : ndarray of shape (n,)
         What the fading leaves.
     """
+    check_flags(return_std=return_std, with_noise=with_noise)
     X, points = check_poses(estimator, X, stacklevel=5), estimator.linear_model_
     both = estimator.orientation_model_
     model = points if both is None else both

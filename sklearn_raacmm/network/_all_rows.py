@@ -11,7 +11,7 @@ References
    2006, section 2.7.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple
@@ -82,6 +82,14 @@ class ProcessPosterior(Posterior):
             found.append((np.flatnonzero(self.alpha == alpha), _Root(factor, half, triangle)))
         return found
 
+    def with_noise(self, factor):
+        """The same with a larger variance of the noise, for one that was estimated too small.
+
+        What the noise makes of the weights is a part of the prior's variance here, whose ratio to
+        that of the noise is the ridge: both grow.
+        """
+        return replace(super().with_noise(factor), signal_variance=factor * self.signal_variance)
+
     def _whitened(self, X, K):
         tail, weighted = self.tail(X).T, (K * np.sqrt(self.weights)).T
         for of, root in self._roots:
@@ -151,6 +159,23 @@ def covariance_factor(Z, kernel, root, alpha):
     return factor
 
 
+def n_parameters(Z, kernel, root, alpha):
+    """Effective number of parameters of a process: the trace of its smoother.
+
+    Parameters
+    ----------
+    Z, kernel, root, alpha
+        As for `covariance_factor`.
+
+    Returns
+    -------
+    float
+    """
+    factor = covariance_factor(Z, kernel, root, alpha)
+    inverse = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
+    return len(Z) - alpha * np.square(inverse).sum()
+
+
 def may_take_all(problem, alpha):
     """Whether a factor of all rows can be had: by their number, and by the size of the ridge.
 
@@ -193,9 +218,7 @@ def share_of_parameters(problem, alpha, functions, enough=0.0):
     size, last = min(n, _FIRST_SAMPLE), None
     while True:
         rows = np.sort(order[:size])
-        factor = covariance_factor(Z[rows], kernel, root[rows], alpha)
-        inverse = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-        share = 1 - alpha * np.square(inverse).sum() / size
+        share = n_parameters(Z[rows], kernel, root[rows], alpha) / size
         if share <= enough or size == n:
             return share
         if size >= _LARGEST_SAMPLE:

@@ -1,6 +1,6 @@
 """The fitted network as a value: its functions, weights and their posterior."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from types import MappingProxyType
 from typing import NamedTuple
@@ -85,6 +85,10 @@ class Posterior:
         """Middle of the centres, and the centres about it in units of the widths."""
         shift = self.centers.mean(axis=0) if len(self.centers) else 0.0
         return shift, (self.centers - shift) / self.length_scale
+
+    def with_noise(self, factor):
+        """The same with a larger variance of the noise, for one that was estimated too small."""
+        return replace(self, noise_variance=factor * self.noise_variance)
 
     def scaled(self, X):
         """Rows as the radial functions see them, (n, d)."""

@@ -1,6 +1,5 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
-from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -27,6 +26,7 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     check_features,
     check_fitted,
+    check_flags,
     check_shapes,
     check_weights,
     check_whole_number,
@@ -286,7 +286,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     def __init__(
         self,
-        n_centers: int | str | None = "auto",
+        n_centers: int | str = "auto",
         *,
         kernel="auto",
         length_scale: ArrayLike | str = "auto",
@@ -382,8 +382,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 break
             self._fit_weighted(X, y, given * factor, groups, self.offsets_)
         if np.any(factor < 1):
-            noise = self.posterior_.noise_variance / NORMAL_SQUARE
-            self.posterior_ = replace(self.posterior_, noise_variance=noise)
+            self.posterior_ = self.posterior_.with_noise(1 / NORMAL_SQUARE)
         self.row_weight_ = factor
 
     def _fit_weighted(self, X, y, sample_weight, groups, offsets=None):
@@ -418,9 +417,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             Rows.
 
         return_std : bool, default=False
-            Also return the standard deviation of the prediction: that of the Gaussian process
-            whose posterior mean the network approximates. It grows to the signal's own standard
-            deviation away from the data.
+            Also return the standard deviation of the Gaussian process whose posterior mean the
+            network approximates: away from the data it grows to the signal's own.
 
         return_cov : bool, default=False
             Also return the covariance of the predictions at these rows. Not with `return_std`.
@@ -447,14 +445,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             If X has another number of features than in fit, or holds NaN or infinity; if both the
             standard deviation and the covariance are asked for.
         """
+        check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
         X = self._checked_rows(X)
         mean, std = self.posterior_.predict(X, return_std, with_noise)
-        mean = self._shaped(mean)
         if return_cov:
-            return mean, self._shaped(self.posterior_.covariance(X, with_noise))
-        return (mean, self._shaped(std)) if return_std else mean
+            return self._shaped(mean), self._shaped(self.posterior_.covariance(X, with_noise))
+        return (self._shaped(mean), self._shaped(std)) if return_std else self._shaped(mean)
 
     def sample_y(self, X, n_samples=1, random_state=0, with_noise=True):
         """Draw targets from the posterior of the Gaussian process that the network approximates.

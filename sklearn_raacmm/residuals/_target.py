@@ -41,10 +41,12 @@ from sklearn_raacmm.utils import (
     check_fitted,
     check_n_features,
     fit_context,
+    floats,
     is_plain,
     refuse_disguised,
     refuse_huge,
     safe_indexing,
+    show,
     whole_fit,
 )
 
@@ -191,8 +193,10 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         """
         for name, value in (("X", X), ("y", y)):
             refuse_disguised(name, value)
+        _refuse_no_rows(X)
         validate_data(self, X, y, skip_check_array=True)
         y = check_array(y, ensure_2d=False, dtype="numeric", input_name="y", estimator=self)
+        y = floats("y", y) if y.dtype.kind == "O" else y  # a list of numbers and text
         refuse_huge("y", y)
         check_consistent_length(X, y)
         n_targets = 1 if y.ndim == 1 else y.shape[1]
@@ -256,6 +260,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             )
         if not is_plain(self, X):
             refuse_disguised("X", X)
+            _refuse_no_rows(X)
             if getattr(X, "ndim", 2) == 1:
                 check_array(X, estimator=self)  # for its sentence on how to reshape
             # As validate_data, which would also check the array and collect the tags of all steps.
@@ -337,6 +342,12 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         tags.input_tags.sparse = inner.input_tags.sparse
         tags.target_tags.multi_output = inner.target_tags.multi_output
         return tags
+
+
+def _refuse_no_rows(X):
+    """Refuse an empty list, in which scikit-learn would look for the first row."""
+    if isinstance(X, list | tuple) and not len(X):
+        raise ValueError(f"X has no rows, got {show(X)}.")
 
 
 def _last_two_columns(X):

@@ -160,6 +160,15 @@ def check_option(name, value, options):
         raise ValueError(f"{name}={show(value)} is not one of {', '.join(map(repr, options))}.")
 
 
+def check_flags(**flags):
+    """Refuse what is neither True nor False, such as labels in the second place of `predict`."""
+    for name, value in flags.items():
+        if value is True or value is False:
+            continue
+        if not isinstance(value, np.bool_ | Integral) or value not in (0, 1):
+            raise TypeError(f"{name} must be True or False, got {show(value)}.")
+
+
 def listed(name, value):
     """Several, as a list; one text is not several letters, and an array is its rows."""
     try:

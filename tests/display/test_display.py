@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -451,3 +452,21 @@ def test_a_control_chart_draws_the_records_and_marks_alarms(tmp_path):
     ControlChartDisplay(records=records[:1]).plot(display.axes_)
     with pytest.raises(ValueError, match="There are no records"):
         ControlChartDisplay(records=[])
+
+
+@pytest.mark.parametrize("value", ["axes", 3.5, np.ones(1), [None]])
+def test_what_is_no_axes_and_no_name(value):
+    points, groups = np.random.default_rng(0).normal(size=(12, 3)), np.arange(12) // 6
+    draw = partial(RepeatabilityDisplay.from_predictions, points, 0 * points, groups=groups)
+    with pytest.raises(TypeError, match="Axes of matplotlib are needed to draw on, got"):
+        draw(ax=value)
+    with pytest.raises(TypeError, match="name must be a text for the legend, got"):
+        draw(name=[value])
+
+
+@pytest.mark.parametrize("estimator", [None, "model", np.ones((9, 9, 9))])
+def test_what_is_no_model(estimator):
+    points = np.zeros((4, 3))
+    with pytest.raises(TypeError, match="estimator must be a fitted model, got") as refused:
+        RepeatabilityDisplay.from_estimator(estimator, points, points, groups=[0, 0, 1, 1])
+    assert len(str(refused.value)) < 120

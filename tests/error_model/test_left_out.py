@@ -192,9 +192,12 @@ def test_fading_is_wieners_factor_beyond_what_is_known():
     assert_array_equal(Fading(0.1, 0.0).share(std), 1)
     y, weights = np.full((3, 3), 0.1), np.ones(3)
     assert find_fading(y, std, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0, 0.0)
-    assert (
-        find_fading(np.ones((9, 3)), np.ones((9, 3)), np.ones(9), np.arange(9) // 3).factor == 0.6
-    )
+    single_point = np.ones((9, 3)), np.ones((9, 3)), np.ones(9), np.arange(9) // 3
+    assert find_fading(*single_point).factor == 0.6
+    assert find_fading(*single_point, widening=1.6).factor == pytest.approx(0.8)
+    assert find_fading(*single_point, widening=4.0).factor == 1.0
+    assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
+    assert find_fading(*single_point[:3], None, widening=1.6).factor == 1.0
 
 
 def test_distance_std_is_that_of_the_difference():

@@ -753,7 +753,7 @@ def test_a_model_of_zero_terms(build, data):
     """Nothing is found in noise, and nothing is what is written."""
     rng = np.random.default_rng(0)
     y = 1e-3 * rng.normal(size=data.target.shape)
-    none = {"gravity": False, "kinematics": False, "wobble": False, "max_order": 2}
+    none = {"gravity": False, "kinematics": False, "wobble": False, "orders": [50]}
     model = harmonics(data.arm, **none).fit(data.data, y)
     assert len(model.coef_) == 0
     call = build(model, std=True, card=describe(model, data.data, y))

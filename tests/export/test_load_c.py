@@ -93,7 +93,7 @@ def test_models_of_every_shape(data):
             with pytest.raises(ValueError, match="no arm and three outputs"):
                 compiled.correct(X)
     none = JointHarmonicRegressor(
-        data.arm, max_order=2, gravity=False, kinematics=False, wobble=False
+        data.arm, orders=[50], gravity=False, kinematics=False, wobble=False
     ).fit(data.data, 1e-3 * rng.normal(size=data.target.shape))
     assert len(none.coef_) == 0  # a model of zero terms
     assert not load_c(none, std=True).correct(data.data).any()

@@ -119,7 +119,7 @@ def test_fading_and_cap_are_seen(data):
 
 
 def test_a_model_of_zero_terms(data):
-    none = {"gravity": False, "kinematics": False, "wobble": False, "max_order": 2}
+    none = {"gravity": False, "kinematics": False, "wobble": False, "orders": [50]}
     y = 1e-3 * np.random.default_rng(0).normal(size=data.target.shape)
     model = harmonics(data.arm, **none).fit(data.data, y)
     assert len(model.coef_) == 0

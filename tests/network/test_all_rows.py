@@ -226,5 +226,11 @@ def test_outliers_are_left_out():
     model = RBFNetRegressor(**GIVEN, loss="tukey").fit(X, y)
     assert model.stop_reason_ == "all rows"
     assert np.all(model.row_weight_[::15] == 0)
+    # The noise that is known to be too small counts in the uncertainty of the function, too.
+    posterior = model.posterior_
+    ratio = posterior.noise_variance / posterior.signal_variance
+    np.testing.assert_allclose(ratio, posterior.alpha, rtol=1e-12)
+    wider = posterior.with_noise(2.0).predict(T, return_std=True)[1]
+    np.testing.assert_allclose(wider, np.sqrt(2) * posterior.predict(T, return_std=True)[1])
     clean = RBFNetRegressor(**GIVEN).fit(np.delete(X, np.s_[::15], 0), np.delete(Y, np.s_[::15]))
     np.testing.assert_allclose(model.predict(T), clean.predict(T), atol=0.1)

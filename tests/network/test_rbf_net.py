@@ -167,7 +167,7 @@ def test_a_ridge_bounds_predictions_everywhere(seed):
     rng = np.random.default_rng(seed)
     X = rng.standard_normal((150, 2)) * [1, 10]
     Y = np.column_stack([rng.standard_normal(150), X[:, 0]])
-    model = RBFNetRegressor(random_state=0).fit(X, Y)
+    model = RBFNetRegressor(degree=0, random_state=0).fit(X, Y)
     bound = np.sqrt(np.square(Y - Y.mean(axis=0)).sum(axis=0) / model.alpha_)
     away = np.abs(model.predict(X * 1.5 + 3 * X.std(axis=0)) - model.intercept_)
     assert np.all(away < bound)

@@ -6,7 +6,7 @@ from scipy.optimize import approx_fprime
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _width_search
+from sklearn_raacmm.network import _width_objective, _width_search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._width_objective import LOOSE_KAPPA, Task
@@ -127,8 +127,34 @@ def test_a_stage_that_other_rows_find_worse_is_not_accepted(monkeypatch):
     good = task.minimise(task.start(0.5, 0.01), rows, "gaussian", 40)
     # One inducing row explains nothing: to its process all is noise.
     monkeypatch.setattr(_width_search, "INDUCING", 1)
-    end = _width_search._extend(task, good, lambda size: np.arange(min(size, 1500)))
+    end = _width_search._extend(task, good, rows, lambda size: np.arange(min(size, 1500)))
     np.testing.assert_array_equal(end.theta, good.theta)
+
+
+@pytest.mark.parametrize("rough", [True, False])
+def test_a_process_of_more_parameters_than_inducing_rows_carry_is_the_exact_one(monkeypatch, rough):
+    X, y, _ = waves(500)
+    task = Task(data_of(X, y), X.std(axis=0), None, False, None)
+    rows = np.arange(300)
+    end = task.minimise(task.start(0.5, 0.01), rows, "gaussian", 40)
+    log_width, log_alpha = task.unpack(end.theta)
+    Z = X[rows] / np.exp(log_width)
+    K = np.exp(-0.5 * np.square(Z[:, None] - Z).sum(axis=2))
+    values = np.maximum(np.linalg.eigvalsh(K), 0)
+    n_parameters = np.sum(values / (values + np.exp(log_alpha[0])))
+    monkeypatch.setattr(_width_search, "ROUGH", n_parameters + (-0.01 if rough else 0.01))
+    called, projected = [], _width_objective.projected_likelihood
+    monkeypatch.setattr(
+        _width_objective,
+        "projected_likelihood",
+        lambda *args: called.append(1) or projected(*args),
+    )
+    found = _width_search._extend(task, end, rows, lambda size: np.arange(min(size, 500)))
+    assert bool(called) != rough
+    if rough:
+        every, kernel = task.rows(np.arange(500)), "gaussian"
+        assert found.value == pytest.approx(task.objective(found.theta, every, kernel)[0])
+        assert found.value < task.objective(end.theta, every, kernel)[0]
 
 
 def test_a_sentinel_does_not_set_the_scale_of_its_feature():
