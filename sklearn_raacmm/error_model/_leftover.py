@@ -69,10 +69,8 @@ class Leftover:
         S[np.diag_indices(self.size)] += 1 / np.r_[variance[problem.family], np.repeat(prior, 2)]
         if self.size and len(self.columns):
             root = _root_of_parts(S, m)
-            self.factor[: self.size] *= 1 / noise
             # The transpose is in Fortran order: the factor is solved for in place.
-            rows = self.factor[: self.size].T
-            dtrsm(1.0, root, rows, side=1, overwrite_b=1)
+            dtrsm(1 / noise, root, self.factor[: self.size].T, side=1, overwrite_b=1)
             self._explain(self.factor[: self.size], solve_triangular(root, r, trans="T"))
 
     def _add_lengths(self, lengths, n_waves, chosen, S):

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
-from sklearn_raacmm.network._nested_fits import divide, stack_triangles, triangular_factor
+from sklearn_raacmm.network._nested_fits import divide, stack_triangles, triangle_of_all
 from sklearn_raacmm.utils import chunks
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
@@ -244,16 +244,17 @@ def _add(one, other):
     return tuple(a + b for a, b in zip(one, other, strict=True))
 
 
-def _triangle(block, features, view):
+def _beside(block, features, view):
+    """The tail, the features and the targets on some rows, side by side."""
     basis, targets = view.of(block)
-    return triangular_factor(np.hstack([basis, features(block), targets]))
+    return np.hstack([basis, features(block), targets])
 
 
 def _projected_triangle(problem, features, view, rank):
     """R of the features with the tail projected out, and the targets in Q's coordinates."""
     p = 0 if view.projection is None else len(view.projection)
-    function = partial(_triangle, features=features, view=view)
-    R = problem.reduce(function, stack_triangles, p + rank + len(view.outputs))
+    columns = partial(_beside, features=features, view=view)
+    R = triangle_of_all(problem, columns, p + rank + len(view.outputs))
     if p and len(problem.basis_rows):
         # The ridge of the tail: further rows of it, where the features are 0, and the targets, too.
         below = np.zeros((len(problem.basis_rows), R.shape[1]))

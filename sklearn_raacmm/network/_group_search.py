@@ -15,7 +15,6 @@ from sklearn_raacmm.network._group_noise import group_errors, group_likelihood
 from sklearn_raacmm.network._likelihood import Data, evidence_constant
 from sklearn_raacmm.network._width_objective import ALPHA_BOUNDS, Task
 from sklearn_raacmm.network._width_search import EXACT_ROWS, EXACT_STEPS, robust_spread, search
-from sklearn_raacmm.utils import group_weights
 
 # Rows on which the groups' own functions are found: an evaluation takes 0.15 s with three outputs.
 OWN_ROWS = 600
@@ -63,18 +62,18 @@ def search_groups(data, kernels, *, length_scale, isotropic, alpha, random_state
     codes = np.unique(data.codes[rows], return_inverse=True)[1]
     if not codes.any():
         return known, data
-    left = _scatter(data, rows, codes, base)
+    left = _errors(data, rows, codes, base)
     best, least = base, left.sum()
     for found in (known, own):
         if found is None or found is base:
             continue
-        scatter = _scatter(data, rows, codes, found)
-        gain = left - scatter
+        errors = _errors(data, rows, codes, found)
+        gain = left - errors
         # As sure as a normal variable is, where the deviation is known from few groups only.
         margin = student.ppf(ndtr(MARGIN - found.share), len(gain) - 1)
         sure = gain.sum() > margin * gain.std(ddof=1) * np.sqrt(len(gain))
-        if sure and scatter.sum() < least:
-            best, least = found, scatter.sum()
+        if sure and errors.sum() < least:
+            best, least = found, errors.sum()
     return best, data if best.offsets else plain
 
 
@@ -85,12 +84,11 @@ def _without_groups(data):
     return Data(data.X, data.Y * unit, data.weights, data.within * unit**2).rows(order)
 
 
-def _scatter(data, rows, codes, found):
-    """Root mean square deviation that is left in each group by a process that has not seen it."""
-    data = (data if found.offsets else data._replace(codes=None)).rows(rows)
+def _errors(data, rows, codes, found):
+    """Squared deviations that are left in each group by a process that has not seen it."""
+    data = data if found.offsets else data._replace(codes=None)
     where = found.kernel, np.log(found.length_scale), np.log(found.alpha), found.share
-    errors = group_errors(data, codes, *where)
-    return np.sqrt(errors / group_weights(codes, data.weights))
+    return group_errors(data.rows(rows), codes, *where)
 
 
 def _with_own_functions(data, known, *, length_scale, isotropic, alpha, random_state):

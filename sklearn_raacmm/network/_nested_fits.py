@@ -56,9 +56,9 @@ def _stacked(upper, lower, n_triangular):
     return lapack.dtpqrt(n_triangular, block, upper, lower, overwrite_a=1, overwrite_b=1)[0]
 
 
-def triangle_of_block(columns, block):
-    """Triangular factor of the tail, the centres' columns and the targets on some rows."""
-    return triangular_factor(np.hstack([block.tail, columns(block), block.targets]))
+def beside_centers(columns, block):
+    """The tail, the centres' columns and the targets on some rows, side by side."""
+    return np.hstack([block.tail, columns(block), block.targets])
 
 
 def stack_triangles(upper, lower):
@@ -72,7 +72,7 @@ def stack_triangles(upper, lower):
 
 
 def triangle_of_all(problem, columns, width):
-    """Triangular factor of the tail, the centres' columns and the targets on all rows.
+    """Triangular factor of columns on all rows.
 
     Where rows are many, the factor of a sample of them is divided out first. What is left has
     columns that are nearly orthonormal, so that its Gram matrix loses no digits, in two thirds of
@@ -82,19 +82,19 @@ def triangle_of_all(problem, columns, width):
     ----------
     problem : Problem or ChunkedProblem
     columns : callable
-        From a block to the centres' columns.
+        From a block to its rows of the columns.
     width : int
-        Number of columns of the tail and the centres.
+        Number of columns.
 
     Returns
     -------
-    ndarray of shape (<= width + n_outputs, width + n_outputs)
+    ndarray of shape (<= width, width)
     """
-    of_block = partial(triangle_of_block, columns)
+    of_block = partial(_triangle_of_block, columns)
     if problem.n_rows >= _MANY * problem.sample.n_rows:
         near = problem.sample.reduce(of_block, stack_triangles, width)
         lengths = np.sqrt(np.square(near).sum(axis=0))
-        square = near.shape == (width + len(problem.spread),) * 2
+        square = near.shape == (width, width)
         if square and np.all(np.abs(near.diagonal()) > _DEPENDENT * lengths):
             gram = problem.reduce(partial(_gram_of_block, columns, near), np.add, width)
             root, failed = lapack.dpotrf(gram, clean=1)
@@ -103,10 +103,13 @@ def triangle_of_all(problem, columns, width):
     return problem.reduce(of_block, stack_triangles, width)
 
 
+def _triangle_of_block(columns, block):
+    return triangular_factor(columns(block))
+
+
 def _gram_of_block(columns, near, block):
     """Gram matrix of the columns on some rows, divided by a triangular factor."""
-    rows = np.hstack([block.tail, columns(block), block.targets])
-    rows = divide(np.asfortranarray(rows), near)
+    rows = divide(np.asfortranarray(columns(block)), near)
     return rows.T @ rows
 
 

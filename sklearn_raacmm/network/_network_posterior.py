@@ -1,7 +1,7 @@
 """The fitted network as a value: its functions, weights and their posterior."""
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from sklearn_raacmm.network._kernels import (
     squared_distances,
 )
 from sklearn_raacmm.network._nested_fits import (
+    beside_centers,
     nested_least_squares,
     penalise,
     stack_triangles,
@@ -382,7 +383,8 @@ def fit_path(problem, order, alpha, functions):
     root = psd_root(kernel_matrix(Z, Z, kernel))
     columns = Features(Z, shift, length_scale, kernel)
     p = problem.n_tail
-    R = triangle_of_all(problem, columns, p + len(order))
+    beside = partial(beside_centers, columns)
+    R = triangle_of_all(problem, beside, p + len(order) + len(problem.spread))
     if len(problem.tail_rows):
         below = np.zeros((len(problem.tail_rows), R.shape[1]))
         below[:, :p] = problem.tail_rows

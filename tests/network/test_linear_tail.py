@@ -182,7 +182,7 @@ def test_as_many_features_as_rows_have_a_ridge():
     assert linear_ridge(X / X.std(axis=0), Y - Y.mean(), np.zeros(1), 9) > 1.0
 
 
-@pytest.mark.parametrize(("n", "d", "noise"), [(12, 4, 0.1), (40, 12, 0.3), (150, 5, 1.0)])
+@pytest.mark.parametrize(("n", "d", "noise"), [(20, 4, 0.1), (40, 12, 0.3), (150, 5, 1.0)])
 def test_default_is_as_good_as_a_linear_model_where_the_data_are_linear(n, d, noise):
     peer = make_pipeline(StandardScaler(), RidgeCV(np.logspace(-4, 4, 17)))
     models = [RBFNetRegressor(random_state=0), RBFNetRegressor(degree=0, random_state=0), peer]
