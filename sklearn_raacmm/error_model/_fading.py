@@ -110,7 +110,8 @@ def find_fading(y, std, weights, codes, factor="auto", *, known="auto", widening
         factor = _OF_TRACKER
         if offsets:  # never more than with a tracker: outliers widen intervals, too
             widened = _OF_SINGLE_POINT if widening is None else _OF_WIDENED * widening
-            factor = min(widened, _OF_TRACKER)
+            # A flat optimum has few reliable digits; corrections must not depend on the others.
+            factor = min(round(widened, 3), _OF_TRACKER)
     size = np.sqrt(np.average(np.square(y).sum(axis=1), weights=weights))
     if known == "auto":
         known = _KNOWN_FACTOR if offsets else 0.0
