@@ -53,6 +53,18 @@ def warn_of_bound(features):
         )
 
 
+def warn_of_unlike(outputs):
+    """Warn of outputs that need widths of their own."""
+    if len(outputs):
+        warnings.warn(
+            f"Output {', '.join(map(str, outputs))} is taken for noise, because it varies at "
+            "another length than the others, with which it shares the widths. Fit one network for "
+            "each output: MultiOutputRegressor(RBFNetRegressor()).",
+            ConvergenceWarning,
+            stacklevel=8,  # through the decorators of `fit`, to the line of the call
+        )
+
+
 def relevance(problem, posterior):
     """Slope of the modelled function along every feature, per spread, as a share of their sum."""
     unit = problem.X.std(axis=0)

@@ -358,8 +358,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         UserWarning
             If more centres are asked for than there are distinct candidates: all are taken then.
         ConvergenceWarning
-            If a limit that was not set by a parameter decided on the network: the default number of
-            centres, or the rank of the factor from whose span they are chosen.
+            If a limit that was not set by a parameter decided: the default number of centres, or
+            the rank of their factor; if an output is given up that needs widths of its own.
         """
         for name in _SOMETIMES:
             vars(self).pop(name, None)
