@@ -24,6 +24,7 @@ from sklearn_raacmm.correction._linear_change import (
 )
 from sklearn_raacmm.correction._update import check_new_poses, linear_model_of, record_of
 from sklearn_raacmm.error_model import (
+    LIKELY_ORDER,
     Fading,
     JointHarmonicRegressor,
     smooth_shares,
@@ -293,7 +294,7 @@ def _evidence_of_change(prior, changed, poses):
 
 
 def _evidence_of_fit(linear, poses):
-    """Log evidence of a fit to the new poses alone, less the price of its harmonics."""
+    """Log evidence of a fit to the new poses alone, less the price that its harmonics had."""
     price = np.log(_OFFERED * linear.arm.n_joints)
     sd = np.array([linear.prior_sd[name] for name in families_of(linear)])
     if "smooth" in linear.prior_sd:
@@ -304,7 +305,7 @@ def _evidence_of_fit(linear, poses):
         sd[waves] = np.where(of_smooth, linear.prior_sd["smooth"] * share, sd[waves])
         n_chosen = np.count_nonzero(~joined)
     else:
-        n_chosen = len(linear.terms.harmonics)
+        n_chosen = np.count_nonzero(linear.terms.harmonics[:, 1] > LIKELY_ORDER)
     evidence = _log_evidence(linear, np.zeros(len(sd)), np.diag(sd), poses, linear.noise_sd)
     return evidence - n_chosen * price
 

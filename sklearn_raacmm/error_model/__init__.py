@@ -20,12 +20,13 @@ from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
 from sklearn_raacmm.error_model._left_out import LEAST_POSITIONS, interval_scales, leave_out
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, constrained, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._orders import likely_gear_ratios, smooth_shares
+from sklearn_raacmm.error_model._orders import LIKELY_ORDER, likely_gear_ratios, smooth_shares
 from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 
 __all__ = [
     "LEAST_POSITIONS",
+    "LIKELY_ORDER",
     "LOAD",
     "PUSH",
     "SHIFT",

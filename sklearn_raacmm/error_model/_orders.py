@@ -18,7 +18,7 @@ COMMON_ORDER = 72
 # errors elsewhere are 0.80 to 0.99 of what they were (means of four machines), the measured
 # deviations 0.91 to 1.00; of 50 arms of six machines, half of them with a tracker, the deviations
 # 0.98 in the mean.
-_LIKELY_ORDER = 2
+LIKELY_ORDER = 2
 # Price in nats of an order above that, beside that of a common one. With simulated errors at poses
 # of real arms (with gears, without, and with smooth errors outside the model) steps of 0 to 10 nats
 # and prices that grow with the logarithm of the order leave the same within half a per cent.
@@ -142,7 +142,7 @@ def order_prices(offered, expected):
     high = (order > COMMON_ORDER) & ~expected
     common = np.log(max(np.count_nonzero(~high), 1))
     every = common + _PRICE_OF_HIGH * high
-    cheap = np.where(order > _LIKELY_ORDER, every, 0.0)
+    cheap = np.where(order > LIKELY_ORDER, every, 0.0)
 
     def prices(chosen, beside_smooth=False):
         alone = every if beside_smooth else cheap
