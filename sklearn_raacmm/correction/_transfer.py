@@ -117,7 +117,8 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     :func:`update_correction`. Cosine and sine of a harmonic share one variance, for phases are the
     individual's. Both models are compared by the logarithm of the marginal likelihood of `y` at
     their own variances, base and tool being free. The harmonics of the fit to the new poses alone
-    are charged the logarithm of the number of those offered, those of the earlier arms nothing.
+    are charged the logarithm of the number of those offered, but orders 1 and 2 nothing, as in the
+    choice; nor are those of the earlier arms.
 
     It is a function and not an option of `fit`: what it needs is fitted models, which neither a
     clone nor a search over parameters should carry along.
