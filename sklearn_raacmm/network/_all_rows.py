@@ -24,7 +24,7 @@ from sklearn_raacmm.network._likelihood import LEAST_RIDGE
 from sklearn_raacmm.network._nested_fits import triangular_factor
 from sklearn_raacmm.network._network_posterior import Posterior, variances
 from sklearn_raacmm.network._polynomial_tail import ridge_rows
-from sklearn_raacmm.utils import chunks, stage
+from sklearn_raacmm.utils import chunks, invert_triangle, stage
 
 # Rows whose kernel matrix is factored: 800 MB, and 10 s of one thread.
 MOST_ROWS = 10_000
@@ -172,8 +172,8 @@ def n_parameters(Z, kernel, root, alpha):
     float
     """
     factor = covariance_factor(Z, kernel, root, alpha)
-    inverse = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-    return len(Z) - alpha * np.square(inverse).sum()
+    invert_triangle(factor)
+    return len(Z) - alpha * np.square(factor).sum()
 
 
 def may_take_all(problem, alpha):
