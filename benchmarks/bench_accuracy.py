@@ -2,8 +2,9 @@
 
 Real residuals of two robot arms, held out by position, and ten generated problems with noise. Every
 peer gets standardised inputs and targets; the Gaussian process has one width a feature, white noise
-and two restarts; kernel ridge, Nystroem with ridge, support vectors and the perceptron are tuned by
-a grid search with three folds, of about as many candidates as their authors would call thorough.
+and two restarts, above 1000 rows none, but a start from what it found on the first 1000; kernel
+ridge, Nystroem with ridge, support vectors and the perceptron are tuned by a grid search with three
+folds, of about as many candidates as their authors would call thorough.
 RBFNetRegressor gets the data as they are and no setting at all. One thread throughout.
 
 Error is the root mean square over test rows of prediction less truth (generated: without noise;
@@ -26,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from _problems import GENERATED, generated, panda_folds, ur10
 from scipy.stats import norm
+from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
@@ -53,16 +55,34 @@ REAL = {
     "ur10 all, all rows": (lambda n: ur10("all", n), None),
 }
 PREDICTED_ROWS = 100_000
+# Rows from which three starts of the Gaussian process would take hours.
+PROCESS_ROWS = 1000
 LEVELS = (0.5, 0.9, 0.99)
 
 
+class TwoStageProcess(RegressorMixin, BaseEstimator):
+    """Marginal likelihood from three starts, of many rows from the optimum of the first 1000."""
+
+    def fit(self, X, y):
+        """Fit to some rows and, if these are not all, to all from there."""
+        d, few = X.shape[1], slice(PROCESS_ROWS)
+        kernel = ConstantKernel() * RBF(np.ones(d), (1e-2, 1e3)) + WhiteKernel(0.1, (1e-8, 1e2))
+        process = GaussianProcessRegressor(
+            kernel, normalize_y=True, n_restarts_optimizer=2, random_state=0
+        ).fit(X[few], y[few])
+        if len(X) > PROCESS_ROWS:
+            process = GaussianProcessRegressor(process.kernel_, normalize_y=True).fit(X, y)
+        self.process_ = process
+        return self
+
+    def predict(self, X, return_std=False):
+        """Mean, and standard deviation of an observation."""
+        return self.process_.predict(X, return_std=return_std)
+
+
 def gaussian_process(n, d):
-    """One width a feature and white noise, by marginal likelihood from three starts."""
-    kernel = ConstantKernel() * RBF(np.ones(d), (1e-2, 1e3)) + WhiteKernel(0.1, (1e-8, 1e2))
-    process = GaussianProcessRegressor(
-        kernel, normalize_y=True, n_restarts_optimizer=2, random_state=0
-    )
-    return make_pipeline(StandardScaler(), process)
+    """One width a feature and white noise."""
+    return make_pipeline(StandardScaler(), TwoStageProcess())
 
 
 def search(regressor, grid, *steps):
