@@ -8,6 +8,7 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.network._center_choice import CenterSettings
+from sklearn_raacmm.network._fitted_numbers import FittedNumbers
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._large_data import is_dask
 from sklearn_raacmm.network._network_fit import fit_network
@@ -40,7 +41,7 @@ from sklearn_raacmm.utils import (
 _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_")
 
 
-class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
+class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
     The model is a polynomial of low degree plus a few radial functions at centres taken from the
@@ -544,52 +545,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     def _checked_rows(self, X):
         check_fitted(self, "posterior_")
         return check_features(self, X, dtype=np.float64, reset=False)
-
-    def _shaped(self, values):
-        """Values whose last axis is the outputs, without it where y had none."""
-        return values[..., 0] if self._flat else values
-
-    # The fitted numbers in readable form; all of them are those of `posterior_`.
-
-    def _of_outputs(self, values):
-        """Values of each output, the last axis, as y had them: first, or without an axis."""
-        return values[..., 0] if self._flat else values.T
-
-    @property
-    def kernel_(self):
-        return self.posterior_.kernel
-
-    @property
-    def length_scale_(self):
-        return self.posterior_.length_scale
-
-    @property
-    def centers_(self):
-        return self.posterior_.centers
-
-    @property
-    def coef_(self):
-        return self._of_outputs(self.posterior_.coef)
-
-    @property
-    def intercept_(self):
-        return self._of_outputs(self.posterior_.polynomial[0])
-
-    @property
-    def linear_coef_(self):
-        return self._of_outputs(self.posterior_.polynomial[1:])
-
-    @property
-    def alpha_(self):
-        return self._of_outputs(self.posterior_.alpha * self.posterior_.weight_unit)
-
-    @property
-    def noise_variance_(self):
-        return self._of_outputs(self.posterior_.noise_variance)
-
-    @property
-    def signal_variance_(self):
-        return self._of_outputs(self.posterior_.signal_variance)
 
     def __setstate__(self, state):
         super().__setstate__(state)
