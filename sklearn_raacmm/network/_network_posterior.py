@@ -226,7 +226,14 @@ class Posterior:
         of_mean : ndarray of shape (n, q, d)
 
         of_variance : ndarray of shape (n, q, d) or None
+
+        Raises
+        ------
+        ValueError
+            If that of the variance is asked for and the noise variance is infinite.
         """
+        if of_variance and not np.all(np.isfinite(self.noise_variance)):
+            raise ValueError("The noise variance is infinite: it has no derivatives.")
         n, (q, k) = len(X), self.coef.T.shape
         d = len(self.length_scale)
         of_mean = np.empty((n, q, d))
