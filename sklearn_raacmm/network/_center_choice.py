@@ -39,7 +39,7 @@ _CENTERS_PER_PARAMETER = 1.5
 # 1 % more rows a twentieth would do; the rest is for rows from where there were none.
 _NEW, _FEWEST_NEW = 0.3, 50
 # Frames from a warning here to the line on which a user has called `fit`, whose decorators count.
-_CALLER = 10
+_CALLER = 11
 # Ratio of ridges up to which outputs see the candidates alike.
 _ALIKE = 4.0
 
