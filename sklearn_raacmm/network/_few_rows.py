@@ -57,10 +57,10 @@ class Average(NamedTuple):
     weights: np.ndarray  # (3,) of the process, the linear model and noise
     kernel: str
     length_scale: np.ndarray  # (d,)
-    alpha: np.ndarray  # (q,) noise variance over that of the radial functions
+    alpha: np.ndarray  # (1,) noise variance over that of the radial functions
     tail_ridge: float  # of the linear part, in units of an observation; 0 where there is none
     log_likelihood: float
-    n_found: float  # parameters of each output that the data have decided on, on average
+    n_found: float  # parameters that the data have decided on, on average
 
 
 def trust(data):
@@ -81,29 +81,29 @@ def average(data, process):
     Returns
     -------
     Average or None
-        None where there are rows enough to choose one model, or no feature varies.
+        None where there are rows enough to choose one model, or no feature varies; and for several
+        outputs, which share the ridge of the linear part: beside a function an output of noise had
+        1.25 times the error (45 simulated functions).
     """
     linear = linear_process(data)
-    if trust(data) >= 1 or not linear.ridge:
+    if trust(data) >= 1 or not linear.ridge or data.Y.shape[1] > 1:
         return None
     weights = _weights(data, process, linear)
-    d, q = data.X.shape[1], data.Y.shape[1]
+    d = data.X.shape[1]
     widths, ridges = np.log(process.length_scale), np.log(process.alpha)
     signal = exact_likelihood(data, process.kernel, widths, ridges).signal
     columns = linear_columns(data)
     of_linear = np.maximum(_linear_noise(data, columns, linear.ridge), np.finfo(float).tiny)
     total = (data.weights @ np.square(data.Y) + data.within) / data.n_total
     noise = np.exp(weights @ np.log([process.alpha * signal, of_linear, total]))
-    length_scale, alpha, tail_ridge = process.length_scale, np.full(q, ALPHA_BOUNDS[1]), 0.0
+    length_scale, alpha, tail_ridge = process.length_scale, np.array([ALPHA_BOUNDS[1]]), 0.0
     if weights[0]:
         alpha = np.clip(noise / (weights[0] * signal), *ALPHA_BOUNDS)
     else:
         length_scale = silent_widths(data.X, data.weights)
     if weights[1]:
-        # All outputs share it.
-        ratio = np.exp(np.mean(np.log(noise / of_linear)))
-        tail_ridge = float(linear.ridge * ratio / weights[1])
-    n_found = [process.n_found, parameters_found(1, d, 0, q), parameters_found(0, d, 0, q)]
+        tail_ridge = float(linear.ridge * noise[0] / of_linear[0] / weights[1])
+    n_found = [process.n_found, parameters_found(1, d, 0, 1), parameters_found(0, d, 0, 1)]
     value = _log_likelihood(data, process.kernel, length_scale, alpha, tail_ridge)
     found = float(weights @ n_found)
     return Average(weights, process.kernel, length_scale, alpha, tail_ridge, value, found)
@@ -138,24 +138,22 @@ def _weights(data, process, linear):
 
 
 def _linear_noise(data, columns, ridge):
-    """Noise variance of every output beside a linear model."""
+    """Noise variance beside a linear model, (1,)."""
     targets = np.sqrt(data.weights)[:, None] * data.Y
-    one = np.ones(targets.shape[1])
-    solved = inverses(columns @ columns.T / ridge, targets, one)[0]
+    solved = inverses(columns @ columns.T / ridge, targets, np.ones(1))[0]
     return ((targets * solved).sum(axis=0) + data.within) / data.n_total
 
 
 def _log_likelihood(data, kernel, length_scale, alpha, tail_ridge):
-    """Logarithm of the marginal likelihood, summed over outputs."""
+    """Logarithm of the marginal likelihood."""
     Xs, root = data.X / length_scale, np.sqrt(data.weights)
-    K = KERNELS[kernel].function(squared_distances(Xs, Xs))
+    K = KERNELS[kernel].function(squared_distances(Xs, Xs)) / alpha
     weigh(K, root)
-    columns = linear_columns(data)
-    linear = columns @ columns.T / tail_ridge if tail_ridge else 0.0
-    value = 0.0
-    for i, ridge in enumerate(alpha):
-        y = (root * data.Y[:, i])[:, None]
-        solved, log_det, _, _ = inverses(K / ridge + linear, y, np.ones(1))
-        quadratic = np.maximum((y * solved).sum() + data.within[i], np.finfo(float).tiny)
-        value -= 0.5 * (log_det[0] + data.n_total * np.log(quadratic)) + evidence_constant(data)
-    return float(value)
+    if tail_ridge:
+        columns = linear_columns(data)
+        K += columns @ columns.T / tail_ridge
+    y = root[:, None] * data.Y
+    solved, log_det, _, _ = inverses(K, y, np.ones(1))
+    quadratic = max((y * solved).sum() + data.within[0], np.finfo(float).tiny)
+    value = 0.5 * (log_det[0] + data.n_total * np.log(quadratic))
+    return float(-value - evidence_constant(data))
