@@ -39,7 +39,7 @@ _CENTERS_PER_PARAMETER = 1.5
 # 1 % more rows a twentieth would do; the rest is for rows from where there were none.
 _NEW, _FEWEST_NEW = 0.3, 50
 # Frames from a warning here to the line on which a user has called `fit`, whose decorators count.
-_CALLER = 10
+_CALLER = 11
 # Parameters of the process below which its function is none; the same in an average of models,
 # where noise has had its weight. With the first instead of the second, networks of 5 rows had 1 %
 # more error (45 simulated functions).

@@ -124,6 +124,13 @@ class Problem(NamedTuple):
         """Rows that stand for all: all."""
         return self
 
+    def of_outputs(self, outputs):
+        """The same rows with some of the outputs."""
+        own = {name: getattr(self, name)[..., outputs] for name in ("within", "spread")}
+        wide = {name: getattr(self, name)[:, outputs] for name in ("targets", "projection")}
+        # In the order that they have where these outputs are all there are.
+        return self._replace(**own, **{k: np.ascontiguousarray(v) for k, v in wide.items()})
+
     def block(self, part):
         """Some rows."""
         arrays = self.X, self.root, self.tail, self.basis, self.targets
