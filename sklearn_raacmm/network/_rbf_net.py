@@ -56,8 +56,8 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
     of a Gaussian process [2]_ less a price for every feature that is used, and centres are added
     until the network is as good as that process. Where the data are no more probable than noise
     alone, the network is a constant; where a linear model makes them most probable, it is that.
-    With fewer than ten rows a feature and one output it is an average of the three, by their
-    probability. Several outputs share kernel, widths and centres; those that are clearly more
+    With up to 40 rows, fewer than ten a feature, and one output it is an average of the three, by
+    their probability. Several outputs share kernel, widths and centres; those that are clearly more
     probable with their own fall into groups.
 
     Parameters
@@ -94,9 +94,9 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
         none if `alpha` is given. "auto" is a constant, unless `length_scale` and `alpha` are to be
         found and the data are more probable with a linear model alone than with any radial
-        functions: then the network is that model. Below ten rows a feature, with one output,
-        it is an average of linear, radial and constant model, in which the linear part has a
-        ridge. Not above 100 000 rows, nor for "newrb".
+        functions: then the network is that model. With up to 40 rows, fewer than ten a feature,
+        and one output it is an average of linear, radial and constant model, in which the linear
+        part has a ridge. Not above 100 000 rows, nor for "newrb".
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:

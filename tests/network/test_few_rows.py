@@ -74,6 +74,8 @@ def test_one_model_where_it_is_clear_and_with_many_rows():
     X, Y, _ = few(n=40, d=4, q=1)
     process = Process("gaussian", np.full(4, 2.0), np.array([0.1]), 0.0, 5.0)
     assert average(Data(X, Y, np.ones(40), np.zeros(1)), process) is None
+    wide = Data(np.hstack([X, X**2]), Y, 1.1 * np.ones(40), np.zeros(1))
+    assert average(wide, process) is None
     two = np.hstack([Y[:30], Y[:30] ** 2])
     assert average(Data(X[:30], two, np.ones(30), np.zeros(2)), process) is None
     data = Data(X[:30], Y[:30] - Y[:30].mean(), np.ones(30), np.zeros(1))
