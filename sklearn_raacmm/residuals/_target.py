@@ -357,7 +357,7 @@ def _refuse_negative_weights(fit_params):
         wrong = np.flatnonzero(~(weights >= 0) | np.isinf(weights))
         if wrong.size:
             raise ValueError(
-                f"{name} must not be negative, and finite; {wrong.size} of {weights.size} weights "
+                f"{name} must be finite and not negative; {wrong.size} of {weights.size} weights "
                 f"are not (row {wrong[0]}: {weights.flat[wrong[0]]:g})."
             )
 

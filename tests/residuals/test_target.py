@@ -251,7 +251,7 @@ def test_weights_that_are_none_are_refused_at_the_door(isotropic, wrong):
     X, y = isotropic[:2]
     weights = np.ones(200)
     weights[3] = wrong
-    message = rf"sample_weight must not be negative, and finite; 1 of 200 .* \(row 3: {wrong:g}\)"
+    message = rf"sample_weight must be finite and not negative; 1 of 200 .* \(row 3: {wrong:g}\)"
     for regressor in (Ridge(), MultiOutputRegressor(SVR()), RBFNetRegressor()):
         with pytest.raises(ValueError, match=message):
             CylindricalResidualTarget(regressor).fit(X, y, sample_weight=weights)
