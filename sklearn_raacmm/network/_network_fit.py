@@ -49,8 +49,9 @@ def fit_network(problem, tuned, settings, rng, last=None):
     FittedNetwork
     """
     functions, alpha, n_found = tuned.functions, tuned.alpha, tuned.n_found
+    settings = settings._replace(several=tuned.several)
     if tuned.linear:
-        problem = with_tail(problem, 1, ridged=True)
+        problem = with_tail(problem, 1, ridged=tuned.tail_ridge or True)
     if tuned.share > 0:
         problem, alpha = with_group_noise(problem, alpha, functions, tuned.share)
     if takes_all_rows(problem, alpha, functions, settings):

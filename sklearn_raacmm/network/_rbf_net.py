@@ -56,8 +56,9 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
     of a Gaussian process [2]_ less a price for every feature that is used, and centres are added
     until the network is as good as that process. Where the data are no more probable than noise
     alone, the network is a constant; where a linear model makes them most probable, it is that.
-    Several outputs share kernel, widths and centres; those that are clearly more probable with
-    their own fall into groups.
+    With fewer than ten rows a feature and one output it is an average of the three, by their
+    probability. Several outputs share kernel, widths and centres; those that are clearly more
+    probable with their own fall into groups.
 
     Parameters
     ----------
@@ -93,7 +94,9 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
         none if `alpha` is given. "auto" is a constant, unless `length_scale` and `alpha` are to be
         found and the data are more probable with a linear model alone than with any radial
-        functions: then the network is that model. Not above 100 000 rows, nor for "newrb".
+        functions: then the network is that model. Below ten rows a feature, with one output,
+        it is an average of linear, radial and constant model, in which the linear part has a
+        ridge. Not above 100 000 rows, nor for "newrb".
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:
@@ -550,7 +553,8 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity.
+            If X has another number of features than in fit, or holds NaN or infinity; if the
+            derivatives of an infinite variance are asked for, as after a fit to one observation.
 
         Examples
         --------
