@@ -97,6 +97,8 @@ class _Writer:
             self._load()
             text, self.n_outputs = _c_network.network(self.numbers, step, self.std)
             about = f"RBFNetRegressor: {step.kernel_}, {len(step.centers_)} centres"
+            changed = len(step.powers_.changed)
+            about += f", powers of {changed} features" if changed else ""
             self._put(text, f"network(x, y{self._v});", about)
         elif isinstance(step, LINEAR):
             if self.std:

@@ -22,7 +22,12 @@ from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._steps import STAGES, check_fitted
-from sklearn_raacmm.network import NetworkPosterior, ProcessPosterior, RBFNetRegressor
+from sklearn_raacmm.network import (
+    FeaturePowers,
+    NetworkPosterior,
+    ProcessPosterior,
+    RBFNetRegressor,
+)
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_shapes, show
 
@@ -38,7 +43,8 @@ _ESTIMATORS = {
 }  # fmt: skip
 # Fitted numbers that are values of their own.
 _VALUES = {
-    kind.__name__: kind for kind in (Fading, LinearModel, NetworkPosterior, ProcessPosterior)
+    kind.__name__: kind
+    for kind in (FeaturePowers, Fading, LinearModel, NetworkPosterior, ProcessPosterior)
 }
 # Arrays of scikit-learn's steps: d is the number of features. Those that are None are left out.
 _SHAPES = {

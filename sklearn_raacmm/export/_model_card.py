@@ -202,7 +202,9 @@ def _fingerprint(model):
 def _step(step):
     name = type(step).__name__
     if hasattr(step, "centers_"):
-        return f"{name} ({step.kernel_}, {len(step.centers_)} centres)"
+        changed = len(step.powers_.changed)
+        powers = f", powers of {changed} features" if changed else ""
+        return f"{name} ({step.kernel_}, {len(step.centers_)} centres{powers})"
     if hasattr(step, "get_feature_names_out") and hasattr(step, "arm_"):
         return f"{name} ({', '.join(step.get_feature_names_out())})"
     return name

@@ -177,7 +177,7 @@ def posterior_spectrum(step):
     ValueError
         If the tables would be too large, as they are where thousands of rows are centres.
     """
-    posterior, k = step.posterior_, len(step.centers_)
+    posterior, k = step.posterior_, len(step.posterior_.centers)
     if k > MOST_CENTERS and isinstance(posterior, ProcessPosterior):
         raise ValueError(
             f"The standard deviation of a network of {k} centres would need a table of "

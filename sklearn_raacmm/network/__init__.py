@@ -4,12 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.network._all_rows import ProcessPosterior
+from sklearn_raacmm.network._feature_powers import FeaturePowers
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 from sklearn_raacmm.network._network_posterior import NetworkPosterior
 from sklearn_raacmm.network._rbf_net import RBFNetRegressor
 
 __all__ = [
     "KERNELS",
+    "FeaturePowers",
     "NetworkPosterior",
     "ProcessPosterior",
     "RBFNetRegressor",

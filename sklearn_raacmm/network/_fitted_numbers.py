@@ -2,7 +2,7 @@
 
 
 class FittedNumbers:
-    """Attributes of a fitted `RBFNetRegressor`, all of which are numbers of its `posterior_`."""
+    """Attributes of a fitted `RBFNetRegressor`: numbers of its `posterior_` and its `powers_`."""
 
     def _shaped(self, values):
         """Values whose last axis is the outputs, without it where y had none."""
@@ -22,7 +22,11 @@ class FittedNumbers:
 
     @property
     def centers_(self):
-        return self.posterior_.centers
+        return self.powers_.inverse(self.posterior_.centers)
+
+    @property
+    def lambdas_(self):
+        return self.powers_.lambdas
 
     @property
     def coef_(self):

@@ -49,7 +49,7 @@ def warn_of_bound(features):
             f"{WIDTH_BOUNDS[0]:g} of the feature's spread: the function may vary faster than the "
             "rows can show, or a few values lie far from all others.",
             ConvergenceWarning,
-            stacklevel=8,  # through the decorators of `fit`, to the line of the call
+            stacklevel=9,  # through the decorators of `fit`, to the line of the call
         )
 
 
@@ -61,7 +61,7 @@ def warn_of_unlike(outputs):
             "another length than the others, with which it shares the widths. Fit one network for "
             "each output: MultiOutputRegressor(RBFNetRegressor()).",
             ConvergenceWarning,
-            stacklevel=8,  # through the decorators of `fit`, to the line of the call
+            stacklevel=9,  # through the decorators of `fit`, to the line of the call
         )
 
 
