@@ -57,7 +57,7 @@ REAL = {
 PREDICTED_ROWS = 100_000
 # Rows from which three starts of the Gaussian process would take hours.
 PROCESS_ROWS = 1000
-LEVELS = (0.5, 0.9, 0.99)
+LEVELS = (0.5, 0.9, 0.95, 0.99)
 
 
 class TwoStageProcess(RegressorMixin, BaseEstimator):
@@ -247,6 +247,7 @@ def table(rows, title, value, methods, relative_to=None):
     for r in rows:
         by_seed = lines.setdefault((r["problem"], int(r["n"])), {})
         by_seed.setdefault(r["seed"], {})[r["method"]] = float(r[value] or "nan")
+    every = {}
     for (name, n), seeds in lines.items():
         base = None
         if relative_to is not None:
@@ -259,8 +260,13 @@ def table(rows, title, value, methods, relative_to=None):
                 for seed in seeds.values()
                 if method in seed and (base is None or base in seed)
             ]
-            fields.append(f"{np.median(figures):>12.3g}" if figures else f"{'-':>12}")
+            fields.append(f"{np.median(figures):>12.4g}" if figures else f"{'-':>12}")
+            if figures:
+                every.setdefault((n, method), []).append(np.median(figures))
         print(f"{name:<20} {n:>6} {len(seeds):>5} " + "".join(fields))
+    for n in sorted({n for n, _ in every}) if relative_to else ():
+        means = (np.exp(np.log(every.get((n, m), np.nan)).mean()) for m in methods)
+        print(f"{'geometric mean':<20} {n:>6} {'':>5} " + "".join(f"{m:>12.4g}" for m in means))
 
 
 def main():
