@@ -81,7 +81,8 @@ def fingerprint():
         "given widths, centres": given.center_indices_.tolist(),
         "given widths, coefficients": given.coef_[0, :5].tolist(),
         "given widths, predictions": given.predict(new).tolist(),
-        "network widths": network.length_scale_.tolist(),
+        "network groups": network.output_groups_.tolist(),
+        "network inverse widths": (1 / network.length_scale_).tolist(),
         "network predictions": network.predict(new).tolist(),
         "network deviations": network.predict(new, return_std=True)[1].tolist(),
         "chain centres": inner.center_indices_.tolist(),
@@ -100,7 +101,7 @@ def fingerprint():
 TOLERANCES = {
     "given widths, coefficients": 1e-6,
     "given widths, predictions": 1e-9,
-    "network widths": 1e-3,
+    "network inverse widths": 1e-3,
     "network predictions": 5e-3,
     "network deviations": 5e-3,
     "chain predictions": 1e-5,

@@ -151,11 +151,14 @@ def skops():
 
 def test_skops_needs_no_other_trust(skops, fitted, data, monkeypatch):
     needed = set()
-    # A network of which all rows are centres has a posterior of another kind.
+    # A network of which all rows are centres has a posterior of another kind, and so has one of
+    # several groups of outputs.
     monkeypatch.setattr(_all_rows, "FEWEST_ROWS", len(data.data))
     rough = RBFNetRegressor(length_scale=0.3, alpha=0.01).fit(data.data, data.target)
     assert rough.stop_reason_ == "all rows"
-    for model in [*fitted.values(), rough]:
+    widths = np.repeat([[1.0], [2.0], [1.0]], data.data.shape[1], axis=1)
+    groups = RBFNetRegressor(length_scale=widths, alpha=0.01, max_centers=10)
+    for model in [*fitted.values(), rough, groups.fit(data.data, data.target)]:
         text = skops.dumps(model)
         untrusted = skops.get_untrusted_types(data=text)
         needed |= set(untrusted)

@@ -28,6 +28,7 @@ from sklearn_raacmm.error_model import (
     find_fading,
     fit_points_and_turns,
     predict_turns,
+    warn_of_moved_seats,
     warn_where_unknown,
 )
 from sklearn_raacmm.network import RBFNetRegressor
@@ -47,6 +48,8 @@ from sklearn_raacmm.utils import (
 MODELS = ("none", "harmonics", "harmonics+network")
 # Offsets of new positions differ from those of the training positions, which the fit centred.
 _CAP_OF_OFFSETS = 3.0
+# For warnings: the line that calls `fit`, which three decorators wrap.
+_CALLER = 5
 
 
 class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -258,6 +261,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         ------
         ValueError
             As :class:`JointHarmonicRegressor`.
+
+        Warns
+        -----
+        UserWarning
+            As :class:`JointHarmonicRegressor`.
         """
         first = JointHarmonicRegressor() if self.harmonics is None else self.harmonics
         arm, *checked = check_fit(self, X, y, sample_weight, groups, lengths, linear=first)
@@ -268,6 +276,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             arm, checked, LinearOptions.of(first), positions, turns, self.n_folds
         )
         linear, pose_weight, left_out = fitted
+        if codes is not None:
+            left, noise = y - linear.predict(X)[0], linear.noise_variance
+            warn_of_moved_seats(left, X[:, : arm.n_joints], weights, groups, noise, _CALLER)
         robust = weights * pose_weight
         kept = robust > 0
         inputs = network_input(arm, X, self.joints)

@@ -16,6 +16,7 @@ from sklearn_raacmm.calibration import CalibrationResult
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std, say_again
 from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
 from sklearn_raacmm.correction._table_search import search_table
+from sklearn_raacmm.error_model import warn_of_moved_seats
 from sklearn_raacmm.utils import check_path, write_whole
 
 # Points of a calibrated arm that scatter by a larger share of its reach belong to another table:
@@ -225,6 +226,12 @@ def learn_correction(
         more than 2 % of its reach: labels, table or unit are then wrong, and the sentence says
         what :func:`search_table` has found.
 
+    Warns
+    -----
+    UserWarning
+        As :func:`calibrate`; and if a position has moved during a single-point test, as
+        :meth:`JointHarmonicRegressor.fit` says.
+
     See Also
     --------
     cross_validate_correction : The judgement alone.
@@ -263,6 +270,10 @@ def learn_correction(
     kept = np.delete(np.arange(len(data.angles)), scores.outliers)
     kept = data.without_lonely(kept)[0]
     fitted, noise = data.fit(model, calibration, kept)
+    if data.points is None:  # of all rows: those after a step may be outliers
+        left = calibration.residuals_mm - fitted.predict(data.angles)
+        every = np.ones(len(left))
+        warn_of_moved_seats(left, data.angles, every, data.positions, noise**2, stacklevel=2)
     return LearnedCorrection(
         arm=calibration.arm,
         model=fitted,

@@ -3,7 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import re
 import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass
 from inspect import ismethod
 
@@ -18,7 +20,7 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.error_model import MOVED, JointHarmonicRegressor
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
 
@@ -117,7 +119,9 @@ class Data:
         every = np.arange(len(self.angles))
         rows, lonely = self.without_lonely(every)
         model = JointHarmonicRegressor(calibration.arm)
-        model.fit(self.angles[rows], self.residuals(calibration, rows), groups=self.positions[rows])
+        y = self.residuals(calibration, rows)
+        with _said_of_all_rows():
+            model.fit(self.angles[rows], y, groups=self.positions[rows])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -136,11 +140,20 @@ class Data:
             for name, value in extra.items()
             if len(value) and has_fit_parameter(last, name)
         }
-        fitted.fit(self.angles[rows], y, **extra)
+        with _said_of_all_rows():
+            fitted.fit(self.angles[rows], y, **extra)
         left = y - fitted.predict(self.angles[rows])
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
+
+
+@contextmanager
+def _said_of_all_rows():
+    """Leave it to `learn_correction` to name positions that have moved: some rows are left out."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", re.escape(MOVED), UserWarning)
+        yield
 
 
 def _regions(points):

@@ -20,6 +20,7 @@ from sklearn_raacmm.error_model._joint_harmonics import JointHarmonicRegressor
 from sklearn_raacmm.error_model._left_out import LEAST_POSITIONS, interval_scales, leave_out
 from sklearn_raacmm.error_model._linear_fit import LinearOptions, constrained, fit_linear_model
 from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._moved_seats import MOVED, find_steps, warn_of_moved_seats
 from sklearn_raacmm.error_model._orders import LIKELY_ORDER, likely_gear_ratios, smooth_shares
 from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
@@ -28,6 +29,7 @@ __all__ = [
     "LEAST_POSITIONS",
     "LIKELY_ORDER",
     "LOAD",
+    "MOVED",
     "PUSH",
     "SHIFT",
     "Fading",
@@ -41,6 +43,7 @@ __all__ = [
     "column_table",
     "constrained",
     "find_fading",
+    "find_steps",
     "fit_linear_model",
     "fit_points_and_turns",
     "force_on_probe",
@@ -52,5 +55,6 @@ __all__ = [
     "predict_turns",
     "smooth_shares",
     "term_columns",
+    "warn_of_moved_seats",
     "warn_where_unknown",
 ]

@@ -12,6 +12,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
 from sklearn_raacmm.error_model._linear_fit import LinearOptions
+from sklearn_raacmm.error_model._moved_seats import warn_of_moved_seats
 from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.utils import (
@@ -27,6 +28,8 @@ from sklearn_raacmm.utils import (
 
 # Of a harmonic, in arc seconds: a thousandth of what an encoder resolves, and more than a turn.
 _PRIOR_BOUNDS = 1e-6, 2e6
+# For warnings: the line that calls `fit`, which three decorators wrap.
+_CALLER = 5
 
 
 class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -341,7 +344,9 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             offsets, but no `lengths` are given; if ``offsets="auto"`` finds none although the
             positions' means are smaller than chance makes them; if the weights add up to less than
             a tenth or more than a hundred times the number of rows; if nearly all of `y` is one
-            motion of the base: the reference is then most likely in another frame.
+            motion of the base: the reference is then most likely in another frame; if what the
+            model leaves at a position with an offset steps in the order of its rows, as it does
+            where a socket has moved during the test (about 12 poses or more are needed to tell).
         """
         arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
         X, y, weights, codes, _ = data
@@ -351,7 +356,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         fitted, both = fit_points_and_turns(arm, data, options, positions, turns)
         self.orientation_model_ = both
         self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
-        std = fitted.model.predict(X, return_std=True)[1]
+        mean, std = fitted.model.predict(X, return_std=True)
+        if codes is not None:
+            noise = fitted.model.noise_variance
+            warn_of_moved_seats(y - mean, X[:, : arm.n_joints], weights, groups, noise, _CALLER)
         used, widening = weights * self.pose_weight_, fitted.model.std_scale
         self.fading_ = find_fading(y, std, used, codes, self.fade, widening=widening)
 

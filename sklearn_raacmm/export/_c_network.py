@@ -3,12 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import re
 from math import factorial
 
 import numpy as np
 
 from sklearn_raacmm.export._steps import n_outputs, posterior_spectrum
-from sklearn_raacmm.network import kernel_matrix
+from sklearn_raacmm.network import kernel_matrix, networks_of
 
 # Centres that are computed together: a multiple of the numbers in a processor's vector.
 _VECTOR = 8
@@ -37,21 +38,73 @@ _KERNEL_LOOPS = {
 }
 
 
+# Names at file level that every group of outputs has its own of.
+_OWN_NAMES = (
+    "network", "network_variance", "intercept", "linear_coef", "center_shift", "inverse_width",
+    "center", "weight", "noise_variance", "signal_variance", "tail_map", "turn", "turn_unit",
+    "shrunk", "tail_shift",
+)  # fmt: skip
+_OWN_NAME = re.compile(rf"\b({'|'.join(_OWN_NAMES)})(?=[\[(])")
+
+
 def network(numbers, step, std, with_noise=True, exact=False):
     """``network(x, y, v)`` of an `RBFNetRegressor`, and its number of outputs.
 
     v takes the variances; it is there with `std` only. They are good to 1e-3 of the standard
     deviation, or with `exact` to rounding: where a correction depends on them.
     """
+    text, q = _network(numbers, step, std, with_noise, exact)
+    if not len(step.powers_.changed):
+        return text, q
+    text = re.sub(r"\bnetwork(?=\()", "network_of_powers", text)
+    text += _powers(numbers, step)
+    lines = [f"{numbers.real} powers[{step.n_features_in_}];", "see(x, powers);"]
+    lines.append(f"network_of_powers(powers, y{', v' if std else ''});")
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"{text}\n{_head(numbers.real, step.n_features_in_, q, std)}\n{{\n{body}\n}}\n", q
+
+
+def _network(numbers, step, std, with_noise, exact):
+    """The same of the features as the network sees them."""
+    groups, real, d, q = networks_of(step), numbers.real, step.n_features_in_, n_outputs(step)
+    if len(groups) == 1:
+        return _group_network(numbers, step, std, with_noise, exact)
+    exp, text, lines = _exponential(numbers), "", []
+    for number, (of, part) in enumerate(groups, start=1):
+        own = _group_network(numbers, part, std, with_noise, exact)[0]
+        own = _OWN_NAME.sub(rf"\1_{number}", own)
+        # All use the same exponential.
+        text += (own.replace(exp, "") if exp in text else own) + "\n"
+        m = len(of)
+        lines += ["{", f"    {real} part[{m}];"]
+        lines += [f"    {real} of_part[{m}];"] if std else []
+        call = ", v ? of_part : 0" if std else ""
+        lines.append(f"    network_{number}(x, part{call});")
+        lines += [f"    y[{j}] = part[{i}];" for i, j in enumerate(of)]
+        if std:
+            lines += [
+                "    if (v) {",
+                *(f"        v[{j}] = of_part[{i}];" for i, j in enumerate(of)),
+            ]
+            lines.append("    }")
+        lines.append("}")
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"{text}\n{_head(real, d, q, std)}\n{{\n{body}\n}}\n", q
+
+
+def _head(real, d, q, std):
+    head = f"static void network(const {real} x[{d}], {real} y[{q}]"
+    return head + (f", {real} *v)" if std else ")")
+
+
+def _group_network(numbers, step, std, with_noise, exact):
+    """The same of outputs that share centres."""
     real, d, q = numbers.real, step.n_features_in_, n_outputs(step)
     k = len(step.posterior_.centers)
-    full, seen = _whole_vectors(k), len(step.powers_.changed) > 0
+    full = _whole_vectors(k)
     text = numbers.table("intercept", np.atleast_1d(step.intercept_))
     linear_coef = np.atleast_2d(step.linear_coef_)
     lines = [f"{real} phi[{full}];"] if k else ["(void)x;"]
-    if seen:
-        text += "\n" + _powers(numbers, step)
-        lines = [f"{real} x[{d}];", *lines[: bool(k)], "see(given, x);"]
     lines += [f"for (int j = 0; j < {q}; ++j)", "    y[j] = intercept[j];"]
     if np.any(linear_coef):
         text += numbers.table("linear_coef", linear_coef)
@@ -78,9 +131,7 @@ def network(numbers, step, std, with_noise=True, exact=False):
         text += "\n" + _network_variance(numbers, step, with_noise, exact)
         lines += ["if (v)", f"    network_variance(x, {'phi' if k else '0'}, v);"]
     body = "\n".join(f"    {line}" for line in lines)
-    head = f"static void network(const {real} {'given' if seen else 'x'}[{d}], {real} y[{q}]"
-    head += f", {real} *v)" if std else ")"
-    return f"{text}\n{head}\n{{\n{body}\n}}\n", q
+    return f"{text}\n{_head(real, d, q, std)}\n{{\n{body}\n}}\n", q
 
 
 def _powers(numbers, step):
@@ -341,16 +392,14 @@ _EXP = {
 }
 
 
-def _kernel(numbers, kernel, n):
-    """Functions that a kernel needs, and its loops over n centres as lines."""
+def _exponential(numbers):
+    """``falling_exp(x)`` in C."""
     facts = dict(_EXP[numbers.real])
-    lines = _KERNEL_LOOPS[kernel]
     degree = facts.pop("degree")
     factors = [numbers.literal(1 / factorial(i)) for i in range(degree + 1)]
-    most = numbers.literal(-facts["least"])
     for name in ("least", "shifter", "high", "low"):
         facts[name] = numbers.literal(facts[name])
-    exp = _FALLING_EXP.format(
+    return _FALLING_EXP.format(
         real=numbers.real,
         f=numbers.suffix,
         log2e=numbers.literal(1 / np.log(2)),
@@ -358,9 +407,15 @@ def _kernel(numbers, kernel, n):
         series="\n".join(f"    p = p * r + {factor};" for factor in factors[-2::-1]),
         **facts,
     )
+
+
+def _kernel(numbers, kernel, n):
+    """Functions that a kernel needs, and its loops over n centres as lines."""
+    lines = _KERNEL_LOOPS[kernel]
+    most = numbers.literal(-_EXP[numbers.real]["least"])
     loops = [f"/* {kernel}, of the squared distance in units of the length scales */"]
     for line in lines:
         roots = {f"sqrt{i}": numbers.literal(np.sqrt(i)) for i in (3, 5)}
         body = line.format(f=numbers.suffix, most=most, **roots)
         loops += [f"for (int c = 0; c < {n}; ++c)", f"    {body}"]
-    return exp if any("falling_exp" in line for line in lines) else "", loops
+    return _exponential(numbers) if any("falling_exp" in line for line in lines) else "", loops

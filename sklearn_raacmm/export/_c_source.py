@@ -19,6 +19,7 @@ from sklearn_raacmm.export._steps import (
     STAGES,
     arm_of,
     check_fitted,
+    described,
     extra_of,
     leaves,
 )
@@ -96,9 +97,7 @@ class _Writer:
         elif isinstance(step, RBFNetRegressor):
             self._load()
             text, self.n_outputs = _c_network.network(self.numbers, step, self.std)
-            about = f"RBFNetRegressor: {step.kernel_}, {len(step.centers_)} centres"
-            changed = len(step.powers_.changed)
-            about += f", powers of {changed} features" if changed else ""
+            about = f"RBFNetRegressor: {described(step)}"
             self._put(text, f"network(x, y{self._v});", about)
         elif isinstance(step, LINEAR):
             if self.std:

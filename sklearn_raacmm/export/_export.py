@@ -19,6 +19,7 @@ from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import (
     FeaturePowers,
+    GroupedPosterior,
     NetworkPosterior,
     ProcessPosterior,
     RBFNetRegressor,
@@ -36,6 +37,7 @@ TRUSTED_TYPES = [
         ArmResidualRegressor,
         Fading,
         FeaturePowers,
+        GroupedPosterior,
         JointHarmonicRegressor,
         LinearModel,
         PoseFeatures,

@@ -19,7 +19,7 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_source import fingerprint_of
-from sklearn_raacmm.export._steps import arm_of, check_fitted, extra_of, leaves
+from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
     centred,
@@ -202,9 +202,7 @@ def _fingerprint(model):
 def _step(step):
     name = type(step).__name__
     if hasattr(step, "centers_"):
-        changed = len(step.powers_.changed)
-        powers = f", powers of {changed} features" if changed else ""
-        return f"{name} ({step.kernel_}, {len(step.centers_)} centres{powers})"
+        return f"{name} ({described(step)})"
     if hasattr(step, "get_feature_names_out") and hasattr(step, "arm_"):
         return f"{name} ({', '.join(step.get_feature_names_out())})"
     return name

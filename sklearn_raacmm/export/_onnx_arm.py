@@ -166,8 +166,16 @@ def _linear_model(graph, linear, angles, values, poses, doubted):
     return y, graph("Squeeze", squares, graph.integers(2))
 
 
-def _network_variance(graph, step, x, phi):
+def _network_variance(graph, parts, x):
     """Sum over the outputs of a network's variances, (n, 1), without noise."""
+    total, *others = (_group_variance(graph, step, x, phi) for step, phi in parts)
+    for variance in others:
+        total = graph("Add", total, variance)
+    return total
+
+
+def _group_variance(graph, step, x, phi):
+    """The same of outputs that share centres."""
     turn, shift, tail, shrunk = posterior_spectrum(step)
     noise, signal = np.atleast_1d(step.noise_variance_), np.atleast_1d(step.signal_variance_)
     one = graph.integers(1)
@@ -230,8 +238,8 @@ def convert_arm_model(scope, operator, container):
             used, elevation = pose_angles(graph, arm, angles, poses)
             x = graph("Concat", used, angle(graph, *elevation), axis=1)
         x = seen(graph, step.network_, x)
-        y, phi = network(graph, step.network_, x)
-        variance = _network_variance(graph, step.network_, x, phi) if doubted else None
+        y, parts = network(graph, step.network_, x)
+        variance = _network_variance(graph, parts, x) if doubted else None
         y = to_cartesian(graph, y, azimuth(graph, arm, poses))
         total = graph("Add", total, _faded(graph, y, variance, fadings[1]))
     cap_mm = getattr(step, "cap_mm_", np.inf)

@@ -18,6 +18,7 @@ from sklearn_raacmm.export._onnx_graph import (
     transforms,
 )
 from sklearn_raacmm.export._steps import azimuth_arm, n_outputs
+from sklearn_raacmm.network import networks_of
 from sklearn_raacmm.residuals import NORM_TOLERANCE
 
 
@@ -117,10 +118,26 @@ def seen(graph, step, x):
 
 
 def network(graph, step, x):
-    """Prediction (n, q) of an `RBFNetRegressor`, and its radial functions (n, k) or None.
+    """Prediction (n, q) of an `RBFNetRegressor` at features as it sees them, see `seen`.
 
-    x are the features as it sees them, see `seen`.
+    Returns
+    -------
+    y : str
+    parts : list of (object, str or None)
+        Every group of outputs as a network, and its radial functions (n, k), None without centres.
     """
+    groups = networks_of(step)
+    found = [_group_network(graph, part, x) for _, part in groups]
+    parts = [(part, phi) for (_, part), (_, phi) in zip(groups, found, strict=True)]
+    if len(groups) == 1:
+        return found[0][0], parts
+    order = np.argsort(np.concatenate([of for of, _ in groups]))
+    y = graph("Concat", *(y for y, _ in found), axis=1)
+    return graph("Gather", y, graph.integers(*order), axis=1), parts
+
+
+def _group_network(graph, step, x):
+    """Prediction of outputs that share centres, and their radial functions or None."""
     y = graph("Add", graph.refusal(x), np.atleast_1d(step.intercept_)[None, :])
     linear = np.atleast_2d(step.linear_coef_)
     if np.any(linear):

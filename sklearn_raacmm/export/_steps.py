@@ -17,7 +17,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import force_on_probe
-from sklearn_raacmm.network import ProcessPosterior, RBFNetRegressor
+from sklearn_raacmm.network import ProcessPosterior, RBFNetRegressor, networks_of
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show
 
@@ -123,6 +123,19 @@ def arm_of(model):
 def n_outputs(network):
     """Number of outputs of a fitted `RBFNetRegressor`, whatever the shape of its target."""
     return 1 if getattr(network.intercept_, "ndim", 0) == 0 else len(network.intercept_)
+
+
+def described(network):
+    """Kernel and number of centres of a fitted `RBFNetRegressor`, group by group, as text."""
+    parts = networks_of(network)
+    texts = [f"{part.kernel_}, {len(part.posterior_.centers)} centres" for _, part in parts]
+    changed = len(network.powers_.changed)
+    powers = f", powers of {changed} features" if changed else ""
+    if len(parts) == 1:
+        return texts[0] + powers
+    outputs = [", ".join(str(i) for i in of) for of, _ in parts]
+    groups = [f"outputs {of}: {text}" for of, text in zip(outputs, texts, strict=True)]
+    return "; ".join(groups) + powers
 
 
 def extra_of(model):

@@ -26,8 +26,13 @@ from scipy.linalg import LinAlgError
 from scipy.optimize import minimize_scalar
 from scipy.special import boxcox, boxcox1p, inv_boxcox, inv_boxcox1p
 
-from sklearn_raacmm.network._likelihood import Data, leave_one_out
-from sklearn_raacmm.network._polynomial_tail import linear_left_out, linear_process
+from sklearn_raacmm.network._kernels import KERNELS, squared_distances
+from sklearn_raacmm.network._likelihood import Data, leave_one_out, left_out, weigh
+from sklearn_raacmm.network._polynomial_tail import (
+    linear_columns,
+    linear_left_out,
+    linear_process,
+)
 from sklearn_raacmm.network._width_search import EXACT_ROWS
 from sklearn_raacmm.utils import LARGEST, check_shapes
 
@@ -216,10 +221,10 @@ def tune_powers(estimator, problem, find, rng, last=None, refit=False):
         Maybe with powers of its last fit.
     problem : Problem or ChunkedProblem
     find : callable
-        ``find(problem, last=last)`` gives a `Tuned`.
+        ``find(problem, last=last)`` gives groups of outputs, as `tuned_groups` does.
     rng : numpy.random.RandomState
         Of `find`, which is to draw the same rows twice.
-    last : Posterior, optional
+    last : Posterior or GroupedPosterior, optional
         Of the last fit, for a warm start.
     refit : bool
         Whether it is a fit to the same rows with other weights, so that powers that were found are
@@ -227,12 +232,9 @@ def tune_powers(estimator, problem, find, rng, last=None, refit=False):
 
     Returns
     -------
-    problem : Problem or ChunkedProblem
-        As the network sees it.
-    tuned : Tuned
+    groups : list of Group
+        Their problems are as the network sees them.
     powers : FeaturePowers
-    last : Posterior or None
-        None where it has seen the features otherwise.
     """
     as_is = before = FeaturePowers.none(problem.X.shape[1])
     if refit or last is not None:
@@ -240,24 +242,23 @@ def tune_powers(estimator, problem, find, rng, last=None, refit=False):
     likely = likely_powers(estimator, problem) if problem.codes is None else None
     if len(before.changed):
         if refit or likely is not None:
-            seen = problem._replace(X=before.transform(problem.X))
-            tuned = find(seen, last=last)
-            if refit or _is_kept(tuned, last):
-                return seen, tuned, before, last
-        last = None
+            groups = find(problem._replace(X=before.transform(problem.X)), last=last)
+            if refit or _are_kept(groups):
+                return groups, before
+        last = None  # it has seen the features otherwise
     if likely is None:
-        return problem, find(problem, last=last), as_is, last
+        return find(problem, last=last), as_is
     state = rng.get_state()
     plain, said = _noting(find, problem, last)
-    found, after = (problem, plain, as_is, last), rng.get_state()
-    if not _is_kept(plain, last):
+    found, after = (plain, as_is), rng.get_state()
+    if not _are_kept(plain):
         rng.set_state(state)
-        seen = problem._replace(X=likely.transform(problem.X))
         try:
-            tuned, warned = _noting(find, seen, None)
-            lead = tuned.log_likelihood - plain.log_likelihood
-            if lead > POWER_MARGIN and left_out(seen, tuned) < left_out(problem, plain):
-                found, after, said = (seen, tuned, likely, None), rng.get_state(), warned
+            seen = problem._replace(X=likely.transform(problem.X))
+            groups, warned = _noting(find, seen, None)
+            lead = log_likelihood_of(groups) - log_likelihood_of(plain)
+            if lead > POWER_MARGIN and _left_out(groups) < _left_out(plain):
+                found, after, said = (groups, likely), rng.get_state(), warned
         except LinAlgError:  # features of which no kernel can be made are no candidate
             pass
     rng.set_state(after)
@@ -266,8 +267,19 @@ def tune_powers(estimator, problem, find, rng, last=None, refit=False):
     return found
 
 
-def left_out(problem, tuned):
-    """Sum of squares of rows left out one at a time, in the targets' variances.
+def log_likelihood_of(groups):
+    """Logarithm of the likelihood of all groups of outputs; None where nothing was searched for."""
+    values = [group.tuned.log_likelihood for group in groups]
+    return None if None in values else sum(values)
+
+
+def _left_out(groups):
+    """Sum of squares of rows left out one at a time, in the targets' variances."""
+    return sum(left_out_error(group.problem, group.tuned) for group in groups)
+
+
+def left_out_error(problem, tuned):
+    """The same of outputs that share kernel and widths.
 
     Of all rows, or of as many as kernels are compared on.
     """
@@ -276,17 +288,23 @@ def left_out(problem, tuned):
     X = problem.X - np.average(problem.X, axis=0, weights=weights)
     data = Data(X, view.of(block)[1] / problem.root, weights, view.within)
     data = data.rows(data.draw(EXACT_ROWS, np.random.RandomState(0)))
-    if tuned.linear:
+    if tuned.linear and not tuned.tail_ridge:
         return linear_left_out(data, linear_process(data).ridge).squared_error
     kernel, _, width = tuned.functions
-    return leave_one_out(
-        data, kernel, np.log(width), np.log(tuned.alpha[view.outputs])
-    ).squared_error
+    alpha = tuned.alpha[view.outputs]
+    if not tuned.linear:
+        return leave_one_out(data, kernel, np.log(width), np.log(alpha)).squared_error
+    # An average of models: radial functions beside a linear part, in units of the noise.
+    Z, columns = data.X / width, linear_columns(data)
+    K = KERNELS[kernel].function(squared_distances(Z, Z)) / alpha
+    weigh(K, np.sqrt(data.weights))
+    K += columns @ columns.T / tuned.tail_ridge
+    return left_out(data, K, np.ones(1)).squared_error
 
 
-def _is_kept(tuned, last):
-    """Whether the widths are those of the last fit."""
-    return last is not None and np.array_equal(tuned.functions.length_scale, last.length_scale)
+def _are_kept(groups):
+    """Whether all is from the last fit."""
+    return all(group.tuned.kept for group in groups)
 
 
 def _noting(find, problem, last):

@@ -1,5 +1,7 @@
 """The fitted numbers of a network under their public names."""
 
+import numpy as np
+
 
 class FittedNumbers:
     """Attributes of a fitted `RBFNetRegressor`: numbers of its `posterior_` and its `powers_`."""
@@ -15,6 +17,10 @@ class FittedNumbers:
     @property
     def kernel_(self):
         return self.posterior_.kernel
+
+    @property
+    def output_groups_(self):
+        return self.posterior_.output_groups
 
     @property
     def length_scale_(self):
@@ -51,3 +57,37 @@ class FittedNumbers:
     @property
     def signal_variance_(self):
         return self._of_outputs(self.posterior_.signal_variance)
+
+
+class GroupNetwork(FittedNumbers):
+    """A group of a network's outputs, with the attributes that a network of these alone has.
+
+    Parameters
+    ----------
+    posterior : NetworkPosterior or ProcessPosterior
+    powers : FeaturePowers
+    """
+
+    def __init__(self, posterior, powers):
+        self.posterior_, self.powers_, self._flat = posterior, powers, False
+        self.n_features_in_ = len(posterior.length_scale)
+
+
+def networks_of(network):
+    """A fitted network taken apart into groups of outputs.
+
+    Parameters
+    ----------
+    network : RBFNetRegressor
+
+    Returns
+    -------
+    list of (ndarray, FittedNumbers)
+        Outputs, and what has the attributes of a network of these; the network itself where all
+        outputs are of one group.
+    """
+    posterior = network.posterior_
+    if not hasattr(posterior, "parts"):
+        return [(np.arange(len(posterior.alpha)), network)]
+    parts = zip(posterior.outputs(), posterior.parts, strict=True)
+    return [(of, GroupNetwork(part, network.powers_)) for of, part in parts]

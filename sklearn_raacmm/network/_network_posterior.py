@@ -86,6 +86,11 @@ class Posterior:
         shift = self.centers.mean(axis=0) if len(self.centers) else 0.0
         return shift, (self.centers - shift) / self.length_scale
 
+    @property
+    def output_groups(self):
+        """Group of every output: all are of one, see `GroupedPosterior`."""
+        return np.zeros(len(self.alpha), dtype=int)
+
     def with_noise(self, factor):
         """The same with a larger variance of the noise, for one that was estimated too small."""
         return replace(self, noise_variance=factor * self.noise_variance)

@@ -24,21 +24,21 @@ def leading_bits(values):
     return np.ldexp(np.round(mantissa * 2**14) / 2**14, exponent)
 
 
-def check_length_scale(length_scale, n_features):
-    """Widths as an array of one a feature; None where they are to be found."""
+def check_length_scale(length_scale, n_features, n_outputs):
+    """Widths of every feature, (d,) or of every output (q, d); None where they are to be found."""
     if isinstance(length_scale, str):
         return None
     width = floats("length_scale", length_scale)
-    if width.ndim > 1 or (width.ndim == 1 and len(width) != n_features):
+    if width.shape not in ((), (n_features,), (n_outputs, n_features)):
         raise ValueError(
             f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
-            f"of the {n_features} features."
+            f"of the {n_features} features, or such a row for each of the {n_outputs} outputs."
         )
     if not np.all(width >= 1 / LARGEST):
         raise ValueError(
             f"length_scale must be positive, at least {1 / LARGEST:g}; got {show(length_scale)}."
         )
-    return np.broadcast_to(width, n_features).copy()
+    return width if width.ndim == 2 else np.broadcast_to(width, n_features).copy()
 
 
 def warn_of_bound(features):
@@ -49,24 +49,25 @@ def warn_of_bound(features):
             f"{WIDTH_BOUNDS[0]:g} of the feature's spread: the function may vary faster than the "
             "rows can show, or a few values lie far from all others.",
             ConvergenceWarning,
-            stacklevel=9,  # through the decorators of `fit`, to the line of the call
+            stacklevel=11,  # through the decorators of `fit`, to the line of the call
         )
 
 
 def warn_of_unlike(outputs):
-    """Warn of outputs that need widths of their own."""
+    """Warn of outputs that need widths of their own, but have to share them."""
     if len(outputs):
         warnings.warn(
             f"Output {', '.join(map(str, outputs))} is taken for noise, because it varies at "
-            "another length than the others, with which it shares the widths. Fit one network for "
-            "each output: MultiOutputRegressor(RBFNetRegressor()).",
+            "another length than the others, with which it shares the widths where n_centers is "
+            'given, for "newrb" and for rows that are read in blocks. Fit one network for each '
+            "output: MultiOutputRegressor(RBFNetRegressor()).",
             ConvergenceWarning,
-            stacklevel=9,  # through the decorators of `fit`, to the line of the call
+            stacklevel=11,  # through the decorators of `fit`, to the line of the call
         )
 
 
-def relevance(problem, posterior):
-    """Slope of the modelled function along every feature, per spread, as a share of their sum."""
+def slopes(problem, posterior):
+    """Squared slope of the modelled function along every feature, per spread."""
     unit = problem.X.std(axis=0)
     linear = np.square(posterior.polynomial[1:] * unit[:, None])
     # Outputs count alike, whatever their units.
@@ -74,7 +75,12 @@ def relevance(problem, posterior):
     radial = np.where(posterior.alpha < ALPHA_BOUNDS[1], posterior.signal_variance, 0.0)
     shares = (np.divide(a, scale, out=np.zeros_like(a), where=scale > 0) for a in (radial, linear))
     radial, linear = (share.sum(axis=-1) for share in shares)
-    slope = np.sqrt(radial * np.square(unit / posterior.length_scale) + linear)
+    return radial * np.square(unit / posterior.length_scale) + linear
+
+
+def relevance(squares):
+    """Slopes, of which the squares are given, as a share of their sum."""
+    slope = np.sqrt(squares)
     total = slope.sum()
     return slope / total if 0 < total < np.inf else np.zeros(len(slope))
 
@@ -97,6 +103,10 @@ def check_alpha(alpha, n_outputs):
 def check_resolved(width, X, alpha):
     """Refuse given widths for which rounding of the distances changes the kernel."""
     if width is None or not len(X):
+        return
+    if width.ndim == 2:
+        for row in width:
+            check_resolved(row, X, alpha)
         return
     ranges = np.ptp(X, axis=0)
     i = int(np.argmax(ranges / width))

@@ -13,17 +13,19 @@ from sklearn_raacmm.utils import centred
 TAIL_RIDGES = 2.0 ** np.arange(-40, 41)
 
 
-def tail_columns(X, weights, degree, codes=None):
+def tail_columns(X, weights, degree, codes=None, ridged=False):
     """Columns of the tail, in features centred and scaled so that they are well conditioned.
 
     Where groups have offsets there is no constant, and features are taken less their group's mean.
+    With fewer rows than features some are combinations of others by chance: `ridged` keeps them,
+    because a ridge tells them apart.
     """
     n, d = X.shape
     if degree < 0:
         return np.empty((n, 0)), np.empty((0, d + 1))
     if codes is not None:
         center, inner = np.average(X, axis=0, weights=weights), centred(X, codes, weights)
-        _, scale_map = tail_columns(inner, weights, degree)
+        _, scale_map = tail_columns(inner, weights, degree, ridged=ridged)
         used = np.flatnonzero(scale_map[1:, 1:].any(axis=0))
         used = used[np.ptp(inner[:, used], axis=0) > 1e-13 * np.abs(X[:, used]).max(axis=0)]
         scale = np.sqrt(np.average(np.square(inner), axis=0, weights=weights))
@@ -32,6 +34,8 @@ def tail_columns(X, weights, degree, codes=None):
     scale = np.sqrt(np.average(np.square(X - center), axis=0, weights=weights))
     if degree == 0:
         used = np.empty(0, dtype=int)
+    elif ridged and n <= d:
+        used = np.flatnonzero(scale > 1e-13 * np.abs(X).max(axis=0))
     else:
         used = independent_features(X, center, scale, np.abs(X).max(axis=0))
     tail = np.column_stack([np.ones(n), (X[:, used] - center[used]) / scale[used]])
@@ -149,18 +153,18 @@ def linear_process(data):
     """
     n, has_mean = data.n_total, data.codes is None
     targets = np.sqrt(data.weights)[:, None] * data.Y
-    found = linear_evidence(_linear_columns(data), targets, data.within, n - has_mean, n)
+    found = linear_evidence(linear_columns(data), targets, data.within, n - has_mean, n)
     constant = data.Y.shape[1] * evidence_constant(data)
     return found._replace(log_likelihood=found.log_likelihood - constant)
 
 
 def linear_left_out(data, ridge):
     """Leave-one-out predictions of the linear model, as `leave_one_out` has them."""
-    tail = _linear_columns(data)
+    tail = linear_columns(data)
     return left_out(data, tail @ tail.T / ridge, np.ones(data.Y.shape[1]))
 
 
-def _linear_columns(data):
+def linear_columns(data):
     """Features about their mean, or that of their group, in units of their spread, times root."""
-    tail = tail_columns(data.X, data.weights, 1, data.codes)[0]
+    tail = tail_columns(data.X, data.weights, 1, data.codes, ridged=True)[0]
     return np.sqrt(data.weights)[:, None] * tail[:, int(data.codes is None) :]

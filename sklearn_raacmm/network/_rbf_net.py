@@ -9,11 +9,10 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.network._center_choice import CenterSettings
-from sklearn_raacmm.network._feature_powers import likely_powers, tune_powers
+from sklearn_raacmm.network._feature_powers import likely_powers, log_likelihood_of, tune_powers
 from sklearn_raacmm.network._fitted_numbers import FittedNumbers
+from sklearn_raacmm.network._grouped_fit import Given, check_kernel, fit_groups, tuned_groups
 from sklearn_raacmm.network._kernels import KERNELS
-from sklearn_raacmm.network._large_data import is_dask
-from sklearn_raacmm.network._network_fit import fit_network
 from sklearn_raacmm.network._parameters import (
     check_alpha,
     check_length_scale,
@@ -21,8 +20,8 @@ from sklearn_raacmm.network._parameters import (
     relevance,
 )
 from sklearn_raacmm.network._read_data import read_problem
-from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
-from sklearn_raacmm.network._tuning import last_network, tune
+from sklearn_raacmm.network._robust_loss import reweigh
+from sklearn_raacmm.network._tuning import last_network
 from sklearn_raacmm.utils import (
     Interval,
     StrOptions,
@@ -31,9 +30,7 @@ from sklearn_raacmm.utils import (
     check_fitted,
     check_flags,
     check_shapes,
-    check_weights,
     check_whole_number,
-    encode_groups,
     fit_context,
     one_blas_thread,
     whole_fit,
@@ -58,17 +55,23 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
     of a Gaussian process [2]_ less a price for every feature that is used, and centres are added
     until the network is as good as that process. Where the data are no more probable than noise
     alone, the network is a constant; where a linear model makes them most probable, it is that.
+    With fewer than ten rows a feature and one output it is an average of the three, by their
+    probability. Several outputs share kernel, widths and centres; those that are clearly more
+    probable with their own fall into groups.
 
     Parameters
     ----------
     n_centers : int or "auto", default="auto"
         Number of centres; all candidates, with a warning, where there are fewer. "auto" leaves it
         to `criterion`, and makes all distinct rows of a rough function centres; see the notes.
+        A number is shared by all outputs, unless `length_scale` has rows of them: then it is that
+        of each group.
 
-    kernel : str, default="auto"
+    kernel : str or array-like of shape (n_outputs,), default="auto"
         Radial function of the scaled distance r. "auto" takes "gaussian", or "matern52" or
         "matern32" for rougher functions where the data are clearly more probable with them; with
-        a given `length_scale`, which is one kernel's, "gaussian".
+        a given `length_scale`, which is one kernel's, "gaussian". A name for each output goes with
+        such a `length_scale`.
         "gaussian", :math:`e^{-r^2/2}`; "matern32",
         :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
         :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "rational_quadratic",
@@ -76,7 +79,8 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width of the radial functions, in the units of X: one number, or one for each feature,
-        shape (n_features,); infinity leaves a feature out.
+        shape (n_features,); infinity leaves a feature out. A row for each output, shape
+        (n_outputs, n_features): outputs of the same kernel and widths share centres.
         "auto" finds one for each feature, "isotropic" one for all, in units of each feature's
         standard deviation.
 
@@ -89,7 +93,9 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         a ridge of its own, found by the likelihood of a linear model, if `alpha` is "auto", and
         none if `alpha` is given. "auto" is a constant, unless `length_scale` and `alpha` are to be
         found and the data are more probable with a linear model alone than with any radial
-        functions: then the network is that model. Not above 100 000 rows, nor for "newrb".
+        functions: then the network is that model. Below ten rows a feature, with one output,
+        it is an average of linear, radial and constant model, in which the linear part has a
+        ridge. Not above 100 000 rows, nor for "newrb".
 
     criterion : str, default="auto"
         How "auto" finds the number of centres:
@@ -147,14 +153,19 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
 
     Attributes
     ----------
+    output_groups_ : ndarray of shape (n_outputs,)
+        Group of every output, from 0. Outputs of a group share kernel, widths and centres; a
+        constant one is of the first group.
+
     centers_ : ndarray of shape (n_centers, n_features)
-        Centres, in the order of selection; sorted where all rows are centres.
+        Centres, in the order of selection; sorted where all rows are centres. With several groups
+        of outputs theirs one after another, as in all attributes by centre.
 
     center_indices_ : ndarray of shape (n_centers,)
         Their rows in X.
 
     coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
-        Weights, in the units of y.
+        Weights, in the units of y; 0 at the centres of another group of outputs.
 
     intercept_ : float or ndarray of shape (n_outputs,)
         Constant term.
@@ -163,12 +174,13 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         Linear term, in the powers of the features where these are seen so; zero unless `degree` is
         1, or "auto" has found it to be.
 
-    kernel_ : str
-        Name of the radial function, chosen or given.
+    kernel_ : str or ndarray of shape (n_outputs,)
+        Name of the radial function, chosen or given; with several groups of outputs, of each.
 
-    length_scale_ : ndarray of shape (n_features,)
-        Width of every feature, or of the power that it is seen through; infinite for a feature that
-        is ignored: it did not vary, or the function's slope along it cannot be told from 0.
+    length_scale_ : ndarray of shape (n_features,) or (n_outputs, n_features)
+        Width of every feature, or of the power that it is seen through, with several groups of
+        outputs for each output; infinite for a feature that is ignored: it did not vary, or the
+        function's slope along it cannot be told from 0.
 
     lambdas_ : ndarray of shape (n_features,)
         Exponent of every feature: 1 where it is seen as it is, 0 where by its logarithm.
@@ -177,7 +189,7 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         All numbers of these powers.
 
     alpha_ : float or ndarray of shape (n_outputs,)
-        Ridge of every output. Outputs share widths and centres, but not their noise.
+        Ridge of every output: outputs of a group share widths and centres, but not their noise.
 
     noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
         Of the Gaussian process whose posterior the network approximates, in squared units of y;
@@ -199,13 +211,14 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         centre lowered the objective. Empty where all rows are centres, which have no order.
 
     criterion_path_ : ndarray of shape (n_tried,)
-        The criterion after 1, 2, ... centres. Empty where none was needed.
+        The criterion after 1, 2, ... centres of a group of outputs. Empty where none was needed.
 
     stop_reason_ : str
         Why no more centres were tried: "n_centers", "max_centers", "criterion", "dependent" (every
         other candidate is a combination of the chosen ones to working precision), "rank" (the
         same, but only as far as a factor of limited rank tells the candidates apart) or "all rows"
-        (none was chosen: all distinct rows are centres).
+        (none was chosen: all distinct rows are centres). With several groups of outputs theirs,
+        joined by ", ".
 
     row_weight_ : ndarray of shape (n_samples,)
         With ``loss="tukey"``: the factor of each row's weight, 0 for an outlier.
@@ -218,8 +231,9 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         smooth function of each group's own. With offsets the level of the prediction is not known:
         its mean over the training rows is 0, and deviations are of the difference from that mean.
 
-    posterior_ : NetworkPosterior or ProcessPosterior
-        All numbers that predictions are made of; the latter where all rows are centres.
+    posterior_ : NetworkPosterior, ProcessPosterior or GroupedPosterior
+        All numbers that predictions are made of; the second where all rows are centres, the last
+        with several groups of outputs.
 
     n_features_in_ : int
         Number of features seen during fit.
@@ -243,6 +257,12 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
     their number and in memory that does not depend on it: centres and the rows that decide on the
     widths then come from a sample, drawn by a hash of the rows' content, and repeated rows are
     merged in that sample only. `fit` takes dask arrays, too; each chunk is worked on where it is.
+
+    Outputs fall into groups where widths are to be found, `n_centers` is "auto" and there are at
+    most 16 of them; not for "newrb", nor with offsets of `groups`, nor for rows in blocks. On 300
+    rows it is looked what every output would gain by widths of its own, and which others suit it;
+    a group more has to raise the likelihood, less the price of features, by 10 nats, and the
+    density of rows left out. Each group is then the network that its outputs alone would have.
 
     Where a function is rough all distinct rows become centres, and the model is the Gaussian
     process itself: if it has more effective parameters than a quarter of the rows, or than 2000
@@ -283,7 +303,7 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
 
     _parameter_constraints: dict = {
         "n_centers": [Interval(Integral, 1, None, closed="left"), StrOptions({"auto"})],
-        "kernel": [StrOptions({"auto", *KERNELS})],
+        "kernel": [StrOptions({"auto", *KERNELS}), "array-like"],
         "length_scale": [
             Interval(Real, 0, None, closed="neither"),
             StrOptions({"auto", "isotropic"}),
@@ -380,58 +400,45 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
             If more centres are asked for than there are distinct candidates: all are taken then.
         ConvergenceWarning
             If a limit that was not set by a parameter decided: the default number of centres, or
-            the rank of their factor; if an output is given up that needs widths of its own.
+            the rank of their factor; if outputs have to share widths that do not suit them.
         """
         for name in _SOMETIMES:
             vars(self).pop(name, None)
         self._fit_weighted(X, y, sample_weight, groups)
         if self.loss == "tukey":
-            self._reweigh(X, y, sample_weight, groups)
-
-    def _reweigh(self, X, y, sample_weight, groups):
-        """Fit again with weights by the residuals, until these have settled."""
-        if is_dask(X):
-            X, y = X.compute(), np.asarray(y)
-        given = check_weights(sample_weight, X)
-        targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
-        factor = np.ones(len(given))
-        codes = encode_groups(groups)[1] if self.offsets_ else None
-        for _ in range(MAX_FITS):
-            residuals = targets - self.predict(X).reshape(targets.shape)
-            last, factor = factor, biweights(residuals, given, codes)
-            if np.mean(np.abs(factor - last)) < SETTLED:
-                break
-            self._fit_weighted(X, y, given * factor, groups, self.offsets_)
-        if np.any(factor < 1):
-            self.posterior_ = self.posterior_.with_noise(1 / NORMAL_SQUARE)
-        self.row_weight_ = factor
+            reweigh(self, X, y, sample_weight, groups)
 
     def _fit_weighted(self, X, y, sample_weight, groups, offsets=None):
         """Fit by least squares with given weights; groups have offsets, have none, or may have."""
         rng, refit = check_random_state(self.random_state), offsets is not None
         problem = read_problem(self, X, y, sample_weight, groups, offsets, rng)
-        width = check_length_scale(self.length_scale, self.n_features_in_)
+        n_outputs = len(problem.spread)
+        width = check_length_scale(self.length_scale, self.n_features_in_, n_outputs)
         check_resolved(width, problem.X, self.alpha)
-        alpha = check_alpha(self.alpha, len(problem.spread))
+        kernel = check_kernel(self.kernel, width, n_outputs)
+        alpha = check_alpha(self.alpha, n_outputs)
         isotropic = isinstance(self.length_scale, str) and self.length_scale == "isotropic"
         last = last_network(self, problem) if self.warm_start else None
         open_degree = self.degree == "auto" and self.selection == "ols"
-        options = {"kernel": self.kernel, "length_scale": width, "alpha": alpha, "rng": rng}
-        find = partial(tune, **options, isotropic=isotropic, may_be_linear=open_degree)
-        problem, tuned, self.powers_, last = tune_powers(self, problem, find, rng, last, refit)
-        if tuned.log_likelihood is not None:
-            self.log_marginal_likelihood_value_ = tuned.log_likelihood
-        if self.offsets_ and not tuned.offsets:
+        given = Given(kernel, width, alpha, isotropic, open_degree)
+        settings = CenterSettings.of(self)
+        find = partial(tuned_groups, given=given, settings=settings, rng=rng)
+        tuned, self.powers_ = tune_powers(self, problem, find, rng, last, refit)
+        value = log_likelihood_of(tuned)
+        if value is not None:
+            self.log_marginal_likelihood_value_ = value
+        if self.offsets_ and not tuned[0].tuned.offsets:
             if likely_powers(self, problem) is not None:  # labels are to change nothing
                 return self._fit_weighted(X, y, sample_weight, None)
             problem = read_problem(self, X, y, sample_weight, None, False, rng)
-        self.group_share_ = tuned.share
-        found = fit_network(problem, tuned, CenterSettings.of(self), rng, last)
+            tuned = [tuned[0]._replace(problem=problem)]
+        self.group_share_ = tuned[0].tuned.share
+        found = fit_groups(tuned, settings)
         self.posterior_, self.stop_reason_ = found.posterior, found.stop_reason
         self.criterion_path_, self.n_iter_ = found.scores, found.n_tried
         self.center_indices_ = problem.first[found.centers]
         self.error_reduction_ = found.error_reduction
-        self.relevance_ = relevance(found.problem, self.posterior_)
+        self.relevance_ = relevance(found.slopes)
 
     def predict(self, X, return_std=False, return_cov=False, with_noise=True):
         """Predict targets.
@@ -583,5 +590,5 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         if "posterior_" in vars(self):
             sizes = {"k": len(self.posterior_.centers)}
             check_shapes(type(self).__name__, vars(self), {"center_indices_": ("k",)}, sizes)
-            sizes = {"d": len(self.posterior_.length_scale)}
+            sizes = {"d": len(self.posterior_.polynomial) - 1}
             check_shapes("FeaturePowers", vars(self.powers_), {"lambdas": ("d",)}, sizes)

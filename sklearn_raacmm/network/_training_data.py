@@ -124,6 +124,13 @@ class Problem(NamedTuple):
         """Rows that stand for all: all."""
         return self
 
+    def of_outputs(self, outputs):
+        """The same rows with some of the outputs."""
+        own = {name: getattr(self, name)[..., outputs] for name in ("within", "spread")}
+        wide = {name: getattr(self, name)[:, outputs] for name in ("targets", "projection")}
+        # In the order that they have where these outputs are all there are.
+        return self._replace(**own, **{k: np.ascontiguousarray(v) for k, v in wide.items()})
+
     def block(self, part):
         """Some rows."""
         arrays = self.X, self.root, self.tail, self.basis, self.targets
@@ -267,8 +274,9 @@ def with_tail(problem, degree, ridged=False):
     ----------
     problem : Problem
     degree : {-1, 0, 1}
-    ridged : bool
-        Whether the linear part has a ridge, found by the likelihood.
+    ridged : bool or float
+        Whether the linear part has a ridge, found by the likelihood; or this ridge, in units of an
+        observation.
 
     Returns
     -------
@@ -278,13 +286,15 @@ def with_tail(problem, degree, ridged=False):
         getattr(problem, name) for name in ("X", "root", "targets", "within", "codes")
     )
     weights, Y, n_total = root[:, 0] ** 2, targets / root, problem.n_total
-    tail, tail_map = tail_columns(X, weights, degree, codes)
+    tail, tail_map = tail_columns(X, weights, degree, codes, bool(ridged))
     tail = root * tail
-    ridge = 0.0
-    if ridged and degree == 1:
+    ridge = 0.0 if isinstance(ridged, bool) else ridged
+    if ridged is True and degree == 1:
         constant = int(codes is None)
         about = targets - root * np.average(Y, axis=0, weights=weights)
         ridge = linear_ridge(tail[:, constant:], about, within, n_total - constant)
+        if not ridge:
+            return with_tail(problem, degree)
     return _projected(problem._replace(tail=tail, tail_map=tail_map, tail_ridge=ridge))
 
 

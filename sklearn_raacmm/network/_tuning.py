@@ -1,24 +1,24 @@
 """Kernel, widths and ridge of a network, found by the likelihood where they are not given.
 
 Where the degree of the tail is left open, a linear model is one more candidate: the linear part
-with its ridge, and no radial functions.
+with its ridge, and no radial functions. With few rows the candidates are averaged (`_few_rows`).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.network._few_rows import average, silent_widths, trust
 from sklearn_raacmm.network._group_search import search_groups
-from sklearn_raacmm.network._likelihood import Data, leave_one_out, log_likelihood
+from sklearn_raacmm.network._likelihood import Data, leave_one_out
 from sklearn_raacmm.network._network_posterior import RadialFunctions
+from sklearn_raacmm.network._output_groups import output_groups, outputs_given_up
 from sklearn_raacmm.network._parameters import leading_bits, warn_of_bound, warn_of_unlike
 from sklearn_raacmm.network._polynomial_tail import linear_left_out, linear_process
 from sklearn_raacmm.network._width_objective import ALPHA_BOUNDS
 from sklearn_raacmm.network._width_search import (
     AUTO_KERNELS,
-    COARSE_ROWS,
     parameters_found,
-    robust_spread,
     search,
     still_right,
 )
@@ -27,13 +27,6 @@ from sklearn_raacmm.network._width_search import (
 # more. On 45 simulated functions with 5 to 250 rows, 1 gained more on linear ones and lost up to
 # 7 % of the error on average over smooth ones with 8 to 12 rows, where 2 lost 1 %.
 LINEAR_MARGIN = 2.0
-# Rows a feature from which leave-one-out densities count in full.
-TRUSTED = 10
-
-# Nats by which an output has to be more probable with widths of its own before that is said. Of 100
-# simulated fits, clear functions that were given up gained 91 to 191, weak ones up to 17, and noise
-# of long tails once 30.
-OWN_MARGIN = 40.0
 
 
 class Tuned(NamedTuple):
@@ -43,21 +36,34 @@ class Tuned(NamedTuple):
     alpha: np.ndarray  # (q,) ridge of every output, in units of an observation
     log_likelihood: float | None = None  # of the rows on which kernels were compared
     n_found: float = 0.0  # parameters of each output that the data have decided on
-    linear: bool = False  # a linear part is better than radial functions
+    linear: bool = False  # whether there is a linear part
+    tail_ridge: float = 0.0  # its ridge, in units of an observation; 0: to be found
+    several: bool = False  # whether it is an average of several models
     offsets: bool = True  # whether groups that were given have unknown constants
     share: float = 0.0  # of the noise variance that groups' own functions are
+    kept: bool = False  # from the last fit
+    apart: tuple = ()  # arrays of outputs that are better with kernel and widths of their own
 
 
 def last_network(estimator, problem):
     """The network of an estimator's last fit, if it is one of as many features and outputs."""
     last = vars(estimator).get("posterior_")
-    shape = problem.X.shape[1], len(problem.spread)
-    if last is None or (len(last.length_scale), last.coef.shape[1]) != shape:
+    if last is None or last.polynomial.shape != (1 + problem.X.shape[1], len(problem.spread)):
         return None
     return last
 
 
-def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be_linear=False):
+def tune(
+    problem,
+    kernel,
+    length_scale,
+    alpha,
+    isotropic,
+    rng,
+    last=None,
+    may_be_linear=False,
+    split=None,
+):
     """Kernel, widths and ridges, found where they are not given.
 
     Parameters
@@ -78,6 +84,9 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
         groups they are always searched for.
     may_be_linear : bool, default=False
         Whether a linear model is a candidate, too, if widths and ridges are found.
+    split : bool, default=None
+        If widths are found: whether to look for outputs that are better with widths of their own,
+        or to warn of those that are given up without. None: neither.
 
     Returns
     -------
@@ -98,7 +107,9 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
     data = Data(sample.X, targets, weights, view.within, sample.codes)
     units = np.log(view.scale).sum()
     given = None if alpha is None else alpha[view.outputs] / sample.unit
-    if last is not None and last.kernel in kernels and data.codes is None:
+    # Of an average of models the radial functions alone would be kept.
+    averaged = may_be_linear and last is not None and len(last.tail_map) > 1
+    if last is not None and last.kernel in kernels and data.codes is None and not averaged:
         width = last.length_scale if length_scale is None else length_scale
         ridge = last.alpha if alpha is None else alphas
         alike = not isotropic or np.ptp(width / sample.X.std(axis=0)) == 0
@@ -112,7 +123,8 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
         )
         if right and alike:
             functions = RadialFunctions(last.kernel, shift, width)
-            return Tuned(functions, ridge, float(value - n_observations * units), n_found)
+            value = float(value - n_observations * units)
+            return Tuned(functions, ridge, value, n_found, kept=True)
     options = {"length_scale": length_scale, "isotropic": isotropic, "alpha": given}
     options |= {"random_state": rng}
     if data.codes is None:
@@ -122,19 +134,34 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
         found, data = search_groups(data, kernels, linear=sample.n_tail > 0, **options)
         # Without offsets the unit of the targets is another one.
         units += 0.5 * data.Y.shape[1] * np.log(n_total / data.n_total)
+    apart = ()
+    if split and length_scale is None and len(view.outputs) > 1:
+        apart = output_groups(data, found, isotropic, given)
+        apart = _with_constants(apart, view.outputs, len(problem.spread)) if apart[1:] else ()
     open_all = may_be_linear and length_scale is None and alpha is None
+    several = None
     # Of rows that are not held in memory the tail cannot be made anew.
     if open_all and sample is problem and len(found.judged) and not found.share:
-        value = _linear_likelihood(data.rows(found.judged), found)
+        judged = data.rows(found.judged)
+        if data.codes is None and len(judged.X) == len(data.X):
+            several = average(judged, found.process)
+        value = _linear_likelihood(judged, found) if several is None else None
         if value is not None:
             value = float(value - found.n_observations * units)
-            return _linear(problem, found.kernel, value)._replace(offsets=found.offsets)
+            model = _linear(problem, found.kernel, value)
+            return model._replace(offsets=found.offsets, apart=apart)
+    searched, linear = found, {}
+    if several is not None:
+        names = "length_scale", "alpha", "log_likelihood", "n_found"
+        found = found._replace(**{name: getattr(several, name) for name in names})
+        linear = {"linear": several.tail_ridge > 0, "several": several.weights.max() < 1}
+        linear["tail_ridge"] = float(leading_bits(several.tail_ridge))
     if alpha is None:
         alphas[view.outputs] = leading_bits(found.alpha * sample.unit / problem.unit)
     if length_scale is None:
         warn_of_bound(found.at_bound)
-        if alpha is None and data.codes is None:
-            warn_of_unlike(view.outputs[outputs_given_up(data, kernels, found, isotropic)])
+        if split is False and alpha is None and data.codes is None:
+            warn_of_unlike(view.outputs[outputs_given_up(data, searched, isotropic)])
         unit = sample.X.std(axis=0)
         unit[unit == 0] = 1.0
         length_scale = unit * leading_bits(found.length_scale / unit)
@@ -142,26 +169,14 @@ def tune(problem, kernel, length_scale, alpha, isotropic, rng, last=None, may_be
     value = float(found.log_likelihood - found.n_observations * units)
     ratio = float(leading_bits(found.share / (1 - found.share)))  # keeps the digits of 1 - share
     groups = {"offsets": found.offsets, "share": ratio / (1 + ratio)}
-    return Tuned(functions, alphas, value, found.n_found, **groups)
+    return Tuned(functions, alphas, value, found.n_found, **groups, **linear, apart=apart)
 
 
-def outputs_given_up(data, kernels, found, isotropic):
-    """Outputs that are noise with the widths of the others, and a function with their own.
-
-    Asked only of outputs that were taken for noise where others were not, so that a fit pays for a
-    further search then only; that of a few hundred rows is enough.
-    """
-    given_up = []
-    rows = np.sort(np.random.RandomState(0).permutation(len(data.X))[:COARSE_ROWS])
-    few, log_width = data.rows(rows), np.log(found.length_scale)
-    noise = found.alpha > 1
-    for i in np.flatnonzero(noise) if not np.all(noise) else ():
-        one = few._replace(Y=few.Y[:, [i]], within=few.within[[i]])
-        own = search(one, kernels, isotropic=isotropic, random_state=np.random.RandomState(0))
-        shared = log_likelihood(one, found.kernel, log_width, np.log(found.alpha[[i]]))
-        if own.alpha[0] < 1 and own.log_likelihood - shared > OWN_MARGIN:
-            given_up.append(i)
-    return given_up
+def _with_constants(groups, varying, n_outputs):
+    """Groups of outputs that vary as those of all outputs: what is constant joins the first."""
+    constant = np.setdiff1d(np.arange(n_outputs), varying)
+    first, *others = (varying[of] for of in groups)
+    return (np.sort(np.append(first, constant)), *others)
 
 
 def _linear_likelihood(data, found):
@@ -177,15 +192,14 @@ def _linear_likelihood(data, found):
     widths, ridges = np.log(found.length_scale), np.log(found.alpha)
     radial = leave_one_out(data, found.kernel, widths, ridges).negative_log_density
     density = linear_left_out(data, linear.ridge).negative_log_density
-    trust = min(1.0, data.n_total / (TRUSTED * data.X.shape[1]))
-    return linear.log_likelihood if lead + trust * (radial - density) > LINEAR_MARGIN else None
+    lead += trust(data) * (radial - density)
+    return linear.log_likelihood if lead > LINEAR_MARGIN else None
 
 
 def _linear(problem, kernel, log_likelihood):
     """A network whose radial functions are as good as noise, so that its tail alone remains."""
     X, q = problem.X, len(problem.spread)
-    spread = robust_spread(X, np.square(problem.root[:, 0]))
-    width = np.where(spread > 0, spread * np.sqrt(X.shape[1]), np.inf)
+    width = silent_widths(X, np.square(problem.root[:, 0]))
     functions = RadialFunctions(kernel, X.mean(axis=0), width)
     ridges = np.full(q, ALPHA_BOUNDS[1])
     # The ridge of the linear part is shared by all outputs. Ten rows of 20 features held 74 % in

@@ -87,6 +87,17 @@ class Found(NamedTuple):
     share: float = 0.0  # of the noise variance that groups' own functions are
     judged: np.ndarray = np.empty(0, dtype=int)  # rows on which kernels were compared
     judgement: float = -np.inf  # objective there, nats
+    process: "Process | None" = None  # the best one, also where all was taken for noise
+
+
+class Process(NamedTuple):
+    """A process of radial functions, before it is compared with noise alone."""
+
+    kernel: str
+    length_scale: np.ndarray  # (d,)
+    alpha: np.ndarray  # (q,)
+    objective: float  # nats, on the rows on which kernels were compared
+    n_found: float  # see `parameters_found`
 
 
 @stage("widths of the network")
@@ -127,7 +138,13 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         )
         width = np.full(d, np.inf)
         width[varying] = found.length_scale
-        return found._replace(length_scale=width, at_bound=np.flatnonzero(varying)[found.at_bound])
+        process = found.process
+        if process is not None:
+            own = np.full(d, np.inf)
+            own[varying] = process.length_scale
+            process = process._replace(length_scale=own)
+        at_bound = np.flatnonzero(varying)[found.at_bound]
+        return found._replace(length_scale=width, at_bound=at_bound, process=process)
     spread = np.where(varying, spread, 1.0)
     if not q or not d:
         # Nothing varies, nothing can be learnt.
@@ -144,20 +161,25 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
     ends = _coarse(task, kernels, few)
     if len(many) > len(few):
         ends = _refine(task, ends, few, many)
-    task, end = _accept(task, ends, many)
-    task, end = _leave_out(task, end, many)
+    task, end, is_noise = _accept(task, ends, many)
+    whole, (task, end) = task, _leave_out(task, end, many)
+    log_width, log_alpha = task.unpack(end.theta)
+    searched = d if length_scale is None else 0
+    n_found = parameters_found(task.n_widths, searched, task.n_alphas / q, q)
+    process = Process(end.kernel, np.exp(log_width), np.exp(log_alpha), end.value, n_found)
+    if is_noise:
+        task, end = _noise(whole, end, many)
     judgement = end.value
     if len(X) > len(many) and end.theta.size:
         end = _extend(task, end, many, draw)
     unit = task.data.n_total * q
     log_width, log_alpha = task.unpack(end.theta)
     width, ridge = np.exp(log_width), np.exp(log_alpha)
-    if task.n_widths and task.n_alphas and len(X) > 1 and _links_nothing(X / width, end.kernel):
+    if task.n_widths and task.n_alphas and len(X) > 1 and links_nothing(X / width, end.kernel):
         # A kernel that links no row to another is noise by another name.
         width, ridge = spread * np.sqrt(d), np.full(q, ALPHA_BOUNDS[1])
     narrow = np.flatnonzero(width < 1.01 * WIDTH_BOUNDS[0] * spread) if task.n_widths else []
     judged = task.rows(many)
-    searched = d if length_scale is None else 0
     return Found(
         end.kernel,
         width,
@@ -170,6 +192,7 @@ def search(data, kernels, *, length_scale=None, isotropic=False, alpha=None, ran
         np.array(narrow, dtype=int),
         judged=many,
         judgement=judgement,
+        process=process,
     )
 
 
@@ -289,7 +312,7 @@ def _refine(task, ends, few, rows):
 
 
 def _accept(task, ends, rows):
-    """The best kernel, if it is better than one width for all features and than noise alone."""
+    """The best kernel, if it is better than one width for all features; and whether it is noise."""
     data = task.rows(rows)
     scores = [_score(task, end, data) for end in ends]
     # The first to be named is the one to beat; where it is no longer there, it has been.
@@ -298,7 +321,7 @@ def _accept(task, ends, rows):
     ]
     best = int(np.argmin(scores))
     end, score = ends[best], scores[best]
-    noise = noise_likelihood(data) + _noise_density(data)
+    noise = noise_likelihood(data) + noise_density(data)
     few = data.n_total < FEW * task.n_widths
     if task.n_alphas and task.n_widths > 1 and few:
         other = task.variant(isotropic=True)
@@ -308,16 +331,18 @@ def _accept(task, ends, rows):
             task, end, score = other, found, value
     # Leave-one-out predictions are fooled where the kernel links a few pairs of rows only.
     worse = noise < score or noise_likelihood(data) < end.value + NOISE_MARGIN
-    if task.n_alphas and task.n_widths and worse:
-        log_width, log_alpha = task.unpack(task.start(1.0, ALPHA_BOUNDS[1]))
-        task = task.variant(
-            length_scale=np.exp(log_width), isotropic=False, alpha=np.exp(log_alpha)
-        )
-        end = End(end.kernel, np.empty(0), noise_likelihood(data), end.start)
-    return task, end
+    return task, end, bool(task.n_alphas and task.n_widths and worse)
 
 
-def _noise_density(data):
+def _noise(task, end, rows):
+    """All of the targets taken for noise."""
+    log_width, log_alpha = task.unpack(task.start(1.0, ALPHA_BOUNDS[1]))
+    fixed = {"length_scale": np.exp(log_width), "alpha": np.exp(log_alpha)}
+    value = noise_likelihood(task.rows(rows))
+    return task.variant(isotropic=False, **fixed), End(end.kernel, np.empty(0), value, end.start)
+
+
+def noise_density(data):
     """Leave-one-out density where all is noise, as `leave_one_out` gives it."""
     square = data.weights[:, None] * np.square(data.Y)
     variance = np.maximum((square.sum(axis=0) + data.within) / data.n_total, 1e-300)
@@ -391,7 +416,7 @@ def robust_spread(X, weights):
     return spread
 
 
-def _links_nothing(Z, kernel):
+def links_nothing(Z, kernel):
     """Whether the kernel is all but 0 between most rows and their nearest neighbours."""
     some = Z[:: max(1, len(Z) // 1000)]
     nearest = cKDTree(Z).query(some, k=2)[0][:, 1]

@@ -82,8 +82,8 @@ def test_very_many_poses_are_a_new_fit(model):
     angles, y = rows(1000, 3, knock=15)
     updated = update_correction(model, angles, y)
     fresh = JointHarmonicRegressor(ARM, max_order=20).fit(angles, y)
-    # 0.0020 and 0.0010 mm: to a seventh of the noise.
-    assert left(updated, 15) < left(fresh, 15) + 0.0015
+    # 0.0014 and 0.0010 mm: to a seventh of the noise.
+    assert left(updated, 15) < left(fresh, 15) + 0.001
 
 
 def test_posterior_against_the_textbook(model):

@@ -249,6 +249,20 @@ def test_network_and_linear_models_by_themselves(build):
             np.testing.assert_allclose(got, expected, rtol=0, atol=rounding(last, new))
 
 
+def test_average_of_models_with_few_rows(build):
+    # Radial functions and a linear part with a ridge, beside each other.
+    rng = np.random.default_rng(17)
+    X = rng.uniform(-2, 2, (12, 4))
+    model = RBFNetRegressor().fit(X, X @ [1.0, -1.0, 0.5, 0.2] + np.sin(3 * X[:, 0]))
+    assert len(model.centers_)
+    assert np.all(model.linear_coef_ != 0)
+    new = rng.uniform(-4, 4, (50, 4))
+    mean, std = model.predict(new, return_std=True)
+    got_mean, got_std = build(model, std=True)("predict_std", new, 1, n_results=2)
+    np.testing.assert_allclose(got_mean[:, 0], mean, rtol=0, atol=rounding(model, new))
+    np.testing.assert_allclose(got_std[:, 0], std, rtol=1e-3)
+
+
 def test_a_network_without_centres_is_its_constant(build, data):
     flat = np.tile([0.1, -0.2, 0.05], (len(data.data), 1))
     inner = make_pipeline(PoseFeatures(data.arm), RBFNetRegressor())

@@ -33,19 +33,22 @@ def rows(n, seed):
 T = np.vstack([rows(60, 1), [[0, 0, -5, 1], [-3, 2, 1e3, 1e4], [1e8, 0, 0, 0]]])
 
 
-@pytest.fixture(scope="module", params=["radial", "linear"])
+@pytest.fixture(scope="module", params=["radial", "linear", "groups"])
 def model(request):
     X, rng = rows(150, 0), np.random.default_rng(0)
     if request.param == "linear":
         y = np.column_stack([np.log(X[:, 0] * X[:, 3]), np.log(X[:, 0]) + X[:, 1]])
+    elif request.param == "groups":
+        y = np.column_stack([np.sin(1.2 * np.log(X[:, 0])), np.sin(6 * X[:, 1]) + np.log(X[:, 3])])
     else:
         y = np.sin(1.5 * np.log(X[:, 0])) + X[:, 1] ** 2 + np.log1p(X[:, 2]) + np.cbrt(X[:, 3])
     # Weights so small that single precision is good to five digits.
-    options = {"kernel": "matern32", "alpha": 0.05} if request.param == "radial" else {}
+    options = {"kernel": "matern32", "alpha": 0.05} if request.param != "linear" else {}
     model = RBFNetRegressor(random_state=0, **options)
     model.fit(X, y + 0.2 * rng.standard_normal(y.shape))
     assert len(model.powers_.changed) >= 2
     assert np.any(model.linear_coef_) == (request.param == "linear")
+    assert np.any(model.output_groups_) == (request.param == "groups")
     return model
 
 

@@ -215,15 +215,15 @@ def test_only_the_search_that_wins_warns(monkeypatch):
 
 def test_powers_of_which_no_kernel_can_be_made_are_no_candidate(monkeypatch):
     X, y, _ = spanning(60)
-    tune, calls = _rbf_net.tune, []
+    search, calls = _rbf_net.tuned_groups, []
 
     def fails_at_the_second(problem, **options):
         calls.append(problem)
         if len(calls) == 2:
             raise LinAlgError("not positive definite")
-        return tune(problem, **options)
+        return search(problem, **options)
 
-    monkeypatch.setattr(_rbf_net, "tune", fails_at_the_second)
+    monkeypatch.setattr(_rbf_net, "tuned_groups", fails_at_the_second)
     model = RBFNetRegressor(random_state=0).fit(X, y)
     assert len(calls) == 2
     np.testing.assert_array_equal(model.lambdas_, np.ones(3))

@@ -194,24 +194,6 @@ def test_a_width_at_its_bound_is_said(monkeypatch):
     assert said[0].filename == __file__  # the line of the call
 
 
-def test_an_output_that_is_given_up_is_said():
-    # Waves of which one is three times as long: by itself each leaves little.
-    rng = np.random.default_rng(3)
-    X, T = rng.uniform(-3, 3, (300, 3)), rng.uniform(-3, 3, (500, 3))
-    along = np.array([0.9, -0.3, 0.3])
-    truth, noise = [np.sin(s * X @ along) for s in (1.2, 3.6)], 0.1 * rng.standard_normal((2, 300))
-    constant, slow, fast = np.ones(300), *(truth + noise)
-    model = RBFNetRegressor(random_state=0)
-    with pytest.warns(ConvergenceWarning, match="Output 2 is taken for noise") as said:
-        model.fit(X, np.column_stack([constant, slow, fast]))
-    assert said[0].filename == __file__
-    assert np.std(model.predict(T)[:, 2] - np.sin(3.6 * T @ along)) > 0.65
-    own = model.fit(X, fast)
-    assert np.std(own.predict(T) - np.sin(3.6 * T @ along)) < 0.5
-    # What is noise with any widths, or has functions with these, is passed over in silence.
-    model.fit(X, np.column_stack([slow, noise[1], np.cos(1.2 * X @ along)]))
-
-
 def test_units_of_steps_save_evaluations(monkeypatch):
     # Widths of waves and of straight lines, and the ridge: curvatures differ by a factor of sixty.
     rng = np.random.default_rng(0)
