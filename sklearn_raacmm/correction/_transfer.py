@@ -55,18 +55,18 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     Parameters
     ----------
     models : JointHarmonicRegressor or ArmResidualRegressor, or list of them
-        Fitted models of earlier arms, one for each arm. Their linear models are used. They must
-        not have extra columns: what a temperature or a force does counts from its mean over the
-        rows of one fit, and tools go by their numbers, so that such coefficients of different arms
-        do not mean the same.
+        Fitted models of earlier arms, one for each arm. Their linear models are used. They may
+        have the same extra columns: what a degree or a newton does is common to the make, and
+        counts from the mean over the rows of each arm. The numbers of tools are not: they must not
+        be among them.
 
     arm : Arm
         The new arm, calibrated: ``result.arm`` of ``result = calibrate(nominal, angles,
         points=points)``.
 
-    X : array-like of shape (n_samples, n_joints), default=None
-        Joint angles of the new arm, in the unit that the first of the models takes. None: it has
-        not been measured yet.
+    X : array-like of shape (n_samples, n_joints + n_extra), default=None
+        Joint angles of the new arm, in the unit that the first of the models takes; then the extra
+        columns that the models were fitted with. None: it has not been measured yet.
 
     y : array-like of shape (n_samples, 3), default=None
         Their residuals in mm, in the arm's base frame: ``result.residuals_mm``, or
@@ -96,7 +96,8 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
         If `arm` is not an Arm, or a model holds no linear model in use.
     ValueError
         If there are no models, the arms have other numbers of joints or conventions, the models
-        have extra columns or are not of the same families; if `X` and `y` do not fit.
+        have tools among their extra columns or are not of the same families; if `X` and `y` do not
+        fit.
 
     Warns
     -----
@@ -150,6 +151,8 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     if X is None and y is None:
         return _of_prior(template, prior)
     own = template.fit(X, y, groups=groups, sample_weight=sample_weight)
+    # Its calibration holds what the extra columns do in the mean of its own rows.
+    prior = replace(prior, terms=prior.terms._replace(extra=own.linear_model_.terms.extra))
     groups = groups if own.linear_model_.offsets else None
     angles, residuals, weights, codes = check_new_poses(own, X, y, groups, sample_weight)
     poses = NewPoses(angles, residuals, weights, codes)
@@ -189,10 +192,10 @@ def _checked(models, arm):
     linears = [linear_model_of(model, "transferred") for model in models]
     first = linears[0]
     for i, linear in enumerate(linears):
-        if linear.terms.extra:
+        if "tool" in dict(linear.terms.extra):
             raise ValueError(
-                f"models[{i}] has extra columns; a new arm can start from models of the joint "
-                "angles alone."
+                f"models[{i}] has tools among its extra columns: their offsets are those of one "
+                "arm. Fit the models without them."
             )
         old, new = ((a.n_joints, a.convention) for a in (linear.arm, arm))
         if old != new:
@@ -200,10 +203,10 @@ def _checked(models, arm):
                 f"models[{i}] is of an arm with {old[0]} joints in the {old[1]} convention; the "
                 f"new arm has {new[0]} in the {new[1]} one."
             )
-        if linear.terms[1:] != first.terms[1:]:
+        if _families(linear.terms) != _families(first.terms):
             raise ValueError(
                 f"models[{i}] has other families of columns than models[0]: fit all with the same "
-                "gravity, kinematics and wobble, with orientations or without."
+                "gravity, kinematics, wobble and extra, with orientations or without."
             )
     template = models[0]
     if not isinstance(template, JointHarmonicRegressor):
@@ -213,12 +216,17 @@ def _checked(models, arm):
     return linears, clone(template)
 
 
+def _families(terms):
+    """What terms of several arms have to have in common."""
+    return terms._replace(harmonics=None, extra=tuple(name for name, _ in terms.extra))
+
+
 def _of_prior(estimator, prior):
     """Fitted estimator that knows nothing but the earlier arms."""
     new = deepcopy(estimator)
     new.linear_model_, new.orientation_model_ = prior, None
     new.fading_ = Fading(0.0, 0.0, 0.0)
-    new.n_features_in_ = prior.arm.n_joints
+    new.n_features_in_ = prior.arm.n_joints + len(prior.terms.extra)
     if not hasattr(new, "pose_weight_"):
         new.pose_weight_ = np.empty(0)
     check_is_fitted(new)
@@ -241,7 +249,7 @@ def _pooled(linears, arm):
     model = replace(
         linears[0],
         arm=arm,
-        terms=linears[0].terms._replace(harmonics=harmonics),
+        terms=linears[0].terms._replace(harmonics=harmonics, extra=_mean_references(linears)),
         coef=W[0],
         half=np.zeros((W.shape[1], 0)),
         gauge_free_half=np.zeros((W.shape[1], 0)),
@@ -272,6 +280,13 @@ def _pooled(linears, arm):
         half = np.hstack([*(one[i] / np.sqrt(n) for one in aligned), own])
         roots.append(np.linalg.qr(half.T, mode="r").T)
     return replace(model, coef=trust * mean, half=roots[0], gauge_free_half=roots[1])
+
+
+def _mean_references(linears):
+    """Extra columns, counted from the mean over the arms: for an arm that was not measured yet."""
+    names = [name for name, _ in linears[0].terms.extra]
+    values = np.mean([[by[0] for _, by in one.terms.extra] for one in linears], axis=0)
+    return tuple((name, (value,)) for name, value in zip(names, values.tolist(), strict=True))
 
 
 def _aligned(linear, pairs):

@@ -107,9 +107,9 @@ def update_correction(
     With A the columns, w0 and S0 the old posterior, V the prior variances and B the columns of base
     and tool, ``y - A w0 = A dw + B b + e`` with ``dw ~ N(0, S0 + tau^2 V)``, b nearly free and e
     of a variance of at least the old one. The taus and that variance maximise the marginal
-    likelihood times log-normal priors. Harmonics of the orders 1 and 2 are offered beside those that
-    the old data needed. Where the model has kinematic columns, b becomes a part of them; otherwise
-    register again, through the updated model.
+    likelihood times log-normal priors. Harmonics of the orders 1 and 2 are offered beside
+    those that the old data needed. Where the model has kinematic columns, b becomes a part of them;
+    otherwise register again, through the updated model.
 
     Examples
     --------

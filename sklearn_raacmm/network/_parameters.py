@@ -96,7 +96,7 @@ def check_alpha(alpha, n_outputs):
             f"{n_outputs} outputs."
         )
     if not np.all((ridge >= 0) & np.isfinite(ridge)):
-        raise ValueError(f"alpha must not be negative, and finite; got {show(alpha)}.")
+        raise ValueError(f"alpha must be finite and not negative; got {show(alpha)}.")
     return np.broadcast_to(ridge, n_outputs).copy()
 
 

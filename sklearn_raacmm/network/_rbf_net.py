@@ -555,7 +555,8 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity.
+            If X has another number of features than in fit, or holds NaN or infinity; if the
+            derivatives of an infinite variance are asked for, as after a fit to one observation.
 
         Examples
         --------

@@ -181,9 +181,10 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         Raises
         ------
         ValueError
-            If `y` has the wrong number of columns, or NaN or infinity; if the last two columns
-            of `X` are not a direction where they should be; if the azimuth is not one finite
-            number per row; if `y` are the probe's points, or too large for residuals in mm.
+            If `y` has the wrong number of columns, or NaN or infinity; if a sample weight is
+            negative, NaN or infinite; if the last two columns of `X` are not a direction where they
+            should be; if the azimuth is not one finite number per row; if `y` are the probe's
+            points, or too large for residuals in mm.
 
         Warns
         -----
@@ -199,6 +200,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         y = floats("y", y) if y.dtype.kind == "O" else y  # a list of numbers and text
         refuse_huge("y", y)
         check_consistent_length(X, y)
+        _refuse_negative_weights(fit_params)
         n_targets = 1 if y.ndim == 1 else y.shape[1]
 
         self._rotates = n_targets == 3 and self.azimuth is not None
@@ -342,6 +344,22 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         tags.input_tags.sparse = inner.input_tags.sparse
         tags.target_tags.multi_output = inner.target_tags.multi_output
         return tags
+
+
+def _refuse_negative_weights(fit_params):
+    """Refuse weights that regressors take the root of, or silently take for 0."""
+    for name, value in fit_params.items():
+        if value is None or name.rpartition("__")[2] != "sample_weight":
+            continue
+        if np.asarray(value).dtype == bool:
+            continue  # a mask
+        weights = floats(name, value)
+        wrong = np.flatnonzero(~(weights >= 0) | np.isinf(weights))
+        if wrong.size:
+            raise ValueError(
+                f"{name} must be finite and not negative; {wrong.size} of {weights.size} weights "
+                f"are not (row {wrong[0]}: {weights.flat[wrong[0]]:g})."
+            )
 
 
 def _refuse_no_rows(X):

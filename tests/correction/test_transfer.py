@@ -190,7 +190,64 @@ def test_bad_input(earlier):
     other = JointHarmonicRegressor(ARM, max_order=2).fit(X, y)
     with pytest.raises(ValueError, match=r"models\[3\] has other families of columns"):
         transfer_correction([*earlier, other], ARM, X, y)
-    warm = np.hstack([X, np.arange(40)[:, None]])
-    extra = JointHarmonicRegressor(ARM, max_order=2, extra=["temperature"]).fit(warm, y)
-    with pytest.raises(ValueError, match=r"models\[0\] has extra columns"):
-        transfer_correction(extra, ARM, X, y)
+    tools = np.hstack([X, np.arange(40)[:, None] % 2])
+    extra = JointHarmonicRegressor(ARM, max_order=2, extra=["tool"]).fit(tools, y)
+    with pytest.raises(ValueError, match=r"models\[0\] has tools among its extra columns"):
+        transfer_correction(extra, ARM, tools, y)
+
+
+# -- extra columns --------------------------------------------------------------------------------
+
+WARM = {"max_order": 4, "wobble": False, "gravity": False, "extra": ["temperature"]}
+PER_KELVIN = 23e-6  # aluminium
+
+
+def warm_rows(n, seed, arm, mean, spread=5.0, noise_mm=0.02):
+    """An arm that grows, calibrated at the mean temperature of its rows."""
+    angles, _ = rows(n, seed, arm)
+    kelvin = np.random.default_rng([seed, 1]).uniform(-spread, spread, n)
+    kelvin -= kelvin.mean()
+    turn = np.zeros_like(angles)
+    turn[:, 1] = 15 * np.cos(angles[:, 1] - 2 * arm)
+    y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
+    y += PER_KELVIN * kelvin[:, None] * ARM.forward(angles)
+    y += np.random.default_rng([seed, 2]).normal(0, noise_mm, y.shape)
+    return np.column_stack([angles, mean + kelvin]), y
+
+
+@pytest.fixture(scope="module")
+def earlier_warm():
+    """Each arm was measured at another temperature."""
+    arms = ((i, warm_rows(150, i, i, mean)) for i, mean in enumerate((18.0, 21.0, 30.0)))
+    return [JointHarmonicRegressor(ARM, **WARM).fit(*data) for _, data in arms]
+
+
+def test_what_a_degree_does_is_common_to_the_make(earlier_warm):
+    """Twelve poses at nearly one temperature do not show how the arm grows."""
+    few = warm_rows(12, 7, 7, 24.0, spread=0.3)
+    new = transfer_correction(earlier_warm, ARM, *few)
+    alone = JointHarmonicRegressor(ARM, **WARM).fit(*few)
+    assert new.updates_[0]["gain_nats"] > 0
+    pose = few[0][:1].repeat(2, axis=0)
+    pose[1, -1] += 10  # kelvin
+    grown = 10 * PER_KELVIN * ARM.forward(pose[:1, :6])[0]
+    cold, warm = new.predict(pose)
+    assert np.linalg.norm(warm - cold - grown) < 0.15 * np.linalg.norm(grown)
+    cold, warm = alone.linear_model_.predict(pose)[0]
+    assert np.linalg.norm(warm - cold - grown) > 0.5 * np.linalg.norm(grown)
+    assert new.linear_model_.terms.extra[0] == ("temperature", (pytest.approx(24.0),))
+
+
+def test_of_no_new_pose_the_temperature_counts_from_the_mean_of_the_arms(earlier_warm):
+    new = transfer_correction(earlier_warm, ARM)
+    assert new.n_features_in_ == 7
+    assert new.linear_model_.terms.extra == (("temperature", (pytest.approx(23.0),)),)
+    angles = rows(5, 8, 8)[0]
+    cold, warm = (new.predict(np.column_stack([angles, np.full(5, t)])) for t in (23.0, 33.0))
+    grown = 10 * PER_KELVIN * ARM.forward(angles)
+    # Three arms do not show quite all of it: their mean is shrunk by a part of its own variance.
+    assert np.all(np.linalg.norm(warm - cold - grown, axis=1) < 0.2 * np.linalg.norm(grown, axis=1))
+    other = JointHarmonicRegressor(ARM, **WARM | {"extra": ["payload"]})
+    other.fit(*warm_rows(60, 1, 1, 5.0))
+    with pytest.raises(ValueError, match=r"models\[3\] has other families of columns"):
+        transfer_correction([*earlier_warm, other], ARM)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.special import softmax
+from scipy.stats import t as student
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _few_rows
@@ -153,3 +154,14 @@ def test_a_warm_start_keeps_the_average():
     again = model.fit(X, Y[:, 0])
     new = RBFNetRegressor().fit(X, Y[:, 0])
     np.testing.assert_allclose(again.predict(X), new.predict(X), rtol=1e-9)
+
+
+def test_interval_of_two_rows_is_that_of_one_degree_of_freedom():
+    # Two observations of what is taken for noise: Student's variable with one degree.
+    y = np.array([1.0, 1.5])
+    model = RBFNetRegressor(degree=0).fit([[0.0], [1.0]], y)
+    assert model.alpha_ > 1e3
+    mean, std = model.predict([[0.5]], return_std=True)
+    half = student.ppf(0.975, 1) * np.std(y, ddof=1) * np.sqrt(1 + 1 / 2)
+    assert mean[0] == pytest.approx(1.25)
+    assert 1.96 * std[0] == pytest.approx(half, rel=1e-2)

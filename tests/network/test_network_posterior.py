@@ -68,6 +68,9 @@ def test_a_constant_has_a_covariance_and_no_slope():
     one = RBFNetRegressor().fit([[0.0]], [5.0])
     with pytest.raises(ValueError, match="noise variance is infinite"):
         one.sample_y([[0.5]])
+    np.testing.assert_array_equal(one.predict_gradient([[0.5]]), [[0.0]])
+    with pytest.raises(ValueError, match="infinite: it has no derivatives"):
+        one.predict_gradient([[0.5]], return_variance=True)
 
 
 @pytest.mark.parametrize("kernel", list(KERNELS))

@@ -299,7 +299,7 @@ def test_grid_search_and_pickle():
     [
         ({"n_centers": None}, "'n_centers' parameter"),
         ({"alpha": [0.1, 0.2]}, r"alpha has shape \(2,\).*1 outputs"),
-        ({"alpha": [-0.1]}, "alpha must not be negative"),
+        ({"alpha": [-0.1]}, "alpha must be finite and not negative"),
         ({"alpha": 0.0, "length_scale": 1e9}, "more than 1e.07 times the range of every feature"),
         ({"length_scale": [1.0, 2.0, 3.0]}, r"shape \(3,\).*2 features"),
         ({"length_scale": [1.0, -2.0]}, "must be positive"),

@@ -20,6 +20,7 @@ from sklearn.linear_model import BayesianRidge, HuberRegressor, LinearRegression
 from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, Normalizer, StandardScaler
+from sklearn.svm import SVR
 from sklearn.utils import get_tags
 
 from sklearn_raacmm import (
@@ -242,6 +243,30 @@ def test_more_than_three_targets_pass_through_where_there_is_no_azimuth(azimuth)
     X, y = rng.normal(size=(30, 4)), rng.normal(size=(30, 5))
     model = CylindricalResidualTarget(Ridge(), azimuth=azimuth).fit(X, y)
     assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
+
+
+@pytest.mark.parametrize("wrong", [-1.0, np.nan, np.inf])
+def test_weights_that_are_none_are_refused_at_the_door(isotropic, wrong):
+    # Ridge takes their root, and a support vector machine leaves such rows out without a word.
+    X, y = isotropic[:2]
+    weights = np.ones(200)
+    weights[3] = wrong
+    message = rf"sample_weight must be finite and not negative; 1 of 200 .* \(row 3: {wrong:g}\)"
+    for regressor in (Ridge(), MultiOutputRegressor(SVR()), RBFNetRegressor()):
+        with pytest.raises(ValueError, match=message):
+            CylindricalResidualTarget(regressor).fit(X, y, sample_weight=weights)
+    chain = CylindricalResidualTarget(make_pipeline(StandardScaler(), Ridge()))
+    with pytest.raises(ValueError, match="ridge__" + message):
+        chain.fit(X, y, ridge__sample_weight=weights)
+
+
+def test_weights_may_be_a_mask(isotropic):
+    X, y = isotropic[:2]
+    mask = np.arange(200) < 150
+    models = [
+        CylindricalResidualTarget(Ridge()).fit(X, y, sample_weight=w) for w in (mask, 1.0 * mask)
+    ]
+    assert_allclose(*(model.predict(X) for model in models))
 
 
 @pytest.mark.parametrize("n_features", [1, 2, 6])
