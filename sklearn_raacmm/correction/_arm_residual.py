@@ -77,7 +77,8 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     network : RBFNetRegressor, default=None
         The second stage, cloned. None: one without a constant, so that it vanishes away from its
-        centres, ``RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)``.
+        centres and without powers of angles,
+        ``RBFNetRegressor(degree=-1, max_centers=2000, power_transform=None, random_state=0)``.
 
     joints : {"pose", "all"}, default="all"
         What the network sees: the pose of :class:`PoseFeatures`, or the angles of all joints.
@@ -311,8 +312,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if network is None:
             # Fading asks for a standard deviation at every pose: a network has it sooner than a
             # process with a centre at every row.
-            network = RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)
-        if tuned is not None:
+            network = RBFNetRegressor(
+                degree=-1, max_centers=2000, power_transform=None, random_state=0
+            )
+        if tuned is not None and not len(tuned.powers_.changed):
             # Most of the time of a network is the search for these: that is done once.
             network = clone(network).set_params(
                 kernel=tuned.kernel_, length_scale=tuned.length_scale_

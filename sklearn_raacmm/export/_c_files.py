@@ -92,7 +92,9 @@ def sources(model, name, stem, dtype, std, card=None, notes=()):
 
 def _math_functions(body, std):
     """Names of what the source takes from math.h, for targets that have no such library."""
-    used = re.findall(r"\b(sin|cos|sqrt|hypot|atan2|exp|fabs|isfinite)f?\(", body.text)
+    used = re.findall(
+        r"\b(sin|cos|sqrt|hypot|atan2|exp|expm1|log|log1p|fabs|isfinite)f?\(", body.text
+    )
     return sorted({*used, *(["sqrt"] if std else [])})
 
 

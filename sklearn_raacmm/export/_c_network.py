@@ -53,6 +53,19 @@ def network(numbers, step, std, with_noise=True, exact=False):
     v takes the variances; it is there with `std` only. They are good to 1e-3 of the standard
     deviation, or with `exact` to rounding: where a correction depends on them.
     """
+    text, q = _network(numbers, step, std, with_noise, exact)
+    if not len(step.powers_.changed):
+        return text, q
+    text = re.sub(r"\bnetwork(?=\()", "network_of_powers", text)
+    text += _powers(numbers, step)
+    lines = [f"{numbers.real} powers[{step.n_features_in_}];", "see(x, powers);"]
+    lines.append(f"network_of_powers(powers, y{', v' if std else ''});")
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"{text}\n{_head(numbers.real, step.n_features_in_, q, std)}\n{{\n{body}\n}}\n", q
+
+
+def _network(numbers, step, std, with_noise, exact):
+    """The same of the features as the network sees them."""
     groups, real, d, q = networks_of(step), numbers.real, step.n_features_in_, n_outputs(step)
     if len(groups) == 1:
         return _group_network(numbers, step, std, with_noise, exact)
@@ -86,7 +99,8 @@ def _head(real, d, q, std):
 
 def _group_network(numbers, step, std, with_noise, exact):
     """The same of outputs that share centres."""
-    real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
+    real, d, q = numbers.real, step.n_features_in_, n_outputs(step)
+    k = len(step.posterior_.centers)
     full = _whole_vectors(k)
     text = numbers.table("intercept", np.atleast_1d(step.intercept_))
     linear_coef = np.atleast_2d(step.linear_coef_)
@@ -120,6 +134,34 @@ def _group_network(numbers, step, std, with_noise, exact):
     return f"{text}\n{_head(real, d, q, std)}\n{{\n{body}\n}}\n", q
 
 
+def _powers(numbers, step):
+    """``see(given, x)``: the features as the network sees them, see `FeaturePowers`."""
+    real, f, d, powers = numbers.real, numbers.suffix, step.n_features_in_, step.powers_
+    at = powers.changed
+    text = numbers.integers("power_feature", at, "features that are seen through a power")
+    for name in ("lambdas", "unit", "start", "low"):
+        text += numbers.table(f"power_{name}", getattr(powers, name)[at])
+    return (
+        text
+        + f"""
+/* x + start to the power lambda, in a unit; below low along the tangent. */
+static void see(const {real} given[{d}], {real} x[{d}])
+{{
+    for (int i = 0; i < {d}; ++i)
+        x[i] = given[i];
+    for (int i = 0; i < {len(at)}; ++i) {{
+        const {real} value = given[power_feature[i]], low = power_low[i], lambda = power_lambdas[i];
+        const {real} at = value < low ? low : value, u = at / power_unit[i];
+        const {real} l = power_start[i] > 0 ? log1p{f}(u) : log{f}(u);
+        const {real} power = lambda > 0 ? expm1{f}(lambda * l) / lambda : l;
+        x[power_feature[i]] = power_unit[i] * (power + (1 - power_start[i]))
+            + exp{f}((lambda - 1) * l) * (value - at);
+    }}
+}}
+"""
+    )
+
+
 def _whole_vectors(n):
     """The next multiple of `_VECTOR`: zeros fill up the rest, and compilers need no remainder."""
     return -(-n // _VECTOR) * _VECTOR
@@ -127,13 +169,14 @@ def _whole_vectors(n):
 
 def _radial_functions(numbers, step, full):
     """Tables of the centres, and lines that compute phi of all of them."""
-    d, fill = step.n_features_in_, ((0, 0), (0, full - len(step.centers_)))
+    d, centers = step.n_features_in_, step.posterior_.centers
+    fill = ((0, 0), (0, full - len(centers)))
     # Centred as predict does it: the rounding is the same.
-    shift = step.centers_.mean(axis=0)
+    shift = centers.mean(axis=0)
     text = numbers.table("center_shift", shift, "middle of the centres")
     note = "1 / length scale; 0 for a feature that did not vary"
     text += numbers.table("inverse_width", 1 / step.length_scale_, note)
-    centers = ((step.centers_ - shift) / step.length_scale_).T
+    centers = ((centers - shift) / step.length_scale_).T
     note = "one column a centre, less their middle, in units of the length scales"
     text += numbers.table("center", np.pad(centers, fill), note)
     weights = np.pad(np.atleast_2d(step.coef_), fill)
@@ -167,8 +210,8 @@ def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
     factor : ndarray of shape (r, 1)
         None, None where single precision is not enough, as for data without noise.
     """
-    rows = _rows_to_measure(step.centers_)
-    scaled = (rows / step.length_scale_, step.centers_ / step.length_scale_)
+    rows = _rows_to_measure(step.posterior_.centers)
+    scaled = (rows / step.length_scale_, step.posterior_.centers / step.length_scale_)
     phi = kernel_matrix(*scaled, step.kernel_).T
     u = tail @ np.vstack([np.ones(len(rows)), rows.T])
     noise, signal = (np.reshape(v, (-1, 1)) for v in (step.noise_variance_, step.signal_variance_))
@@ -203,7 +246,8 @@ def _rows_to_measure(centers):
 
 def _network_variance(numbers, step, with_noise, exact):
     """``network_variance(x, phi, v)``: the variance as `NetworkPosterior` computes it."""
-    real, d, k, q = numbers.real, step.n_features_in_, len(step.centers_), n_outputs(step)
+    real, d, q = numbers.real, step.n_features_in_, n_outputs(step)
+    k = len(step.posterior_.centers)
     text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
     text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
     p = len(step.posterior_.tail_map)

@@ -18,6 +18,7 @@ from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import (
+    FeaturePowers,
     GroupedPosterior,
     NetworkPosterior,
     ProcessPosterior,
@@ -35,6 +36,7 @@ TRUSTED_TYPES = [
         Arm.azimuth,
         ArmResidualRegressor,
         Fading,
+        FeaturePowers,
         GroupedPosterior,
         JointHarmonicRegressor,
         LinearModel,

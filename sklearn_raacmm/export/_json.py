@@ -23,6 +23,7 @@ from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearMod
 from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._steps import STAGES, check_fitted
 from sklearn_raacmm.network import (
+    FeaturePowers,
     GroupedPosterior,
     NetworkPosterior,
     ProcessPosterior,
@@ -44,8 +45,10 @@ _ESTIMATORS = {
 # Fitted numbers that are values of their own.
 _VALUES = {
     kind.__name__: kind
-    for kind in (Fading, GroupedPosterior, LinearModel, NetworkPosterior, ProcessPosterior)
-}
+    for kind in (
+        FeaturePowers, Fading, GroupedPosterior, LinearModel, NetworkPosterior, ProcessPosterior,
+    )
+}  # fmt: skip
 # Arrays of scikit-learn's steps: d is the number of features. Those that are None are left out.
 _SHAPES = {
     name: dict.fromkeys(attributes, ("d",))

@@ -7,7 +7,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model import LOAD, PUSH, SHIFT, column_table, given_factors
 from sklearn_raacmm.export._onnx_graph import Graph, TensorProto, angle, point, transforms
-from sklearn_raacmm.export._onnx_steps import azimuth, network, pose_angles, to_cartesian
+from sklearn_raacmm.export._onnx_steps import azimuth, network, pose_angles, seen, to_cartesian
 from sklearn_raacmm.export._steps import arm_of, fadings_of, force_of, posterior_spectrum
 
 # Entry [j, 3 k + i] of the product that makes the matrix of ``u -> u x r`` of r: (u x r)_k is the
@@ -237,6 +237,7 @@ def convert_arm_model(scope, operator, container):
         if step.joints == "pose":
             used, elevation = pose_angles(graph, arm, angles, poses)
             x = graph("Concat", used, angle(graph, *elevation), axis=1)
+        x = seen(graph, step.network_, x)
         y, parts = network(graph, step.network_, x)
         variance = _network_variance(graph, parts, x) if doubted else None
         y = to_cartesian(graph, y, azimuth(graph, arm, poses))

@@ -93,8 +93,32 @@ def _radial(graph, kernel, s):
     raise RuntimeError(f"RBFNetRegressor with kernel={kernel!r} cannot be converted to ONNX.")
 
 
+def seen(graph, step, x):
+    """Features as an `RBFNetRegressor` sees them, (n, d), see `FeaturePowers`."""
+    powers = step.powers_
+    changed = powers.changed
+    if not len(changed):
+        return x
+    names = ("lambdas", "unit", "start", "low")
+    exponent, unit, start, low = (getattr(powers, name)[None, changed] for name in names)
+    value = graph("Gather", x, graph.integers(*changed), axis=1)
+    at = graph("Max", value, low)
+    u = graph("Log", graph("Add", graph("Div", at, unit), start))
+    slope = graph("Exp", graph("Mul", u, exponent - 1))
+    power = graph("Sub", graph("Exp", graph("Mul", u, exponent)), 1.0)
+    is_log = exponent == 0
+    power = graph("Div", power, np.where(is_log, 1.0, exponent))
+    power = graph("Add", power, graph("Mul", u, is_log.astype(float)))  # exp(0) - 1 is 0
+    power = graph("Mul", graph("Add", power, 1.0 - start), unit)
+    power = graph("Add", power, graph("Mul", slope, graph("Sub", value, at)))
+    # Where each column goes; the others keep theirs.
+    place = np.eye(len(powers.lambdas))
+    kept = graph("Mul", x, (powers.lambdas == 1.0).astype(float)[None, :])
+    return graph("Add", kept, graph("MatMul", power, place[changed]))
+
+
 def network(graph, step, x):
-    """Prediction (n, q) of an `RBFNetRegressor`.
+    """Prediction (n, q) of an `RBFNetRegressor` at features as it sees them, see `seen`.
 
     Returns
     -------
@@ -118,10 +142,11 @@ def _group_network(graph, step, x):
     linear = np.atleast_2d(step.linear_coef_)
     if np.any(linear):
         y = graph("Add", y, graph("MatMul", x, linear.T))
-    if not len(step.centers_):
+    centers = step.posterior_.centers
+    if not len(centers):
         return y, None
-    shift = step.centers_.mean(axis=0)
-    centers = (step.centers_ - shift) / step.length_scale_
+    shift = centers.mean(axis=0)
+    centers = (centers - shift) / step.length_scale_
     z = graph("Mul", graph("Sub", x, shift), 1 / step.length_scale_)
     # |z|^2 + |c|^2 - 2 z.c, as predict has it.
     squares = graph("ReduceSum", graph("Mul", z, z), graph.integers(1), keepdims=1)
@@ -133,7 +158,7 @@ def _group_network(graph, step, x):
 
 def convert_network(scope, operator, container):
     step, graph = operator.raw_operator, Graph(scope, container)
-    y, _ = network(graph, step, graph.as_double(operator.inputs[0]))
+    y, _ = network(graph, step, seen(graph, step, graph.as_double(operator.inputs[0])))
     graph.put(y, operator.outputs[0])
 
 

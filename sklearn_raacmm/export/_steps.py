@@ -128,12 +128,14 @@ def n_outputs(network):
 def described(network):
     """Kernel and number of centres of a fitted `RBFNetRegressor`, group by group, as text."""
     parts = networks_of(network)
-    texts = [f"{part.kernel_}, {len(part.centers_)} centres" for _, part in parts]
+    texts = [f"{part.kernel_}, {len(part.posterior_.centers)} centres" for _, part in parts]
+    changed = len(network.powers_.changed)
+    powers = f", powers of {changed} features" if changed else ""
     if len(parts) == 1:
-        return texts[0]
+        return texts[0] + powers
     outputs = [", ".join(str(i) for i in of) for of, _ in parts]
     groups = [f"outputs {of}: {text}" for of, text in zip(outputs, texts, strict=True)]
-    return "; ".join(groups)
+    return "; ".join(groups) + powers
 
 
 def extra_of(model):
@@ -188,7 +190,7 @@ def posterior_spectrum(step):
     ValueError
         If the tables would be too large, as they are where thousands of rows are centres.
     """
-    posterior, k = step.posterior_, len(step.centers_)
+    posterior, k = step.posterior_, len(step.posterior_.centers)
     if k > MOST_CENTERS and isinstance(posterior, ProcessPosterior):
         raise ValueError(
             f"The standard deviation of a network of {k} centres would need a table of "

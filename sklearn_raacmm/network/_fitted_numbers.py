@@ -4,7 +4,7 @@ import numpy as np
 
 
 class FittedNumbers:
-    """Attributes of a fitted `RBFNetRegressor`, all of which are numbers of its `posterior_`."""
+    """Attributes of a fitted `RBFNetRegressor`: numbers of its `posterior_` and its `powers_`."""
 
     def _shaped(self, values):
         """Values whose last axis is the outputs, without it where y had none."""
@@ -28,7 +28,11 @@ class FittedNumbers:
 
     @property
     def centers_(self):
-        return self.posterior_.centers
+        return self.powers_.inverse(self.posterior_.centers)
+
+    @property
+    def lambdas_(self):
+        return self.powers_.lambdas
 
     @property
     def coef_(self):
@@ -61,10 +65,11 @@ class GroupNetwork(FittedNumbers):
     Parameters
     ----------
     posterior : NetworkPosterior or ProcessPosterior
+    powers : FeaturePowers
     """
 
-    def __init__(self, posterior):
-        self.posterior_, self._flat = posterior, False
+    def __init__(self, posterior, powers):
+        self.posterior_, self.powers_, self._flat = posterior, powers, False
         self.n_features_in_ = len(posterior.length_scale)
 
 
@@ -85,4 +90,4 @@ def networks_of(network):
     if not hasattr(posterior, "parts"):
         return [(np.arange(len(posterior.alpha)), network)]
     parts = zip(posterior.outputs(), posterior.parts, strict=True)
-    return [(of, GroupNetwork(part)) for of, part in parts]
+    return [(of, GroupNetwork(part, network.powers_)) for of, part in parts]

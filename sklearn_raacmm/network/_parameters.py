@@ -49,7 +49,7 @@ def warn_of_bound(features):
             f"{WIDTH_BOUNDS[0]:g} of the feature's spread: the function may vary faster than the "
             "rows can show, or a few values lie far from all others.",
             ConvergenceWarning,
-            stacklevel=10,  # through the decorators of `fit`, to the line of the call
+            stacklevel=11,  # through the decorators of `fit`, to the line of the call
         )
 
 
@@ -62,7 +62,7 @@ def warn_of_unlike(outputs):
             'given, for "newrb" and for rows that are read in blocks. Fit one network for each '
             "output: MultiOutputRegressor(RBFNetRegressor()).",
             ConvergenceWarning,
-            stacklevel=10,  # through the decorators of `fit`, to the line of the call
+            stacklevel=11,  # through the decorators of `fit`, to the line of the call
         )
 
 

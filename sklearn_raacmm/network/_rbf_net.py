@@ -1,5 +1,6 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
+from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
@@ -8,10 +9,10 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.network._center_choice import CenterSettings
+from sklearn_raacmm.network._feature_powers import likely_powers, log_likelihood_of, tune_powers
 from sklearn_raacmm.network._fitted_numbers import FittedNumbers
 from sklearn_raacmm.network._grouped_fit import Given, check_kernel, fit_groups, tuned_groups
 from sklearn_raacmm.network._kernels import KERNELS
-from sklearn_raacmm.network._large_data import is_dask
 from sklearn_raacmm.network._parameters import (
     check_alpha,
     check_length_scale,
@@ -19,7 +20,7 @@ from sklearn_raacmm.network._parameters import (
     relevance,
 )
 from sklearn_raacmm.network._read_data import read_problem
-from sklearn_raacmm.network._robust_loss import MAX_FITS, NORMAL_SQUARE, SETTLED, biweights
+from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import last_network
 from sklearn_raacmm.utils import (
     Interval,
@@ -29,9 +30,7 @@ from sklearn_raacmm.utils import (
     check_fitted,
     check_flags,
     check_shapes,
-    check_weights,
     check_whole_number,
-    encode_groups,
     fit_context,
     one_blas_thread,
     whole_fit,
@@ -123,6 +122,12 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         Most distinct training rows, drawn at random, that may become centres. None: all, or
         10 000 where there are more.
 
+    power_transform : {"auto"} or None, default="auto"
+        "auto": features of positive numbers or zeros that span powers of ten are seen through a
+        power of them, by Box and Cox [4]_, where the data are clearly more probable so. Only where
+        the widths are to be found, without `groups`, not for "newrb", for `degree` 1 nor above
+        100 000 rows. None: features are seen as they are.
+
     loss : {"squared", "tukey"}, default="squared"
         "tukey": where rows lie farther off than 5.5 standard deviations, all are weighed by Tukey's
         biweight [3]_, which gives those none, and the network is fitted again, at most six times.
@@ -166,15 +171,22 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         Constant term.
 
     linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
-        Linear term; zero unless `degree` is 1, or "auto" has found it to be.
+        Linear term, in the powers of the features where these are seen so; zero unless `degree` is
+        1, or "auto" has found it to be.
 
     kernel_ : str or ndarray of shape (n_outputs,)
         Name of the radial function, chosen or given; with several groups of outputs, of each.
 
     length_scale_ : ndarray of shape (n_features,) or (n_outputs, n_features)
-        Width of every feature, with several groups of outputs for each output; infinite for a
-        feature that is ignored: it did not vary, or the function's slope along it cannot be told
-        from 0.
+        Width of every feature, or of the power that it is seen through, with several groups of
+        outputs for each output; infinite for a feature that is ignored: it did not vary, or the
+        function's slope along it cannot be told from 0.
+
+    lambdas_ : ndarray of shape (n_features,)
+        Exponent of every feature: 1 where it is seen as it is, 0 where by its logarithm.
+
+    powers_ : FeaturePowers
+        All numbers of these powers.
 
     alpha_ : float or ndarray of shape (n_outputs,)
         Ridge of every output: outputs of a group share widths and centres, but not their noise.
@@ -271,6 +283,8 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
        2006, chapter 8.
     .. [3] A. E. Beaton, J. W. Tukey, "The fitting of power series, meaning polynomials, illustrated
        on band-spectroscopic data", Technometrics 16 (1974), 147-185.
+    .. [4] G. E. P. Box, D. R. Cox, "An analysis of transformations", Journal of the Royal
+       Statistical Society B 26(2), 1964, 211-252.
 
     Examples
     --------
@@ -301,6 +315,7 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         "tol": [Interval(Real, 0, None, closed="left")],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
         "max_candidates": [Interval(Integral, 1, None, closed="left"), None],
+        "power_transform": [StrOptions({"auto"}), None],
         "loss": [StrOptions({"squared", "tukey"})],
         "selection": [StrOptions({"ols", "newrb"})],
         "refine": ["boolean"],
@@ -320,6 +335,7 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         tol=0.02,
         max_centers=None,
         max_candidates=None,
+        power_transform="auto",
         loss="squared",
         selection="ols",
         refine=False,
@@ -335,6 +351,7 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         self.tol = tol
         self.max_centers = max_centers
         self.max_candidates = max_candidates
+        self.power_transform = power_transform
         self.loss = loss
         self.selection = selection
         self.refine = refine
@@ -389,29 +406,11 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
             vars(self).pop(name, None)
         self._fit_weighted(X, y, sample_weight, groups)
         if self.loss == "tukey":
-            self._reweigh(X, y, sample_weight, groups)
-
-    def _reweigh(self, X, y, sample_weight, groups):
-        """Fit again with weights by the residuals, until these have settled."""
-        if is_dask(X):
-            X, y = X.compute(), np.asarray(y)
-        given = check_weights(sample_weight, X)
-        targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
-        factor = np.ones(len(given))
-        codes = encode_groups(groups)[1] if self.offsets_ else None
-        for _ in range(MAX_FITS):
-            residuals = targets - self.predict(X).reshape(targets.shape)
-            last, factor = factor, biweights(residuals, given, codes)
-            if np.mean(np.abs(factor - last)) < SETTLED:
-                break
-            self._fit_weighted(X, y, given * factor, groups, self.offsets_)
-        if np.any(factor < 1):
-            self.posterior_ = self.posterior_.with_noise(1 / NORMAL_SQUARE)
-        self.row_weight_ = factor
+            reweigh(self, X, y, sample_weight, groups)
 
     def _fit_weighted(self, X, y, sample_weight, groups, offsets=None):
         """Fit by least squares with given weights; groups have offsets, have none, or may have."""
-        rng = check_random_state(self.random_state)
+        rng, refit = check_random_state(self.random_state), offsets is not None
         problem = read_problem(self, X, y, sample_weight, groups, offsets, rng)
         n_outputs = len(problem.spread)
         width = check_length_scale(self.length_scale, self.n_features_in_, n_outputs)
@@ -423,15 +422,18 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         open_degree = self.degree == "auto" and self.selection == "ols"
         given = Given(kernel, width, alpha, isotropic, open_degree)
         settings = CenterSettings.of(self)
-        groups = tuned_groups(problem, given, settings, rng, last)
-        values = [group.tuned.log_likelihood for group in groups]
-        if None not in values:
-            self.log_marginal_likelihood_value_ = sum(values)
-        if self.offsets_ and not groups[0].tuned.offsets:
+        find = partial(tuned_groups, given=given, settings=settings, rng=rng)
+        tuned, self.powers_ = tune_powers(self, problem, find, rng, last, refit)
+        value = log_likelihood_of(tuned)
+        if value is not None:
+            self.log_marginal_likelihood_value_ = value
+        if self.offsets_ and not tuned[0].tuned.offsets:
+            if likely_powers(self, problem) is not None:  # labels are to change nothing
+                return self._fit_weighted(X, y, sample_weight, None)
             problem = read_problem(self, X, y, sample_weight, None, False, rng)
-            groups = [groups[0]._replace(problem=problem)]
-        self.group_share_ = groups[0].tuned.share
-        found = fit_groups(groups, settings)
+            tuned = [tuned[0]._replace(problem=problem)]
+        self.group_share_ = tuned[0].tuned.share
+        found = fit_groups(tuned, settings)
         self.posterior_, self.stop_reason_ = found.posterior, found.stop_reason
         self.criterion_path_, self.n_iter_ = found.scores, found.n_tried
         self.center_indices_ = problem.first[found.centers]
@@ -478,7 +480,7 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
-        X = self._checked_rows(X)
+        X = self._seen_rows(X)
         mean, std = self.posterior_.predict(X, return_std, with_noise)
         if return_cov:
             return self._shaped(mean), self._shaped(self.posterior_.covariance(X, with_noise))
@@ -523,7 +525,7 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         >>> model.sample_y([[1.0], [2.0]], n_samples=3).shape
         (2, 3)
         """
-        X = self._checked_rows(X)
+        X = self._seen_rows(X)
         n_samples = check_whole_number("n_samples", n_samples, 1)
         draws = self.posterior_.sample(X, n_samples, check_random_state(random_state), with_noise)
         return draws[:, 0] if self._flat else draws
@@ -566,7 +568,11 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         True
         """
         X = self._checked_rows(X)
-        of_mean, of_variance = self.posterior_.gradient(X, return_variance)
+        seen, slopes = self.powers_.transform(X), self.powers_.slopes(X)[:, None]
+        of_mean, of_variance = self.posterior_.gradient(seen, return_variance)
+        of_mean *= slopes
+        if return_variance:
+            of_variance *= slopes
         if self._flat:
             of_mean = of_mean[:, 0]
             of_variance = of_variance[:, 0] if return_variance else None
@@ -576,8 +582,14 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         check_fitted(self, "posterior_")
         return check_features(self, X, dtype=np.float64, reset=False)
 
+    def _seen_rows(self, X):
+        X = self._checked_rows(X)
+        return self.powers_.transform(X)
+
     def __setstate__(self, state):
         super().__setstate__(state)
         if "posterior_" in vars(self):
             sizes = {"k": len(self.posterior_.centers)}
             check_shapes(type(self).__name__, vars(self), {"center_indices_": ("k",)}, sizes)
+            sizes = {"d": len(self.posterior_.polynomial) - 1}
+            check_shapes("FeaturePowers", vars(self.powers_), {"lambdas": ("d",)}, sizes)

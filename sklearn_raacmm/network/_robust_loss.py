@@ -8,6 +8,9 @@ References
 
 import numpy as np
 
+from sklearn_raacmm.network._large_data import is_dask
+from sklearn_raacmm.utils import check_weights, encode_groups
+
 # Residual, in standard deviations, from which a row has no weight; while none is as far off, all
 # rows have theirs in full. 4e-8 of normal residuals are: one table of 10 000 rows in 2600 has one.
 CUT = 5.5
@@ -51,3 +54,29 @@ def biweights(residuals, weights, codes=None):
     if not np.any(far[counted] > CUT):
         return np.ones(len(size))
     return np.square(np.maximum(1 - np.square(far / CUT), 0.0))
+
+
+def reweigh(estimator, X, y, sample_weight, groups):
+    """Fit a fitted network again with weights by the residuals, until these have settled.
+
+    Parameters
+    ----------
+    estimator : RBFNetRegressor
+    X, y, sample_weight, groups
+        As given to its `fit`.
+    """
+    if is_dask(X):
+        X, y = X.compute(), np.asarray(y)
+    given = check_weights(sample_weight, X)
+    targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
+    factor = np.ones(len(given))
+    codes = encode_groups(groups)[1] if estimator.offsets_ else None
+    for _ in range(MAX_FITS):
+        residuals = targets - estimator.predict(X).reshape(targets.shape)
+        last, factor = factor, biweights(residuals, given, codes)
+        if np.mean(np.abs(factor - last)) < SETTLED:
+            break
+        estimator._fit_weighted(X, y, given * factor, groups, estimator.offsets_)
+    if np.any(factor < 1):
+        estimator.posterior_ = estimator.posterior_.with_noise(1 / NORMAL_SQUARE)
+    estimator.row_weight_ = factor

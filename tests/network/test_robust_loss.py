@@ -72,7 +72,7 @@ def test_an_interrupted_fit_leaves_the_model_as_it_was(monkeypatch):
         calls.append(args)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sklearn_raacmm.network._rbf_net.biweights", interrupt)
+    monkeypatch.setattr("sklearn_raacmm.network._robust_loss.biweights", interrupt)
     with pytest.raises(KeyboardInterrupt):
         model.fit(X[:, :1], y)
     assert calls
