@@ -12,7 +12,7 @@ real: as measured), in units of the truth's standard deviation, joined over outp
 medians over seeds of peer / RBFNetRegressor, but for the errors, which are given relative to the
 Gaussian process where it was run, else to RBFNetRegressor.
 
-    python benchmarks/bench_accuracy.py --sizes 300 1000 --seeds 3 --csv accuracy.csv
+    python benchmarks/bench_accuracy.py --sizes 300 1000 --seeds 3 --generated --csv accuracy.csv
 
 Runs found in the file of --csv are not repeated. Real data: see benchmarks/_problems.py.
 """
@@ -278,11 +278,14 @@ def main():
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--csv", default="bench_accuracy.csv", help="file of results, appended to")
     parser.add_argument("--no-limits", action="store_true", help="every peer at every size")
+    parser.add_argument("--generated", action="store_true", help="no real data")
     parser.add_argument("--quick", action="store_true", help="300 rows, no large real data")
     parser.add_argument("--verbose", action="store_true", help="print every run")
     args = parser.parse_args()
     if args.quick:
         args.sizes = [300]
+    if args.generated:
+        args.problems = [name for name in args.problems if name not in REAL]
     if OURS not in args.peers:
         args.peers = [OURS, *args.peers]
     with threadpool_limits(1):
