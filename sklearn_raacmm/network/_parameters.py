@@ -10,6 +10,9 @@ from sklearn_raacmm.utils import LARGEST, floats, show
 
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
 _MAX_RANGE = 1e6
+# The same in units of a feature's spread, where the width is to be found: off by 2e-3. From 1e7 on
+# there were kernel matrices of simulated tables without a Cholesky factor.
+_MAX_SPREADS = 3e6
 # Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
 _MAX_WIDTH = 1e7
 
@@ -39,6 +42,20 @@ def check_length_scale(length_scale, n_features, n_outputs):
             f"length_scale must be positive, at least {1 / LARGEST:g}; got {show(length_scale)}."
         )
     return width if width.ndim == 2 else np.broadcast_to(width, n_features).copy()
+
+
+def refuse_far(X, spread):
+    """Refuse numbers so far from the others that the distances of these are lost in rounding."""
+    low, high = X.min(axis=0), X.max(axis=0)
+    found = np.flatnonzero((spread > 0) & (high - low > _MAX_SPREADS * spread))
+    if len(found):
+        i = found[0]
+        raise ValueError(
+            f"Feature {i} has numbers from {low[i]:g} to {high[i]:g}, but most lie within a "
+            f"spread of {spread[i]:g}: beyond {_MAX_SPREADS:g} spreads distances between the "
+            "other rows are lost in rounding. If these are codes of missing values, leave their "
+            "rows out; else clip the feature or give its logarithm."
+        )
 
 
 def warn_of_bound(features):

@@ -390,9 +390,10 @@ class RBFNetRegressor(FittedNumbers, MultiOutputMixin, RegressorMixin, Versioned
         ------
         ValueError
             If X or y hold NaN, infinity, or numbers whose squares underflow; if a weight is
-            negative or all are 0; if `length_scale` does not fit the features, or is so narrow or
-            wide that double precision does not resolve the kernel; if `groups` has missing labels,
-            or X more than 100 000 rows with them.
+            negative or all are 0; if a feature, whose width is to be found, has numbers 3e6 spreads
+            apart; if `length_scale` does not fit the features, or is so narrow or wide that double
+            precision does not resolve the kernel; if `groups` has missing labels, or X more than
+            100 000 rows with them.
 
         Warns
         -----

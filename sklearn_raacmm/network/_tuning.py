@@ -13,12 +13,18 @@ from sklearn_raacmm.network._group_search import search_groups
 from sklearn_raacmm.network._likelihood import Data, leave_one_out
 from sklearn_raacmm.network._network_posterior import RadialFunctions
 from sklearn_raacmm.network._output_groups import output_groups, outputs_given_up
-from sklearn_raacmm.network._parameters import leading_bits, warn_of_bound, warn_of_unlike
+from sklearn_raacmm.network._parameters import (
+    leading_bits,
+    refuse_far,
+    warn_of_bound,
+    warn_of_unlike,
+)
 from sklearn_raacmm.network._polynomial_tail import linear_left_out, linear_process
 from sklearn_raacmm.network._width_objective import ALPHA_BOUNDS
 from sklearn_raacmm.network._width_search import (
     AUTO_KERNELS,
     parameters_found,
+    robust_spread,
     search,
     still_right,
 )
@@ -105,6 +111,8 @@ def tune(
     weights = np.square(sample.root[:, 0])
     targets = view.of(rows)[1] / sample.root
     data = Data(sample.X, targets, weights, view.within, sample.codes)
+    if length_scale is None:
+        refuse_far(data.X, robust_spread(data.X, weights))
     units = np.log(view.scale).sum()
     given = None if alpha is None else alpha[view.outputs] / sample.unit
     # Of an average of models the radial functions alone would be kept.

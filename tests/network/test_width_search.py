@@ -157,6 +157,22 @@ def test_a_process_of_more_parameters_than_inducing_rows_carry_is_the_exact_one(
         assert found.value < task.objective(end.theta, every, kernel)[0]
 
 
+@pytest.mark.parametrize("far", [1e7, 1e12])
+def test_numbers_too_far_from_all_others_are_refused(far):
+    rng = np.random.default_rng(0)
+    X = rng.standard_normal((100, 8))
+    y = np.sin(X[:, 0])
+    X[:2] = far
+    with pytest.raises(
+        ValueError, match=rf"Feature 0 has numbers from -\d.* to {far:g}".replace("+", "\\+")
+    ):
+        RBFNetRegressor().fit(X, y)
+    # The largest that is let through: distances of the others are right to a hundredth of a spread.
+    X[:2] = 1e6
+    model = RBFNetRegressor(random_state=0, power_transform=None).fit(X, y)
+    assert np.mean(np.square(model.predict(X[2:]) - y[2:])) < 0.01 * y.var()
+
+
 def test_a_sentinel_does_not_set_the_scale_of_its_feature():
     X, y, _ = waves(150)
     spoiled = X.copy()
