@@ -35,6 +35,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import _c_columns, describe, export_c, fingerprint, from_json, to_json
+from sklearn_raacmm.network import networks_of
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -138,9 +139,12 @@ def rounding(net, features):
     """What 64-bit arithmetic can promise: a share of the largest sum of terms without signs."""
     if not hasattr(net, "kernel"):
         return 1e-12
-    Z, centers = (x / net.length_scale_ for x in (features, net.centers_))
-    terms = np.abs(kernel_matrix(Z, centers, net.kernel_)) @ np.abs(np.atleast_2d(net.coef_).T)
-    return 1e-12 + 1e-13 * terms.max()
+    terms = []
+    for _, part in networks_of(net):
+        Z, centers = (x / part.length_scale_ for x in (features, part.centers_))
+        phi = kernel_matrix(Z, centers, part.kernel_)
+        terms.append((np.abs(phi) @ np.abs(np.atleast_2d(part.coef_).T)).max())
+    return 1e-12 + 1e-13 * max(terms)
 
 
 @pytest.mark.parametrize("compiler", COMPILERS or ["none"])
