@@ -21,7 +21,7 @@ NOISE = 0.01
 CODES = np.repeat(np.arange(6), 20)
 
 
-def setup(seed=0, n=120):
+def poses_and_noise(seed=0, n=120):
     rng = np.random.default_rng(seed)
     return rng.uniform(-2, 2, (n, 6)), rng.normal(0, NOISE, (n, 3))
 
@@ -32,12 +32,12 @@ def rows_of(steps):
 
 def test_nothing_in_noise():
     for seed in range(20):
-        angles, left = setup(seed)
+        angles, left = poses_and_noise(seed)
         assert find_steps(left, angles, CODES) == []
 
 
 def test_steps_there_and_back_are_found_where_they_are():
-    angles, left = setup()
+    angles, left = poses_and_noise()
     left[46:54] += [0.0, 0.3, 0.1]
     steps = find_steps(left, angles, CODES)
     assert rows_of(steps) == [(2, 45, 46), (2, 53, 54)]
@@ -46,7 +46,7 @@ def test_steps_there_and_back_are_found_where_they_are():
 
 def test_rows_of_positions_may_be_interleaved():
     """Only their order within a position counts."""
-    angles, left = setup()
+    angles, left = poses_and_noise()
     left[50:60] += [0.2, 0.0, 0.0]
     order = np.argsort(np.tile(np.arange(20), 6), kind="stable")  # one row of each in turn
     (step,) = find_steps(left[order], angles[order], CODES[order])
@@ -55,7 +55,7 @@ def test_rows_of_positions_may_be_interleaved():
 
 
 def test_a_constant_of_each_position_plays_no_part():
-    angles, left = setup()
+    angles, left = poses_and_noise()
     left[90:] += 0.2
     moved = left + np.random.default_rng(1).normal(0, 50, (6, 3))[CODES]
     assert rows_of(find_steps(left, angles, CODES)) == [(4, 89, 90)]
@@ -64,7 +64,7 @@ def test_a_constant_of_each_position_plays_no_part():
 
 def test_an_order_that_means_nothing_is_seen():
     """Rows of two levels, shuffled: by chance there are runs of both."""
-    angles, left = setup()
+    angles, left = poses_and_noise()
     left[40:48] += 0.5
     assert rows_of(find_steps(left, angles, CODES)) == [(2, 47, 48)]
     rng, named = np.random.default_rng(0), 0
@@ -77,7 +77,7 @@ def test_an_order_that_means_nothing_is_seen():
 @pytest.mark.parametrize("joint", [0, 3])
 def test_an_error_of_the_arm_is_no_step(joint):
     """Smooth in a joint's angle and large, with the rows sorted by it, or one half turned over."""
-    angles, left = setup()
+    angles, left = poses_and_noise()
     left = left + 10 * NOISE * np.sin(angles[:, [joint]]) * [1, 1, -1]
     order = np.lexsort((angles[:, joint], CODES))
     assert find_steps(left[order], angles[order], CODES) == []
@@ -86,7 +86,7 @@ def test_an_error_of_the_arm_is_no_step(joint):
 
 
 def test_slipped_poses_are_no_step():
-    angles, left = setup()
+    angles, left = poses_and_noise()
     slipped = np.random.default_rng(0).random(len(left)) < 0.06
     left[slipped] += np.random.default_rng(1).normal(0, 1, (slipped.sum(), 3))
     left[[70, 71]] += [0, 0, 2.0]  # twice in a row
@@ -95,7 +95,7 @@ def test_slipped_poses_are_no_step():
 
 def test_a_pose_that_was_recorded_many_times_is_one():
     """Ten readings of a slipped probe do not make a socket move."""
-    angles, left = setup()
+    angles, left = poses_and_noise()
     left[50] += 1.0
     rng = np.random.default_rng(0)
     burst = np.repeat(angles, 10, axis=0) + rng.normal(0, 1e-5, (1200, 6))
@@ -107,19 +107,19 @@ def test_a_pose_that_was_recorded_many_times_is_one():
 
 @pytest.mark.parametrize("n", [0, 1, 5, 6])
 def test_few_rows(n):
-    angles, left = setup()
+    angles, left = poses_and_noise()
     left[n // 2 :] += 1.0
     assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
 
 
 def test_exact_residuals():
-    angles, _ = setup()
+    angles, _ = poses_and_noise()
     assert find_steps(np.zeros((120, 3)), angles, CODES) == []
 
 
 def test_variance_of_a_difference_of_means_against_its_covariance():
     """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
-    angles, left = setup()
+    angles, left = poses_and_noise()
     poses = _moved_seats._Poses.of(left, angles, CODES)
     spread = _moved_seats._Spread(np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1]))
     place = poses.place[:8]
