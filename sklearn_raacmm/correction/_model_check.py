@@ -35,10 +35,8 @@ _ORDERS = (1, 2)
 # than this share of all, they are no slips.
 _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 # Poses farther off than this share of all, if errors were normal, count as though they were there:
-# those of a real arm have longer tails, of which a single pose must not raise an alarm. With 0.95
-# 12 of 700 checks of a UR10 that had not changed raised one at a rate of 1 %, with this 4 of 540;
-# simulated knocks of 5, 10 and 20 arc seconds are found in 78, 80 and 87 % instead of 80, 80, 87.
-_USUAL = 0.9
+# those of a real arm have longer tails, of which a single pose must not raise an alarm.
+_USUAL = 0.95
 # Sets of poses drawn for the limits of the control chart.
 _DRAWS = 1000
 # A direction that the poses show by less than this part of the strongest is not tested.
@@ -191,7 +189,7 @@ def check_correction(
     would do to these poses: the offset and the two lowest harmonics of each joint, the probe, a
     common scale. The smallest p-value times the number of tests is compared with the rate, so that
     the rate is an upper bound (Bonferroni). Poses in regions that the model has not seen may raise
-    alarms of their own. A pose that lies farther off than 90 % do counts as though it lay there.
+    alarms of their own. A pose that lies farther off than 95 % do counts as though it lay there.
 
     What cannot be seen is not tested: a single-point test without known lengths has no scale, and
     joint 1 nothing but its harmonics.
