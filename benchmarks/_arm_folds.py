@@ -13,8 +13,7 @@ import numpy as np
 from sklearn.cluster import KMeans
 from sklearn.model_selection import GroupKFold
 
-import sklearn_raacmm
-from sklearn_raacmm import Arm, calibrate, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -23,10 +22,7 @@ DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data
 
 def arm_model(arm, **options):
     """The linear model of an arm with its guards."""
-    name = "JointHarmonicRegressor"
-    if not hasattr(sklearn_raacmm, name):  # the one estimator of the arm
-        name = "ArmResidualRegressor"
-    return getattr(sklearn_raacmm, name)(arm, **options)
+    return ArmResidualRegressor(arm, **options)
 
 
 def readers():

@@ -24,6 +24,8 @@ FAMILIES = (
     "gravity", "kinematics", "wobble", "temperature", "direction", "force", "tool", "harmonics",
     "smooth",
 )  # fmt: skip
+# The families that `ArmResidualRegressor` names in `causes`.
+CAUSES = ("gravity", "kinematics", "wobble")
 FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, TOOL)
 # Kinds of columns: a small turn about an axis of a frame, a small shift along it, or a turn about
 # it in proportion to the torque about that axis of a load, or of a force on the probe.

@@ -112,12 +112,12 @@ class State(NamedTuple):
     @property
     def gains(self):
         """Rise of the log evidence by each pair, beside all others, (k,)."""
+        if not len(self.pairs):
+            return np.empty(0)
         m = len(self.coef) - 2 * len(self.pairs)
         half = self.half[m:].reshape(len(self.pairs), 2, -1)
         covariance = half @ half.swapaxes(1, 2)
         coef = self.coef[m:].reshape(-1, 2)
-        if not len(coef):
-            return np.empty(0)
         fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)
         shrunk = np.linalg.slogdet(covariance)[1] - 2 * np.log(self.prior[m::2])
         return 0.5 * (fit + shrunk)
