@@ -100,14 +100,15 @@ def leave_out(fitted, terms, positions, weights):
     structures = structures_of(rows.arm, terms, state.with_field)
     start = state._replace(noise_variance=model.noise_variance)
     used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=())
-    # A block of outliers alone teaches nothing, but its errors are asked for.
-    labels = np.unique(blocks)
-    parts = [used.at((blocks == b) & kept).sums(terms)[0] if kept[blocks == b].any() else None
-             for b in labels]  # fmt: skip
+    parts = {
+        block: used.at((blocks == block) & kept).sums(terms)[0]
+        for block in np.unique(blocks[kept]).tolist()
+    }
+    whole = combined(list(parts.values()), np.ones(len(parts)))
     found = LeftOut(*(np.empty((len(points), 3)) for _ in LeftOut._fields))
-    for i, block in enumerate(labels):
-        others = [part for j, part in enumerate(parts) if j != i and part is not None]
-        sums = combined(others, np.ones(len(others)))
+    for block in np.unique(blocks).tolist():
+        # A block of outliers alone teaches nothing, but its errors are asked for.
+        sums = combined((whole, parts[block]), (1, -1)) if block in parts else whole
         best = search_at(Problem(sums, structures), start)
         rest = model_of(used.at((blocks != block) & kept), terms, best)
         of = np.flatnonzero(blocks == block)

@@ -153,11 +153,11 @@ def combined(parts, signs):
         for values in zip(*(part[:-1] for part in parts), strict=True)
     ]
 
-    def rows(pairs, likely=(), beside=None):
-        found = [part.rows(pairs, likely, beside) for part in parts]
+    def rows(pairs):
+        found = (part.rows(pairs) for part in parts)
         return sum(sign * value for sign, value in zip(signs, found, strict=True))
 
-    return Sums(*whole, rows)
+    return Sums(*whole, GramRows(rows, parts[0].cross.shape[1]))
 
 
 def sums_of_pairs(sums, pairs):

@@ -17,10 +17,12 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.linalg.blas import dtrsm
 
-from sklearn_raacmm.inference._linear import SMALL_RISE, columns_of, root_of
+from sklearn_raacmm.inference._linear import MAX_STEPS, SMALL_RISE, columns_of, root_of
 
 # Rounds of the choice at most; it stops by the evidence, and few problems take more than five.
 _MAX_ROUNDS = 10
+# Steps of the variances between two looks at which lines have become needless.
+_STEPS_WHILE_LEAVING = 2
 # Of the next best candidates, how many are named as likely to be asked for next.
 _LIKELY = 48
 # The field is tried where this share of its price is promised; sizes of its variance that are tried
@@ -42,22 +44,23 @@ def search(problem, state=None):
     -------
     State
     """
-    state = problem.nothing() if state is None else state
-    with_field = state.with_field
-    lines = state.lines if with_field else state.lines[:0]
-    best, best_value, tried = None, -np.inf, set()
+    if state is None:
+        best = problem.nothing()
+    else:
+        lines = state.lines if state.with_field else state.lines[:0]
+        best = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+        best = _settled(problem, best) if state.with_field else best
+    value = net_evidence(problem, best)
     for _ in range(_MAX_ROUNDS):
-        lines = _extended(problem, lines, state)
-        state = problem.state(lines, with_field, state.variance, state.noise_variance)
-        state = _pruned(problem, problem.with_variances(state))
-        lines, value = state.lines, net_evidence(problem, state)
-        if value > best_value + SMALL_RISE:
-            best, best_value = state, value
-        elif best is not None:
+        lines = _extended(problem, best)
+        if len(lines) == len(best.lines):
             break
-        if (key := lines.tobytes()) in tried:
+        state = problem.state(lines, best.with_field, best.variance, best.noise_variance)
+        state = _settled(problem, state)
+        last, value = value, net_evidence(problem, state)
+        if not value > last + SMALL_RISE:
             break
-        tried.add(key)
+        best = state
     return best
 
 
@@ -74,8 +77,8 @@ def search_at(problem, state):
     -------
     State
     """
-    lines = _extended(problem, state.lines[:0], state)
     start = state.with_field, state.variance, state.noise_variance
+    lines = _extended(problem, state._replace(lines=state.lines[:0]))
     return _pruned(problem, problem.state(lines, *start))
 
 
@@ -114,8 +117,8 @@ def net_evidence(problem, state):
     return state.log_evidence - problem.structures.price[state.lines].sum()
 
 
-def _extended(problem, lines, state):
-    """Lines and those that raise the evidence by more than their price, at given variances.
+def _extended(problem, state):
+    """The lines of a state and those that raise the evidence by more than their price beside them.
 
     With S the penalised Gram matrix of what is left of the columns beside the chosen ones and r
     their products with what is left of y, a pair b raises the log evidence by
@@ -125,10 +128,10 @@ def _extended(problem, lines, state):
     rows and the pairs' own 2 x 2 blocks suffice.
     """
     try:
-        left = _Leftover(problem, lines, state)
+        left = _Leftover(problem, state)
     except LinAlgError:  # so little noise that only rounding is left of the others
-        return lines
-    chosen, price = lines.tolist(), problem.structures.price[left.free]
+        return state.lines
+    chosen, price = state.lines.tolist(), problem.structures.price[left.free]
     alive = np.ones(len(left.free), dtype=bool)
     while alive.any():
         gain, sound = left.gains()
@@ -145,6 +148,23 @@ def _extended(problem, lines, state):
             continue
         chosen.append(int(left.free[best]))
     return np.sort(np.array(chosen, dtype=int))
+
+
+def _settled(problem, state):
+    """The state at its own variances, without lines that are needless there.
+
+    The variances follow a few steps at a time while lines leave, and settle at the end.
+    """
+    steps = _STEPS_WHILE_LEAVING
+    while True:
+        state = problem.with_variances(state, steps)
+        left = _pruned(problem, state)
+        if len(left.lines) < len(state.lines):
+            state, steps = left, _STEPS_WHILE_LEAVING
+        elif steps < MAX_STEPS:
+            steps = MAX_STEPS
+        else:
+            return state
 
 
 def _pruned(problem, state):
@@ -172,7 +192,7 @@ def _promise(problem, state):
     """
     structures = problem.structures
     try:
-        left = _Leftover(problem, state.lines, state)
+        left = _Leftover(problem, state)
     except LinAlgError:  # so little noise that only rounding is left
         return 1.0, -np.inf
     shares = structures.share[left.free]
@@ -194,10 +214,10 @@ class _Leftover:
     left, and nothing is asked.
     """
 
-    def __init__(self, problem, lines, state):
+    def __init__(self, problem, state):
         sums, noise, structures = problem.sums, state.noise_variance, problem.structures
         self.sums, self.noise = sums, noise
-        pairs, shares = problem.pairs_and_shares(lines, state.with_field)
+        pairs, shares = problem.pairs_and_shares(state.lines, state.with_field)
         self.free = np.setdiff1d(np.arange(sums.own.shape[1]), pairs)
         self.prior = state.variance[structures.line]
         self.columns, chosen = columns_of(self.free), columns_of(pairs)
