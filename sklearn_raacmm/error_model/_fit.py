@@ -27,7 +27,7 @@ from sklearn_raacmm.inference import (
     search,
     sums_of_pairs,
 )
-from sklearn_raacmm.utils import TUKEY_LIMIT, centred, chunks, stage, tukey_weights
+from sklearn_raacmm.utils import TUKEY_CUT, centred, chunks, stage, tukey_weights
 
 # Rounds of robust weights at one choice, and choices with what the weights have become: lines that
 # were chosen while outliers counted fully are a worse beginning than none. Weights that change by
@@ -177,7 +177,7 @@ def _share_of_noise(n):
     E[w d^2] / (n E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution; beyond
     the limit c the density is next to nothing.
     """
-    c2 = TUKEY_LIMIT**2
+    c2 = TUKEY_CUT**2
     moment = np.cumprod([1.0, n, n + 2, n + 4])  # E[d^0], E[d^2], E[d^4], E[d^6]
     whole = moment[0] - 2 * moment[1] / c2 + moment[2] / c2**2
     return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
@@ -222,10 +222,9 @@ def _settled(rows, terms, structures, sums, state, factor):
 
 
 def _pose_weights(rows, expected, factor):
-    """Tukey's weights of the poses; those at hand where none is far off."""
+    """Tukey's weights of the poses, by what is left of them beside their position's mean."""
     left = centred(rows.y - expected, rows.codes, rows.weights * factor)
-    found = tukey_weights(left, rows.weights)
-    return factor if np.all(found == 1) and np.all(factor == 1) else found
+    return tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
 
 
 def _expected_of(rows, terms):
