@@ -19,11 +19,10 @@ from sklearn_raacmm.error_model._extra import force_on_probe
 from sklearn_raacmm.error_model._fading import Fading
 from sklearn_raacmm.error_model._gauge import constrained
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._structures import PRICE_PER_LOG_ORDER, smooth_shares
+from sklearn_raacmm.error_model._structures import order_price, smooth_shares
 
 __all__ = [
     "LOAD",
-    "PRICE_PER_LOG_ORDER",
     "PUSH",
     "SHIFT",
     "ArmResidualRegressor",
@@ -37,6 +36,7 @@ __all__ = [
     "force_on_probe",
     "given_factors",
     "observed_columns",
+    "order_price",
     "smooth_shares",
     "term_columns",
 ]

@@ -14,10 +14,6 @@ import numpy as np
 from sklearn_raacmm.error_model._columns import FAMILIES, FAMILIES_OF_EXTRA, term_names
 from sklearn_raacmm.inference import Structures
 
-# The price of a harmonic in nats is this times the logarithm of its order: the odds that an order
-# is there fall with its square. Every encoder is a little eccentric, so that order 1 is free; an
-# order of 400 costs 12 nats.
-PRICE_PER_LOG_ORDER = 2.0
 # Orders up to this may be there all together, small, and smaller the higher they are: a smooth
 # function of the joint's angle. Order at which the decay begins, and price in nats.
 _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
@@ -116,12 +112,29 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
     given[list(idle)] = _IDLE_VARIANCE
     return Structures(
         family=family,
-        price=PRICE_PER_LOG_ORDER * np.log(order),
+        price=order_price(order),
         share=smooth_shares(order) if with_field and len(order) else None,
         field_price=_PRICE_OF_FIELD,
         given=given,
         largest=_LARGEST_VARIANCE,
     )
+
+
+def order_price(order):
+    """Price of a harmonic in nats: the odds that an order is there fall with its square.
+
+    Every encoder is a little eccentric, so that order 1 is free; an order of 400 costs 12 nats.
+    Decided on simulated arms by ``benchmarks/bench_prices.py``.
+
+    Parameters
+    ----------
+    order : ndarray of shape (n_pairs,)
+
+    Returns
+    -------
+    ndarray of shape (n_pairs,)
+    """
+    return 2 * np.log(order)
 
 
 def smooth_shares(order):
