@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sklearn import config_context
 from sklearn.model_selection import GroupKFold, cross_validate
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, calibrate
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     Terms,
@@ -24,7 +24,7 @@ ARMS = {
     "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
 }
 NONE = np.empty((0, 2), int)
-SMALL = {"max_order": 2, "gravity": False, "wobble": False}
+SMALL = {"orders": 2, "causes": ["kinematics"]}
 
 
 def orientation(arm, theta):
@@ -124,12 +124,12 @@ def rms(errors):
 
 def test_orientations_show_what_points_do_not(measured):
     arm, theta, y, turns, new, y_new, turns_new = measured
-    model = JointHarmonicRegressor(arm, **SMALL)
+    model = ArmResidualRegressor(arm, **SMALL)
     by_points = model.fit(theta, y)
     left = turns_new - by_points.predict_orientation(new)
     assert rms(left) < 0.95 * rms(turns_new)  # joints 2 and 5 are known, 6 is not
     points_only = rms(y_new - by_points.predict(new))
-    both = JointHarmonicRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
+    both = ArmResidualRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
     error = turns_new - both.predict_orientation(new)
     assert rms(error) < 0.15 * rms(left)
     assert both.linear_model_ is both.orientation_model_  # it is better for points, too
@@ -150,12 +150,12 @@ def test_orientations_show_what_points_do_not(measured):
 
 def test_the_guarded_model_has_them_by_its_first_stage(measured):
     arm, theta, y, turns, new, _, _ = measured
-    first = JointHarmonicRegressor(**SMALL)
+    first = ArmResidualRegressor(**SMALL)
     for use in ("harmonics", "none"):
         model = ArmResidualRegressor(arm, harmonics=first, use=use)
         model.fit(theta, y, orientation_residuals=turns)
         found, std = model.predict_orientation(new, return_std=True)
-        alone = JointHarmonicRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
+        alone = ArmResidualRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
         expected, expected_std = alone.predict_orientation(new, return_std=True)
         assert_allclose(found, expected * (use != "none"))
         assert_allclose(std, expected_std)
@@ -170,7 +170,7 @@ def test_points_and_orientation_have_the_same_cause():
     error[:, 4] = -25 * ARCSEC * np.sin(2 * theta[:, 4])
     y = arm.forward(theta + error) - arm.forward(theta)
     y += rng.normal(scale=1e-4, size=y.shape)
-    model = JointHarmonicRegressor(arm, kinematics=False, **SMALL).fit(theta, y)
+    model = ArmResidualRegressor(arm, causes=["gravity", "wobble"], **SMALL).fit(theta, y)
     turns = turned_by(orientation(arm, theta + error), orientation(arm, theta))
     assert rms(turns - model.predict_orientation(theta)) < 0.01 * rms(turns)
     correction = Rotation.from_rotvec(model.predict_orientation(theta)).as_matrix()
@@ -209,7 +209,7 @@ def test_from_a_calibration(measured):
 def test_weights_folds_and_routing(measured):
     arm, theta, y, turns, *_ = measured
     groups = np.arange(len(y)) % 6
-    model = JointHarmonicRegressor(arm, offsets=False, **SMALL)
+    model = ArmResidualRegressor(arm, offsets=False, **SMALL)
     weights = np.random.default_rng(0).integers(0, 3, len(y))
     weighted = model.fit(theta, y, sample_weight=weights, orientation_residuals=turns)
     expected = weighted.predict_orientation(theta)
@@ -231,7 +231,7 @@ def test_weights_folds_and_routing(measured):
 
 def test_what_is_refused(measured):
     arm, theta, y, turns, *_ = measured
-    model = JointHarmonicRegressor(arm, **SMALL)
+    model = ArmResidualRegressor(arm, **SMALL)
     for given, message in [
         (turns[:, :2], r"must be 300 rotation vectors in rad, shape \(300, 3\), got \(300, 2\)"),
         (turns[:5], r"got \(5, 3\)"),

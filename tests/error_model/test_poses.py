@@ -7,19 +7,18 @@ from numpy.testing import assert_allclose
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    JointHarmonicRegressor,
     check_correction,
     next_poses,
     update_correction,
 )
 
 ARM = Arm.from_name("aacmm6")
-SMALL = {"max_order": 2, "gravity": False, "wobble": False}
+SMALL = {"orders": 2, "causes": ["kinematics"]}
 
 
 def models(**options):
-    first = JointHarmonicRegressor(**SMALL)
-    yield JointHarmonicRegressor(ARM, **SMALL, **options)
+    first = ArmResidualRegressor(**SMALL)
+    yield ArmResidualRegressor(ARM, **SMALL, **options)
     yield ArmResidualRegressor(ARM, harmonics=first, use="harmonics", n_folds=2, **options)
 
 

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    JointHarmonicRegressor,
     calibrate,
     learn_correction,
 )
@@ -163,9 +162,9 @@ def test_models_name_position_rows_and_size():
     y = y - np.stack([y[groups == label].mean(axis=0) for label in np.unique(groups)])[groups]
     expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first} \(rows counted"
     models = (
-        JointHarmonicRegressor(test.arm, max_order=2),
+        ArmResidualRegressor(test.arm, orders=2),
         ArmResidualRegressor(
-            test.arm, use="harmonics", n_folds=2, harmonics=JointHarmonicRegressor(max_order=2)
+            test.arm, use="harmonics", n_folds=2, harmonics=ArmResidualRegressor(orders=2)
         ),
     )
     for model in models:
@@ -181,14 +180,14 @@ def test_labels_of_their_own_after_each_step_are_the_way_out():
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
     labels[first:][groups[first:] == 2] = "cone 2, moved"
     y = calibrate(test.arm, angles, labels, free=["probe"]).residuals_mm
-    model = JointHarmonicRegressor(test.arm, max_order=2).fit(angles, y, groups=labels)
+    model = ArmResidualRegressor(test.arm, orders=2).fit(angles, y, groups=labels)
     assert model.noise_sd_ < 0.02
 
 
 def test_a_reference_is_no_socket():
     test, angles, groups, _ = moved_test()
     y = test.arm.forward(angles) - test.simulation.positions[groups]
-    model = JointHarmonicRegressor(test.arm, max_order=2, offsets=False)
+    model = ArmResidualRegressor(test.arm, orders=2, offsets=False)
     model.fit(angles, y, groups=groups)
     assert not model.offsets_
 
@@ -196,7 +195,7 @@ def test_a_reference_is_no_socket():
 def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)
-    model = JointHarmonicRegressor(max_order=2)
+    model = ArmResidualRegressor(orders=2)
     with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first} ") as said:
         learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
     assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
@@ -210,7 +209,7 @@ def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
         result = calibrate(nominal, data.angles, data.groups)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            JointHarmonicRegressor(result.arm, max_order=20).fit(
+            ArmResidualRegressor(result.arm, orders=20).fit(
                 data.angles, result.residuals_mm, groups=data.groups
             )
         said[name] = [str(one.message) for one in caught]

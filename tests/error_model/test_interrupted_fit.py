@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from sklearn.base import clone
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, RBFNetRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
 
 ARM = Arm.from_name("aacmm6")
 
@@ -49,7 +49,7 @@ def test_interrupted_at_every_stage(kind):
     rng = np.random.default_rng(0)
     theta = rng.uniform(-1, 1, (60, 6))
     groups = np.repeat(np.arange(6), 10)
-    first = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
+    first = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"])
     if kind == "linear":
         model = first
     else:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import Terms, term_columns
 from sklearn_raacmm.error_model._columns import HARMONIC, term_names
 from sklearn_raacmm.error_model._place_fields import place_fields
@@ -87,7 +87,7 @@ def errors_over_deviations(name, seed, single_point):
     y = truth + rng.normal(0, NOISE_MM, truth.shape)
     y = centred(y, codes) if single_point else y
     train = codes % 3 > 0
-    model = JointHarmonicRegressor(arm, max_order=3)
+    model = ArmResidualRegressor(arm, orders=3)
     model.fit(theta[train], y[train], groups=codes[train])
     linear = model.linear_model_
     error = linear.predict(theta)[0] - truth

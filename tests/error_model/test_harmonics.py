@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import (
     LinearOptions,
@@ -29,7 +29,7 @@ from sklearn_raacmm.error_model._smooth_functions import add_smooth
 from sklearn_raacmm.error_model._wave_sums import waves
 
 ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
-ALONE = {"gravity": False, "kinematics": False, "wobble": False}
+ALONE = {"causes": []}
 
 
 def draw_angles(n, seed=0, width=2.0):
@@ -326,7 +326,7 @@ def test_evidence_does_not_run_away(n_rows, offsets):
     """It preferred an arm of no size, whose points all lie together, from 12 000 rows on."""
     d = make_single_point(n_positions=n_rows // 30, n_poses=30, random_state=0)
     y = d.target if offsets else d.points - d.simulation.true_points
-    model = JointHarmonicRegressor(d.arm, max_order=4).fit(d.data, y, groups=d.groups)
+    model = ArmResidualRegressor(d.arm, orders=4).fit(d.data, y, groups=d.groups)
     assert 2 < model.prior_sd_["kinematics"] < 30
     assert 30 < model.prior_sd_["gravity"] < 300
     assert model.prior_sd_["wobble"] < 5
@@ -425,7 +425,7 @@ def with_gears(n, gears, seed=0, amplitude=4.0, noise=0.01):
 def test_orders_of_gears_are_found_by_default():
     gears = [(1, 128), (3, 256), (2, 100), (1, 1)]
     theta, y = with_gears(400, gears)
-    model = JointHarmonicRegressor(ARM).fit(theta, y)
+    model = ArmResidualRegressor(ARM).fit(theta, y)
     found = set(map(tuple, (model.column_harmonics_ - [1, 0]).tolist()))
     # Orders 1 and 2 need no price: one of chance is among them, and next to nothing.
     assert {pair for pair in found if pair[1] > 2} | {(1, 1)} == set(gears)
@@ -444,12 +444,12 @@ def test_multiples_of_a_known_gear_are_taken_more_easily():
     y_alone += ARM.forward(theta + ARCSEC * error) - ARM.forward(theta)
 
     def high(y):
-        table = JointHarmonicRegressor(ARM, **ALONE).fit(theta, y).harmonics_
+        table = ArmResidualRegressor(ARM, **ALONE).fit(theta, y).harmonics_
         return {(j, k) for j, k in table[["joint", "order"]].tolist() if k > 72}
 
     assert high(y_of_both) == {(2, 128), (4, 256)}
     assert high(y_alone) == set()
-    named = JointHarmonicRegressor(ARM, gear_ratio=[0, 0, 0, 128, 0, 0], **ALONE)
+    named = ArmResidualRegressor(ARM, gear_ratio=[0, 0, 0, 128, 0, 0], **ALONE)
     assert (4, 256) in named.fit(theta, y_alone).harmonics_[["joint", "order"]].tolist()
     named.set_params(gear_ratio=None, orders=[256])
     assert named.fit(theta, y_alone).harmonics_[["joint", "order"]].tolist() == [(4, 256)]
@@ -498,7 +498,7 @@ def test_prices_of_orders():
 def test_orders_and_ratios_are_checked(params, message):
     theta, y = with_gears(20, [])
     with pytest.raises(ValueError, match=message):
-        JointHarmonicRegressor(ARM, **params).fit(theta, y)
+        ArmResidualRegressor(ARM, **params).fit(theta, y)
 
 
 def test_high_orders_are_exact():

@@ -13,7 +13,6 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    JointHarmonicRegressor,
     calibrate,
     position_residuals,
 )
@@ -28,7 +27,7 @@ ARMS = {
     "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
     "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
 }
-ALONE = {"gravity": False, "kinematics": False, "wobble": False}
+ALONE = {"causes": []}
 
 
 def draw_angles(arm, n, seed=0, width=2.0):
@@ -187,7 +186,7 @@ def test_chance_does_not_look_like_a_harmonic():
         counts = []
         for seed in range(20):
             y = np.random.default_rng(seed).normal(size=(100, 3))
-            model = JointHarmonicRegressor(arm, max_order=max_order, **ALONE).fit(theta, y)
+            model = ArmResidualRegressor(arm, orders=max_order, **ALONE).fit(theta, y)
             counts.append(np.count_nonzero(model.harmonics_["order"] > 2))
             assert np.linalg.norm(model.predict(theta), axis=1).mean() < 0.4  # of noise: 1.6
         assert np.count_nonzero(counts) <= 5
@@ -198,7 +197,7 @@ def test_chance_does_not_look_like_a_harmonic():
 
 def test_finds_what_was_put_in(eccentric):
     arm, theta, y, truth = eccentric
-    model = JointHarmonicRegressor(arm, **ALONE).fit(theta, y)
+    model = ArmResidualRegressor(arm, **ALONE).fit(theta, y)
     table = np.sort(model.harmonics_, order="joint")
     assert table[["joint", "order"]].tolist() == [(2, 1), (4, 17), (6, 2)]
     sd = table["cos_sd_arcsec"]
@@ -212,13 +211,13 @@ def test_finds_what_was_put_in(eccentric):
 
 def test_largest_harmonic_first(eccentric):
     arm, theta, y, _ = eccentric
-    amplitude = JointHarmonicRegressor(arm, **ALONE).fit(theta, y).harmonics_["amplitude_arcsec"]
+    amplitude = ArmResidualRegressor(arm, **ALONE).fit(theta, y).harmonics_["amplitude_arcsec"]
     assert np.all(np.diff(amplitude) <= 0)
 
 
 def test_the_number_offered_hardly_matters(eccentric):
     arm, theta, y, _ = eccentric
-    few, many = (JointHarmonicRegressor(arm, max_order=k, **ALONE).fit(theta, y) for k in (20, 100))
+    few, many = (ArmResidualRegressor(arm, orders=k, **ALONE).fit(theta, y) for k in (20, 100))
     assert_array_equal(few.column_harmonics_, many.column_harmonics_)
     assert_allclose(few.coef_, many.coef_, rtol=1e-2)
 
@@ -226,7 +225,7 @@ def test_the_number_offered_hardly_matters(eccentric):
 def test_standard_deviations_are_honest(eccentric):
     """Over 40 draws of the noise, the error of the prediction is what is said of it."""
     arm, theta, _, truth = eccentric
-    model = JointHarmonicRegressor(arm, max_order=20)
+    model = ArmResidualRegressor(arm, orders=20)
     new = draw_angles(arm, 30, seed=9)
     error = np.zeros_like(new)
     error[:, 1] = 6 * np.cos(new[:, 1] - np.deg2rad(40))
@@ -249,7 +248,7 @@ def test_uncertainty_grows_away_from_the_data(eccentric):
         displaced(arm, corner, error)
         + np.random.default_rng(0).normal(0, 0.003, theta.shape)[:, :3]
     )
-    model = JointHarmonicRegressor(arm).fit(corner, y)
+    model = ArmResidualRegressor(arm).fit(corner, y)
     inside = model.predict(corner, return_std=True)[1].mean()
     outside = model.predict(-corner, return_std=True)[1].mean()
     assert outside > 1.5 * inside
@@ -269,7 +268,7 @@ def gauges(request):
 
 def test_scale_stays_that_of_the_calibration(gauges):
     cone, gauge = gauges
-    model = JointHarmonicRegressor(cone.arm, max_order=4)
+    model = ArmResidualRegressor(cone.arm, orders=4)
     model.fit(cone.data, cone.target, groups=cone.groups)
     before, after = (
         np.stack([points[cone.groups == i].mean(axis=0) for i in range(10)])
@@ -293,8 +292,8 @@ def test_scale_stays_that_of_the_calibration(gauges):
 
 def test_without_kinematics_lengths_are_not_promised(gauges):
     cone, _ = gauges
-    options = {"max_order": 1, "gravity": False, "wobble": False, "kinematics": False}
-    model = JointHarmonicRegressor(cone.arm, **options)
+    options = {"orders": 1, "causes": []}
+    model = ArmResidualRegressor(cone.arm, **options)
     with pytest.warns(UserWarning, match="nothing holds the distances between positions") as seen:
         model.fit(cone.data, cone.target, groups=cone.groups)
     assert seen[0].filename == __file__
@@ -317,7 +316,7 @@ def test_known_lengths_join_the_fit(gauges):
     y = np.vstack([cone.target, gauge.target[short]])
     groups = np.r_[cone.groups, 100 + gauge.groups[short]]
     known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[gauge.lengths == 300]]
-    model = JointHarmonicRegressor(cone.arm, max_order=4)
+    model = ArmResidualRegressor(cone.arm, orders=4)
     errors = [
         np.abs(gauge_errors(gauge, correction, 500)).mean()
         for correction in (
@@ -331,7 +330,7 @@ def test_known_lengths_join_the_fit(gauges):
 def test_lengths_are_checked(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 20
-    model = JointHarmonicRegressor(arm, max_order=2, offsets=True)
+    model = ArmResidualRegressor(arm, orders=2, offsets=True)
     with pytest.raises(ValueError, match="group 77, which has no samples"):
         model.fit(theta, y, groups=groups, lengths=[(0, 77, 100, 0.1)])
     with pytest.raises(ValueError, match=r"\(label, label, length, standard deviation\)"):
@@ -362,7 +361,7 @@ def test_slipped_poses_are_left_out(eccentric):
     rng = np.random.default_rng(4)
     bad = rng.random(len(y)) < 0.05
     slipped = y + np.where(bad[:, None], rng.normal(0, 0.5, y.shape), 0.0)
-    model = JointHarmonicRegressor(arm, max_order=20)
+    model = ArmResidualRegressor(arm, orders=20)
     new = draw_angles(arm, 200, seed=8)
     for offsets in (False, True):
         model.set_params(offsets=offsets)
@@ -386,7 +385,7 @@ def test_few_poses_without_noise_are_no_reason_to_fail():
     for seed in range(5):
         theta = draw_angles(arm, 15, seed=seed)
         y = displaced(arm, theta, np.tile([0, 5.0, -3.0, 0, 0, 0], (15, 1)))
-        model = JointHarmonicRegressor(arm).fit(theta, y)
+        model = ArmResidualRegressor(arm).fit(theta, y)
         assert np.linalg.norm(model.predict(theta) - y) < 0.05 * np.linalg.norm(y)
 
 
@@ -396,7 +395,7 @@ def test_offsets_are_free(eccentric):
     groups = np.arange(len(y)) % 20
     rng = np.random.default_rng(3)
     moved = y + rng.normal(0, 1.0, (20, 3))[groups]
-    model = JointHarmonicRegressor(arm, offsets=True, max_order=4, gravity=False, wobble=False)
+    model = ArmResidualRegressor(arm, offsets=True, orders=4, causes=["kinematics"])
     expected = clone(model).fit(theta, y, groups=groups)
     found = clone(model).fit(theta, moved, groups=groups)
     assert found.offsets_
@@ -408,7 +407,7 @@ def test_offsets_are_free(eccentric):
 def test_offsets_auto(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.array(list("abcde"))[np.arange(len(y)) % 5]
-    model = JointHarmonicRegressor(arm, max_order=1, gravity=False, wobble=False)
+    model = ArmResidualRegressor(arm, orders=1, causes=["kinematics"])
     assert not model.fit(theta, y).offsets_
     assert not model.fit(theta, y, groups=groups).offsets_
     centred = position_residuals(y, groups)
@@ -428,8 +427,8 @@ def test_rows_without_weight_do_not_decide_when_the_others_have_settled():
     X = np.resize(rng.rand(15, 30).T, (6, 15)).T
     y = np.tile(rng.randint(0, 3, 15)[:, None], 3).astype(float)
     weights = rng.randint(0, 5, 15)
-    model = JointHarmonicRegressor(
-        Arm.from_name("aacmm6"), gravity=False, kinematics=False, max_order=3
+    model = ArmResidualRegressor(
+        Arm.from_name("aacmm6"), causes=["wobble"], orders=3
     )
     used = weights > 0
     assert 8 < used.sum() < 15
@@ -442,7 +441,7 @@ def test_weights_are_repeats(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 12
     weights = np.random.default_rng(4).integers(0, 4, len(y))
-    model = JointHarmonicRegressor(arm, max_order=20, offsets=True)
+    model = ArmResidualRegressor(arm, orders=20, offsets=True)
     weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
     rows = np.random.default_rng(5).permutation(np.repeat(np.arange(len(y)), weights))
     repeated = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
@@ -455,7 +454,7 @@ def test_prior_in_arc_seconds(eccentric):
     """A tight prior shrinks the harmonics to zero; a wide one leaves least squares."""
     arm, theta, y, _ = eccentric
     tight, wide = (
-        JointHarmonicRegressor(arm, max_order=20, prior_sd=sd, **ALONE).fit(theta, y)
+        ArmResidualRegressor(arm, orders=20, prior_sd=sd, **ALONE).fit(theta, y)
         for sd in (0.1, 1000.0)
     )
     assert tight.prior_sd_ == {"harmonics": pytest.approx(0.1)}
@@ -473,7 +472,7 @@ def test_kinematic_errors_come_back_in_their_units():
     true = arm.replace(d=d, alpha=alpha)
     y = arm.forward(theta) - true.forward(theta)
     y += np.random.default_rng(0).normal(0, 0.002, y.shape)
-    model = JointHarmonicRegressor(arm, gravity=False, wobble=False).fit(theta, y)
+    model = ArmResidualRegressor(arm, causes=["kinematics"]).fit(theta, y)
     value = dict(zip(model.terms_["name"], model.terms_["value"], strict=True))
     sd = dict(zip(model.terms_["name"], model.terms_["sd"], strict=True))
     length = ARCSEC * reach_mm(arm)
@@ -485,7 +484,7 @@ def test_kinematic_errors_come_back_in_their_units():
 def test_no_error_no_correction():
     arm = ARMS["modified"]
     theta = draw_angles(arm, 40)
-    model = JointHarmonicRegressor(arm, max_order=5).fit(theta, np.zeros((40, 3)))
+    model = ArmResidualRegressor(arm, orders=5).fit(theta, np.zeros((40, 3)))
     assert_array_equal(model.predict(theta), 0)
     assert len(model.harmonics_) == 0
 
@@ -494,13 +493,13 @@ def test_is_a_scikit_learn_estimator(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 8
     search = GridSearchCV(
-        JointHarmonicRegressor(arm, **ALONE), {"max_order": [1, 20]}, cv=GroupKFold(4)
+        ArmResidualRegressor(arm, **ALONE), {"orders": [1, 20]}, cv=GroupKFold(4)
     ).fit(theta, y, groups=groups)
-    assert search.best_params_ == {"max_order": 20}
+    assert search.best_params_ == {"orders": 20}
     model = search.best_estimator_
     assert_array_equal(pickle.loads(pickle.dumps(model)).predict(theta), model.predict(theta))
     with config_context(enable_metadata_routing=True):
-        routed = JointHarmonicRegressor(arm, max_order=2, offsets=True, gravity=False, wobble=False)
+        routed = ArmResidualRegressor(arm, orders=2, offsets=True, causes=["kinematics"])
         with pytest.raises(ValueError, match="offsets=True needs groups"):
             routed.fit(theta, y)
         routed.set_fit_request(groups=True, sample_weight=True)
@@ -518,7 +517,7 @@ def test_is_a_scikit_learn_estimator(eccentric):
 
 def test_errors(eccentric):
     arm, theta, y, _ = eccentric
-    model = JointHarmonicRegressor(arm)
+    model = ArmResidualRegressor(arm)
     for X, target, message in [
         (theta[:, :5], y, "X has 5 columns, but the arm .* has 6 joints"),
         (theta, y[:, :2], r"y has shape \(400, 2\); Cartesian residuals \(n_samples, 3\)"),
@@ -533,9 +532,9 @@ def test_errors(eccentric):
     with pytest.raises(ValueError, match="groups names 3 samples, but there are 400"):
         model.fit(theta, y, groups=[1, 2, 3])
     with pytest.raises(ValueError, match="no columns"):
-        JointHarmonicRegressor(arm, max_order=0, **ALONE).fit(theta, y)
+        ArmResidualRegressor(arm, orders=0, **ALONE).fit(theta, y)
     with pytest.warns(UserWarning, match="degrees"):
-        JointHarmonicRegressor(arm, max_order=1, **ALONE).fit(np.rad2deg(theta), y)
+        ArmResidualRegressor(arm, orders=1, **ALONE).fit(np.rad2deg(theta), y)
 
 
 # -- real arms ------------------------------------------------------------------------------------
@@ -550,7 +549,7 @@ def leave_placements_out(data):
         nominal = Arm.from_name("panda", probe=(0, 0, 138))
         arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=lengths).arm
         y = position_residuals(arm.forward(data.angles), data.groups)
-        model = JointHarmonicRegressor(arm)
+        model = ArmResidualRegressor(arm)
         model.fit(data.angles[train], y[train], groups=data.groups[train])
         assert model.offsets_
         left = y[~train] - model.predict(data.angles[~train])
@@ -580,7 +579,7 @@ def test_a_real_robot_at_unseen_goals(ur10):
     result = calibrate(nominal, theta[train], points=points[train])
     arm = result.arm
     y = arm.forward(theta) - (points - result.base_translation) @ result.base_rotation
-    model = JointHarmonicRegressor(arm).fit(theta[train], y[train], groups=goals[train])
+    model = ArmResidualRegressor(arm).fit(theta[train], y[train], groups=goals[train])
     assert not model.offsets_
     before, after = (
         np.linalg.norm(e, axis=1).mean()
