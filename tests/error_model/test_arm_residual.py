@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
+from sklearn_raacmm.error_model._position_means import length_equations
 
 from sklearn_raacmm import (
     Arm,
@@ -20,7 +21,6 @@ from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.error_model import LinearOptions, fit_linear_model
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns, term_names
-from sklearn_raacmm.error_model._position_means import length_equations
 from sklearn_raacmm.metrics import gauge_lengths
 
 ARMS = {
@@ -427,9 +427,7 @@ def test_rows_without_weight_do_not_decide_when_the_others_have_settled():
     X = np.resize(rng.rand(15, 30).T, (6, 15)).T
     y = np.tile(rng.randint(0, 3, 15)[:, None], 3).astype(float)
     weights = rng.randint(0, 5, 15)
-    model = ArmResidualRegressor(
-        Arm.from_name("aacmm6"), causes=["wobble"], orders=3
-    )
+    model = ArmResidualRegressor(Arm.from_name("aacmm6"), causes=["wobble"], orders=3)
     used = weights > 0
     assert 8 < used.sum() < 15
     expected = clone(model).fit(X[used], y[used], sample_weight=weights[used]).predict(X)

@@ -4,10 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
+from sklearn_raacmm.error_model._fit_checks import _check_offsets, _check_vectors
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model._fit_checks import _check_offsets, _check_vectors
 
 ARM = Arm.from_name("aacmm6")
 RNG = np.random.default_rng(0)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.stats import norm as normal
-from scipy.stats import t as student
 
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
@@ -12,7 +10,6 @@ from sklearn_raacmm.error_model import LinearOptions, Terms, fit_linear_model, t
 from sklearn_raacmm.error_model._fading import Fading, find_fading
 from sklearn_raacmm.error_model._left_out import (
     errors_left_out,
-    interval_scales,
     leave_out,
 )
 from sklearn_raacmm.utils import centred
@@ -59,9 +56,7 @@ def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_p
     for seed in range(6):
         test, truth, y, train = draw(seed)
         y = centred(y, test.groups) if single_point else y
-        model = ArmResidualRegressor(
-            test.arm, orders=2, causes=["kinematics"], prior_sd=12.0
-        )
+        model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics"], prior_sd=12.0)
         model.set_params(offsets=single_point)
         model.fit(test.data[train], y[train], groups=test.groups[train])
         linear = model.linear_model_
@@ -133,12 +128,6 @@ def test_models_without_a_block_are_those_of_a_fit_without_it():
     assert 0.7 < np.sqrt(np.mean(errors**2 / (std**2 + model.noise_variance))) < 1.3
 
 
-
-
-
-
-
-
 def test_intervals_hold_where_a_cause_is_missing():
     """Simulated arms with errors that no column has: posterior too sure, intervals right."""
     raw, honest = [], []
@@ -190,5 +179,3 @@ def test_distance_std_is_that_of_the_difference():
     assert_array_equal(model.distance_std(X1, X1), 0)
     with pytest.raises(ValueError, match="X1 has 20 poses and X2 has 19"):
         model.distance_std(X1, X2[1:])
-
-
