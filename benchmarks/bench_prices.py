@@ -27,12 +27,12 @@ def stepped(order):
 RULES = {
     "0, 6 and 16 nats": stepped,
     "flat log(2400)": lambda order: np.full(len(order), np.log(2400)),
-    "1 log k": lambda order: np.log(order),
     "1.5 log k": lambda order: 1.5 * np.log(order),
     "2 log k": lambda order: 2 * np.log(order),
     "2.5 log k": lambda order: 2.5 * np.log(order),
-    "3 log k": lambda order: 3 * np.log(order),
-    "4 log k": lambda order: 4 * np.log(order),
+    "2 log k/2": lambda order: 2 * np.log(np.maximum(order / 2, 1)),
+    "2.5 log k/2": lambda order: 2.5 * np.log(np.maximum(order / 2, 1)),
+    "3 log k/2": lambda order: 3 * np.log(np.maximum(order / 2, 1)),
 }
 
 
