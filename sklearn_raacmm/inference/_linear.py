@@ -1,8 +1,8 @@
 r"""Linear regression whose structures are chosen by evidence: sums, priors and posterior.
 
 The model is :math:`y = A w + H u + e` with noise variance :math:`s^2`. The columns A are always in;
-those of H are candidates in pairs, such as the cosine and the sine of one harmonic, of which few are
-taken. A structure is some columns with one prior variance and a price:
+those of H are candidates in pairs, such as the cosine and the sine of one harmonic, of which few
+are taken. A structure is some columns with one prior variance and a price:
 
 - a family: columns of A that share one variance;
 - a line: one pair of H, with the variance that all lines share;
