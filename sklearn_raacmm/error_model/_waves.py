@@ -99,8 +99,9 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
     cross = _products(cross, len(gram))
 
     def rows_of(pairs):
-        parts = [pairs[some] for some in chunks(len(pairs), _LARGEST_BATCH)]
-        return np.concatenate([_gram_rows(poses, turns, spans, offered[part]) for part in parts])
+        pairs, size = offered[pairs], _LARGEST_BATCH
+        parts = [pairs[i : i + size] for i in range(0, len(pairs), size)]
+        return np.concatenate([_gram_rows(poses, turns, spans, part) for part in parts])
 
     n_observations = float(y.shape[1]) * (poses.weights.sum() - poses.n_groups)
     return Sums(

@@ -1,4 +1,4 @@
-"""Linear regression whose structures are chosen by evidence, and what is done with its posterior."""
+"""Linear regression whose structures are chosen by evidence, and what its posterior is for."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -13,6 +13,7 @@ from sklearn_raacmm.inference._linear import (
     Sums,
     columns_of,
     combined,
+    evidence_variance,
     sums_of_pairs,
 )
 from sklearn_raacmm.inference._search import beside_field, net_evidence, search, search_at
@@ -27,6 +28,7 @@ __all__ = [
     "beside_field",
     "columns_of",
     "combined",
+    "evidence_variance",
     "interval_scales",
     "net_evidence",
     "search",

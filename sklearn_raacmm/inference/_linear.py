@@ -1,8 +1,8 @@
 r"""Linear regression whose structures are chosen by evidence: sums, priors and posterior.
 
 The model is :math:`y = A w + H u + e` with noise variance :math:`s^2`. The columns A are always in;
-those of H are candidates in pairs, such as the cosine and the sine of one harmonic, of which few are
-taken. A structure is some columns with one prior variance and a price:
+those of H are candidates in pairs, such as the cosine and the sine of one harmonic, of which few
+are taken. A structure is some columns with one prior variance and a price:
 
 - a family: columns of A that share one variance;
 - a line: one pair of H, with the variance that all lines share;
@@ -153,26 +153,33 @@ def combined(parts, signs):
         for values in zip(*(part[:-1] for part in parts), strict=True)
     ]
 
-    def rows(pairs):
-        found = (part.rows(pairs) for part in parts)
-        return sum(sign * value for sign, value in zip(signs, found, strict=True))
+    terms = [
+        (sign * own, found)
+        for sign, part in zip(signs, parts, strict=True)
+        for own, found in part.rows.terms
+    ]
 
-    return Sums(*whole, GramRows(rows, parts[0].cross.shape[1]))
+    def sum_up(pairs):
+        rows = 0.0
+        for sign, found in terms:
+            rows = rows + sign * found(pairs)
+        return rows
+
+    return Sums(*whole, GramRows(sum_up, parts[0].cross.shape[1], terms))
 
 
 def sums_of_pairs(sums, pairs):
     """Sums with some of the candidates only."""
     columns = columns_of(pairs)
 
-    def rows(some, likely=(), beside=None):
-        beside = pairs if beside is None else pairs[beside]
-        return sums.rows(pairs[np.asarray(some, dtype=int)], (), beside)
+    def sum_up(some):
+        return sums.rows(pairs[some])[:, columns]
 
     return sums._replace(
         cross=sums.cross[:, columns],
         own=sums.own[:, pairs],
         candidate_moment=sums.candidate_moment[columns],
-        rows=rows,
+        rows=GramRows(sum_up, len(columns)),
     )
 
 
@@ -183,10 +190,21 @@ def columns_of(pairs):
 
 
 class GramRows:
-    """Rows of the candidates' Gram matrix, summed up when first asked for and kept."""
+    """Rows of the candidates' Gram matrix, summed up when first asked for and kept.
 
-    def __init__(self, sum_up, n_columns):
+    Parameters
+    ----------
+    sum_up : callable
+        From an array of pairs (k,) to their rows (2 k, n_columns).
+    n_columns : int
+    terms : list of (float, GramRows), default=None
+        The rows and their factors that `sum_up` adds up, where it does: who combines them again
+        need not go through this sum.
+    """
+
+    def __init__(self, sum_up, n_columns, terms=None):
         self._sum_up, self._place = sum_up, {}
+        self.terms = [(1.0, self)] if terms is None else terms
         self._rows = np.empty((0, n_columns))
 
     def __call__(self, pairs, likely=(), beside=None):
@@ -228,7 +246,7 @@ class Problem:
         self.sums, self.structures, self.extra = _without_rounding(sums), structures, extra
         self.n = max(sums.n_observations, 1.0)
         self.start = max(sums.square / self.n, _NO_NOISE)
-        self.assumed = _ASSUMED_ROWS * _ASSUMED_SHARE * self.start
+        self.assumed = _ASSUMED_SHARE * self.start
         self.known = np.isfinite(structures.given)
         self.guess = self._first_guess()
         self._last = None  # pairs and products: most choices have the columns of the last one
@@ -274,7 +292,7 @@ class Problem:
         # of `half`, which makes standard deviations cheap.
         S, r = gram[::-1, ::-1] / noise, moment / noise
         fixed = (self.n + _ASSUMED_ROWS) * np.log(noise)
-        fixed += (self.sums.square + self.assumed) / noise
+        fixed += (self.sums.square + _ASSUMED_ROWS * self.assumed) / noise
         if self.extra is not None:
             precision = 1 / (self.extra.variance + noise * self.extra.share)
             rows = self._extra_rows(pairs)
@@ -349,15 +367,37 @@ class Problem:
     def _fixed_point(self, state):
         """MacKay's variances of the structures and of the noise."""
         shares = self.pairs_and_shares(state.lines, state.with_field)[1]
-        squares = shares @ np.square(state.coef / state.prior)
+        scale = np.maximum(state.variance, _NO_NOISE)
+        squares = scale * (shares @ np.square(state.coef / state.prior))
         determined = shares @ (state.determined / state.prior)
         there = shares.any(axis=1)
-        factor = squares / np.maximum(determined, 1e-12 / np.maximum(state.variance, _NO_NOISE))
-        variance = np.where(there, state.variance * factor, state.variance)
+        found = scale * evidence_variance(squares, np.maximum(scale * determined, 1e-12))
+        variance = np.where(there, found, state.variance)
         gram, moment = self._products(state.pairs)
         rss = self.sums.square - 2 * state.coef @ moment + state.coef @ gram @ state.coef
         free = max(self.n - state.determined.sum(), 0.0)
-        return variance, (max(rss, 0.0) + self.assumed) / (free + _ASSUMED_ROWS)
+        return variance, evidence_variance(max(rss, 0.0), free, self.assumed, _ASSUMED_ROWS)
+
+
+def evidence_variance(squares, determined, guess=0.0, counts=0.0):
+    """Variance of highest evidence by MacKay's fixed point, with a guess that few data keep.
+
+    Parameters
+    ----------
+    squares : float or ndarray
+        Sum of squares of what has this variance.
+    determined : float or ndarray
+        How many of them the data determine.
+    guess : float, default=0
+        Variance that is expected.
+    counts : float, default=0
+        How many determined ones the guess is worth.
+
+    Returns
+    -------
+    float or ndarray
+    """
+    return (squares + counts * guess) / (determined + counts)
 
 
 def root_of(matrix, lower=False):

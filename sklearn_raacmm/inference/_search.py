@@ -21,8 +21,8 @@ from sklearn_raacmm.inference._linear import MAX_STEPS, SMALL_RISE, columns_of, 
 
 # Rounds of the choice at most; it stops by the evidence, and few problems take more than five.
 _MAX_ROUNDS = 10
-# Steps of the variances between two looks at which lines have become needless.
-_STEPS_WHILE_LEAVING = 2
+# Steps of the variances between two looks at which lines have become needless: 1 and 2 end alike.
+_STEPS_WHILE_LEAVING = 1
 # Of the next best candidates, how many are named as likely to be asked for next.
 _LIKELY = 48
 # The field is tried where this share of its price is promised; sizes of its variance that are tried
@@ -170,8 +170,7 @@ def _settled(problem, state):
 def _pruned(problem, state):
     """The state without lines whose loss the others make good; at its variances.
 
-    The half of them that are worth least go at a time: a line may become worth its price again
-    when those that resemble it have gone.
+    All of them go at once. Of lines that resemble each other one joins again.
     """
     while True:
         is_line = np.isin(state.pairs, state.lines, assume_unique=True)
@@ -179,7 +178,7 @@ def _pruned(problem, state):
         needless = np.count_nonzero(net <= 0)
         if not needless:
             return state
-        worst = np.argsort(net, kind="stable")[: (needless + 1) // 2]
+        worst = np.argsort(net, kind="stable")[:needless]
         lines = np.delete(state.lines, worst)
         state = problem.state(lines, state.with_field, state.variance, state.noise_variance)
 
