@@ -66,6 +66,15 @@ def test_a_candidate_that_repeats_another_is_not_taken_twice(toys):
     assert found.lines.tolist() in ([0], [2])
 
 
+def test_all_of_several_that_are_repeated_are_found(toys):
+    rng = np.random.default_rng(1)
+    H = rng.normal(size=(120, 12))
+    y = H @ np.repeat([2.0, 0.0, 1.0, 0.0, 0.5, 0.0], 2) + 0.1 * rng.normal(size=120)
+    sums = toys.sums_of(rng.normal(size=(120, 2)), np.column_stack([H, H]), y)
+    found = search(Problem(sums, toys.structures(2, 12)))
+    assert sorted(found.lines % 6) == [0, 2, 4]
+
+
 @pytest.mark.parametrize("chosen", [(), (3,), (1, 4)])
 def test_gains_of_candidates_are_those_of_the_evidence(toys, chosen):
     """Of a pair beside others and chosen pairs: the log ratio of two normal densities of y."""
