@@ -56,7 +56,11 @@ def fitted(data):
     models["harmonics"] = harmonics
     network = make_pipeline(PoseFeatures(data.arm), RBFNetRegressor(5, length_scale=1.0))
     models["both"] = clone(harmonics).set_params(regressor=network)
-    return {name: model.fit(data.data, data.target) for name, model in models.items()}
+    known = {"groups": data.groups}
+    return {
+        name: model.fit(data.data, data.target, **(known if name in ("harmonics", "both") else {}))
+        for name, model in models.items()
+    }
 
 
 def test_a_file_gives_the_same_predictions(fitted, data, tmp_path):
