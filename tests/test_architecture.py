@@ -12,6 +12,7 @@ PACKAGE = Path(sklearn_raacmm.__file__).parent
 # From the ground up: a wing imports only from those before it.
 WINGS = (
     "utils",
+    "inference",
     "arm",
     "network",
     "residuals",

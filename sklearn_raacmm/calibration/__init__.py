@@ -5,9 +5,19 @@
 
 from sklearn_raacmm.calibration._calibrate import calibrate
 from sklearn_raacmm.calibration._checks import check_length
+from sklearn_raacmm.calibration._priors import (
+    ANGLE_RAD,
+    LENGTH_MM,
+    REGISTERED_PLACE_MM,
+    UNKNOWN_PLACE_MM,
+)
 from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
+    "ANGLE_RAD",
+    "LENGTH_MM",
+    "REGISTERED_PLACE_MM",
+    "UNKNOWN_PLACE_MM",
     "CalibrationResult",
     "calibrate",
     "check_length",

@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
-from sklearn_raacmm.correction._linear_change import place_columns
+from sklearn_raacmm.correction._new_poses import place_columns
 from sklearn_raacmm.error_model import check_poses
 from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means, listed, show
 
