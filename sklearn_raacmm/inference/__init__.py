@@ -3,7 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.inference._condition import Posterior, Prior, condition, log_density
+from sklearn_raacmm.inference._condition import (
+    Posterior,
+    Prior,
+    condition,
+    log_density,
+    narrowed,
+)
 from sklearn_raacmm.inference._test import Whitened, best_cause, score_tests
 
 __all__ = [
@@ -13,5 +19,6 @@ __all__ = [
     "best_cause",
     "condition",
     "log_density",
+    "narrowed",
     "score_tests",
 ]

@@ -110,12 +110,42 @@ def condition(prior, columns, free, y, weights):
         before, factor = factor, _tukey_weights(left, weights, noise_sd)
         if np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
-    half = _posterior_root(prior, sd, rows, noise_sd)
+    half = narrowed(_prior_root(prior.half, sd), rows.A / noise_sd)
     spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
     spread = spread.reshape(*y.shape, -1)
     left_out = _left_out(left, spread, weights * before, noise_sd)
     mean[:p] += prior.mean
     return Posterior(mean, half, tau, noise_sd, before, left_out)
+
+
+def narrowed(half, rows):
+    """Root of the covariance of coefficients after rows have been measured.
+
+    What is measured does not enter, only where: with ``I + F' A' A F = L L'`` it is ``F L^-T``.
+
+    Parameters
+    ----------
+    half : ndarray of shape (p, k)
+        F, the root before.
+    rows : ndarray of shape (m, p)
+        A, in units of their noise.
+
+    Returns
+    -------
+    ndarray of shape (p, k)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm.inference import narrowed
+    >>> narrowed(np.eye(1), np.ones((3, 1))).tolist()  # 1 / sqrt(1 + 3)
+    [[0.5]]
+    """
+    seen = rows @ half
+    precision = seen.T @ seen
+    precision[np.diag_indices(len(precision))] += 1.0
+    factor = cholesky(precision, lower=True, check_finite=False)
+    return solve_triangular(factor, half.T, lower=True, check_finite=False).T
 
 
 def log_density(y, seen, noise_sd, n_data):
@@ -247,22 +277,14 @@ def _change_sd(prior, tau, n_free):
     return np.r_[change, np.full(n_free, prior.free_sd)]
 
 
-def _posterior_root(prior, sd, rows, noise_sd):
-    """Root of the posterior's covariance, (p + q, k).
-
-    With F that of the prior and ``I + F' A' A F / s^2 = L L'`` it is ``F L^-T``.
-    """
-    p, r = prior.half.shape
+def _prior_root(half, sd):
+    """Root of the covariance of all coefficients before the new rows, (p + q, k)."""
+    p, r = half.shape
     root = np.zeros((len(sd), r + len(sd)))
-    root[:p, :r], root[:, r:] = prior.half, np.diag(sd)
+    root[:p, :r], root[:, r:] = half, np.diag(sd)
     root = root[:, np.any(root != 0, axis=0)]
-    if root.shape[1] > len(root):  # as many columns as rows hold the same covariance
-        root = np.linalg.qr(root.T, mode="r").T
-    seen = rows.A @ root / noise_sd
-    precision = seen.T @ seen
-    precision[np.diag_indices(len(precision))] += 1.0
-    factor = cholesky(precision, lower=True, check_finite=False)
-    return solve_triangular(factor, root.T, lower=True, check_finite=False).T
+    # As many columns as rows hold the same covariance.
+    return np.linalg.qr(root.T, mode="r").T if root.shape[1] > len(root) else root
 
 
 def _tukey_weights(residuals, weights, noise_sd):
