@@ -13,11 +13,11 @@ from sklearn.base import BaseEstimator
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std, say_again
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import warn_of_moved_seats
-from sklearn_raacmm.utils import check_path, write_whole
+from sklearn_raacmm.utils import check_path, warn_user, write_whole
 
 # Points of a calibrated arm that scatter by a larger share of its reach belong to another table:
 # the limit at which `calibrate` warns.
@@ -300,7 +300,8 @@ def _calibrated(data, angles, angle_unit):
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
-    say_again(said, stacklevel=3)
+    for warning in said:
+        warn_user(warning)
     return calibration
 
 

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import warnings
 from dataclasses import dataclass
 from inspect import ismethod
 
@@ -84,13 +85,19 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
-    def calibrate(self, rows=None):
-        """Calibrate on these rows, or on all."""
-        rows = np.arange(len(self.angles)) if rows is None else rows
+    def calibrate(self, rows):
+        """Calibrate on these rows."""
         if self.points is not None:
             return calibrate(self.arm, self.angles[rows], points=self.points[rows])
         groups, lengths = self.positions[rows], self.lengths_among(rows)
         return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
+
+    def calibrate_all(self):
+        """Calibrate on all rows: the calibration, and the warnings that it has given."""
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", UserWarning)
+            calibration = self.calibrate(np.arange(len(self.angles)))
+        return calibration, [warning.message for warning in said]
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""

@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std, say_again
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
     HasMethods,
@@ -23,6 +23,7 @@ from sklearn_raacmm.utils import (
     listed,
     show,
     validate_parameter_constraints,
+    warn_user,
 )
 
 # Folds of the default split: each takes a calibration and a fit of the model.
@@ -243,7 +244,8 @@ def cross_validate_correction(
     )
     data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
     calibration, said = data.calibrate_all()
-    say_again(said, stacklevel=2)
+    for warning in said:
+        warn_user(warning)
     return scores_of(data, calibration, model, cv, n_jobs, progress)
 
 

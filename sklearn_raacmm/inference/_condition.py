@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
-from scipy.stats import chi
 
-from sklearn_raacmm.utils import invert_triangle
+from sklearn_raacmm.utils import invert_triangle, tukey_weights
 
 # Prior of tau: its median, and the standard deviation of its logarithm. A tenth is what wears; a
 # factor of 4.5 either way leaves room for nothing at all and for an exchanged joint. Chosen on two
@@ -24,7 +23,7 @@ _LOG_TAU, _NOISE_LOG_SD = (-7.0, 0.0), 1.0
 # its steps.
 _FIRST_LOG_NOISE, _MOST_STEPS = 0.1, 100
 # Weights are found anew until none moves by more than this. Most sets settle in the first round.
-_ROUNDS, _SETTLED_WEIGHT, _OUTLIER = 4, 0.05, 5.5
+_ROUNDS, _SETTLED_WEIGHT = 4, 0.05
 # A row that the fit follows freely says nothing when it is left out.
 _LEAST_FREE = 1e-6
 
@@ -107,7 +106,7 @@ def condition(prior, columns, free, y, weights):
         mean[:p] += prior.half @ (prior.half.T @ (rows.A[:, :p].T @ dual))
         # Few rows are followed closely: what is left of them is less than the noise.
         left = y - columns @ mean[:p] - free @ mean[p:]
-        before, factor = factor, _tukey_weights(left, weights, noise_sd)
+        before, factor = factor, tukey_weights(left, weights, least_scale=noise_sd)
         if np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
     half = narrowed(_prior_root(prior.half, sd), rows.A / noise_sd)
@@ -285,17 +284,6 @@ def _prior_root(half, sd):
     root = root[:, np.any(root != 0, axis=0)]
     # As many columns as rows hold the same covariance.
     return np.linalg.qr(root.T, mode="r").T if root.shape[1] > len(root) else root
-
-
-def _tukey_weights(residuals, weights, noise_sd):
-    """Tukey's biweight; all rows count fully where none is too far."""
-    distance = np.linalg.norm(residuals, axis=1)
-    median = chi.median(residuals.shape[1])
-    scale = max(np.median(distance[weights > 0]) / median, noise_sd)
-    share = np.square(distance / (_OUTLIER * scale))
-    if not np.any(share[weights > 0] >= 1):
-        return np.ones(len(weights))
-    return np.square(np.maximum(1 - share, 0.0))
 
 
 def _left_out(left, spread, weights, noise_sd):
