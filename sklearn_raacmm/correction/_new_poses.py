@@ -70,8 +70,8 @@ def linear_model_of(model, done):
     """The linear model that a fitted correction uses."""
     if not isinstance(model, JointHarmonicRegressor):
         raise TypeError(
-            f"A {type(model).__name__} that holds no linear model in use cannot be {done}: it has "
-            "no posterior of causes. It can be registered, by calibrate(..., correction=model)."
+            f"{type(model).__name__} holds no linear model in use and cannot be {done}: it has no "
+            "posterior of causes. It can be registered, by calibrate(..., correction=model)."
         )
     check_is_fitted(model)
     return model.linear_model_

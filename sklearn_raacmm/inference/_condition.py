@@ -262,9 +262,12 @@ def _evidence(prior, rows, start=None):
 
     bounds = np.array([_LOG_TAU] * len(names) + [prior.log_noise]) / unit[:, None]
     steps = {"maxiter": _MOST_STEPS}
-    logs = unit * minimize(
-        in_units, start / unit, jac=True, method="L-BFGS-B", bounds=bounds, options=steps
-    ).x
+    logs = (
+        unit
+        * minimize(
+            in_units, start / unit, jac=True, method="L-BFGS-B", bounds=bounds, options=steps
+        ).x
+    )
     tau = dict(zip(names, np.exp(logs[:-1]).tolist(), strict=True))
     noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
     return logs, tau, noise_sd, solved(logs)[2]

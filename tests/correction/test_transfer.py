@@ -9,14 +9,11 @@ from scipy.stats import multivariate_normal
 
 from sklearn_raacmm import (
     Arm,
-    ArmResidualRegressor,
     JointHarmonicRegressor,
     position_residuals,
     transfer_correction,
     update_correction,
 )
-from sklearn_raacmm.correction import _transfer
-from sklearn_raacmm.correction._linear_change import NewPoses, place_columns
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
@@ -125,17 +122,51 @@ def test_prior_against_the_textbook():
     assert_allclose(np.diag(start.covariance), variance * (1 + trust / 2), rtol=0.01)
 
 
-def test_evidence_against_the_density(earlier):
-    linear = earlier[0].linear_model_
-    X, y = rows(8, 3, 0)
-    poses = NewPoses(X, y, np.ones(8), None)
-    half = np.diag(np.linspace(0.5, 2, len(linear.coef)))
-    A = linear.columns(X).reshape(24, -1)
-    B = place_columns(ARM, X, with_base=True).reshape(24, -1)
-    covariance = A @ half**2 @ A.T + 25 * B @ B.T + 0.03**2 * np.eye(24)
-    expected = multivariate_normal(A @ linear.coef, covariance).logpdf(y.ravel())
-    found = _transfer._log_evidence(linear, linear.coef, half, poses, 0.03)
-    assert found == pytest.approx(expected + 12 * np.log(2 * np.pi), rel=1e-6)
+def test_gain_is_that_of_two_normal_densities():
+    """Models of one order of joint 3; orders 1 and 2 of every joint may appear. By hand."""
+    options = {"gravity": False, "kinematics": False, "wobble": False}
+    options["orders"] = [[], [], [1], [], [], []]
+
+    def measured(n, seed, arcsec):
+        rng = np.random.default_rng(seed)
+        angles = rng.uniform(-2, 2, (n, 6))
+        turn = np.zeros_like(angles)
+        turn[:, 2] = arcsec * np.cos(angles[:, 2])
+        y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
+        return angles, y + rng.normal(0, 0.01, y.shape)
+
+    earlier = [
+        JointHarmonicRegressor(ARM, **options).fit(*measured(100, i, size))
+        for i, size in enumerate((10.0, 11.0))
+    ]
+    angles, y = measured(20, 7, 10.5)
+    (entry,) = transfer_correction(earlier, ARM, angles, y).updates_
+    start = transfer_correction(earlier, ARM).linear_model_
+    alone = JointHarmonicRegressor(ARM, **options).fit(angles, y)
+    jacobian, first = ARM.jacobian(angles), np.exp(1j * angles)
+    parts = [part(turns) for turns in (first, first**2) for part in (np.real, np.imag)]
+    waves = np.stack([jacobian * part[:, None] * ARCSEC for part in parts], axis=3)
+    # Base and tool may be 5 mm off; a turn of the base by as much at the arm's reach.
+    points, reach = ARM.forward(angles), np.hypot(ARM.a, ARM.d).sum() + 93
+    place = [np.cross(axis, points) / reach for axis in np.eye(3)]
+    place += [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+    place = np.concatenate([np.stack(place, 2), ARM.frames(angles)[:, -1, :3, :3]], axis=2)
+    place = place.reshape(60, 9)
+
+    def log_density(columns, mean, covariance, noise_sd):
+        A = columns.reshape(60, -1)
+        S = A @ covariance @ A.T + 25 * place @ place.T + noise_sd**2 * np.eye(60)
+        return multivariate_normal(A @ mean, S).logpdf(y.ravel())
+
+    tau = [entry["tau"][f"harmonics of joint {j + 1}"] for j in range(6)]
+    covariance = np.diag(np.repeat(np.square(tau) * start.prior_sd["harmonics"] ** 2, 4))
+    mean, at = np.zeros(24), slice(8, 10)  # of joint 3 the first order
+    mean[at] = start.coef
+    covariance[at, at] += start.covariance
+    of_make = log_density(waves, mean, covariance, entry["noise_sd_mm"])
+    prior = alone.prior_sd_["harmonics"] ** 2 * np.eye(2)
+    of_poses = log_density(waves[:, :, 2, :2], np.zeros(2), prior, alone.noise_sd_)
+    assert entry["gain_nats"] == pytest.approx(of_make - of_poses, abs=1e-3)
 
 
 def test_single_point_tests():
@@ -161,16 +192,14 @@ def test_single_point_tests():
     assert np.linalg.norm(left_over, axis=1).mean() < 0.85 * np.linalg.norm(without, axis=1).mean()
 
 
-def test_types_and_files(earlier):
-    first = JointHarmonicRegressor(**OPTIONS)
-    whole = ArmResidualRegressor(ARM, harmonics=first, use="harmonics", angle_unit="deg")
+def test_options_and_units_are_those_of_the_first_model(earlier):
     angles, y = rows(250, 0, 0)
-    whole.fit(np.rad2deg(angles), y)
+    first = JointHarmonicRegressor(ARM, angle_unit="deg", **OPTIONS).fit(np.rad2deg(angles), y)
     X, y = rows(40, 7, 7)
-    new = transfer_correction([whole, *earlier], ARM, np.rad2deg(X), y)
-    assert type(new) is JointHarmonicRegressor
-    assert new.angle_unit == "deg"
-    assert new.max_order == 60
+    new = transfer_correction([first, *earlier], ARM, np.rad2deg(X), y)
+    assert (new.angle_unit, new.max_order) == ("deg", 60)
+    assert_allclose(new.predict(np.rad2deg(X)), transfer_correction(
+        [*earlier[:1], *earlier], ARM, X, y).predict(X), atol=1e-9)  # fmt: skip
     loaded = pickle.loads(pickle.dumps(new))
     assert_allclose(loaded.predict(np.rad2deg(X)), new.predict(np.rad2deg(X)), rtol=0)
     assert new.pose_weight_.shape == (40,)
