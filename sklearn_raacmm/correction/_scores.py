@@ -275,7 +275,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     table, measure, rows_by_position = _table(data, before, after)
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
-    coverage, factor = _coverage(after, std, [test for _, test in folds])
+    coverage, factor = coverage_of(after, std, [test for _, test in folds])
     helps, verdict = _verdict(table, summary, measure, len(np.unique(block_of)))
     errors = np.array([entry[1:] for entry in length_errors]).reshape(-1, 2)
     return CorrectionScores(
@@ -398,7 +398,7 @@ def _summary(before, after, blocks):
     }
 
 
-def _coverage(left, std, tests):
+def coverage_of(left, std, tests):
     """Share of coordinates inside 95 % intervals, and the factor that makes it 95 % of all."""
     # No deviation without a standard deviation, such as exact data: those are inside.
     ratio = np.abs(left) / np.maximum(std, 1e-300)

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
-from scipy.stats import norm, sem
+from scipy.stats import sem
 
 from sklearn_raacmm import ArmResidualRegressor, JointHarmonicRegressor, RBFNetRegressor
 from sklearn_raacmm.correction._check import verdict
-from sklearn_raacmm.correction._scores import _coverage
 from sklearn_raacmm.datasets import make_single_point
 
 
@@ -29,26 +27,6 @@ def test_the_cap_of_positions_with_offsets_is_three_times_the_fitted_corrections
     of_fit = 3 * np.quantile(np.linalg.norm(own, axis=1), **median)
     assert of_fit > of_data
     assert model.cap_mm_ == pytest.approx(of_fit, rel=1e-12)
-
-
-def test_coverage_counts_what_lies_inside_with_the_factor_of_the_other_folds():
-    rng = np.random.default_rng(0)
-    std = rng.uniform(0.1, 2, (4000, 3))
-    left = 2.5 * std * rng.standard_normal((4000, 3))
-    folds = np.split(np.arange(4000), 5)
-    share, factor = _coverage(left, std, folds)
-    assert factor == pytest.approx(2.5, rel=0.04)  # two standard deviations of the quantile
-    assert share == pytest.approx(0.95, abs=0.01)
-    # In one fold all errors are three times as large. Its factor comes from the others: that of
-    # the others, from a mixture in which it is a quarter.
-    left[folds[0]] *= 3
-
-    def inside(z):
-        return 2 * norm.cdf(z) - 1
-
-    wide = brentq(lambda z: 0.75 * inside(z) + 0.25 * inside(z / 3) - 0.95, 1, 10)
-    expected = (inside(norm.ppf(0.975) / 3) + 4 * inside(wide)) / 5
-    assert _coverage(left, std, folds)[0] == pytest.approx(expected, abs=0.01)
 
 
 def test_the_last_model_is_taken_where_the_check_does_not_choose():
