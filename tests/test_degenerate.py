@@ -331,7 +331,7 @@ SENTENCES = {
     ),
     "planning: a network": (
         lambda: next_poses(RBFNetRegressor(3).fit(ANGLES, RESIDUALS), ANGLES, 1),
-        "got RBFNetRegressor",
+        "RBFNetRegressor holds no linear model in use and cannot be planned for",
     ),
     "correction: use": (
         lambda: ArmResidualRegressor(ARM, use="network").fit(ANGLES, RESIDUALS),

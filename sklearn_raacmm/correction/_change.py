@@ -22,7 +22,7 @@ from sklearn_raacmm.inference import Prior, condition
 from sklearn_raacmm.utils import centred
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
-# They may lie where the model is less complete.
+# They may lie where the model is less complete, or be of another arm, which a warning then says.
 _LOG_NOISE = (0.0, 4.0)
 # Noise that every measurement has, mm: without any, rounding would decide beside the millimetres
 # of base and tool.
@@ -31,7 +31,8 @@ LEAST_NOISE_MM = 1e-4
 # did, and the update faded, 60 poses left 0.277 mm where both rules leave 0.162
 # (benchmarks/bench_after_the_lab.py).
 _LOW_ORDERS = 8
-# Poses in the range of the new ones that are tried for how much a change leaves open there.
+# Poses in the range of the new ones that are tried for how much a change leaves open there: a
+# number for speed.
 _TRIED = 200
 
 

@@ -26,12 +26,13 @@ from sklearn_raacmm.utils import (
     warn_user,
 )
 
-# Folds of the default split: each takes a calibration and a fit of the model.
+# Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
 _N_FOLDS = 5
 # Draws of the bootstrap over positions: the ends of a 95 % interval then vary by about 2 % of its
 # length from seed to seed.
 _N_DRAWS = 4000
-# That all positions improve by chance has a probability of 1/16 with four, 1/32 with five.
+# That all positions improve by chance has a probability of 1/16 with four, 1/32 with five: the
+# first below 5 %.
 _FEWEST_POSITIONS = 5
 # What the functions that judge a correction take besides data.
 _OPTIONS = {
@@ -250,7 +251,10 @@ def cross_validate_correction(
 
 
 def check_judging(function, **options):
-    """Refuse options of a function that judges corrections, before anything is computed."""
+    """Refuse options of a function that judges corrections, before anything is computed.
+
+    `validate_params` would name the function where a parameter of the model is wrong.
+    """
     validate_parameter_constraints(_OPTIONS, options, caller_name=function)
 
 
