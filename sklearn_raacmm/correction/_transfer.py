@@ -7,7 +7,7 @@ from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
-from sklearn.base import clone
+from sklearn.base import BaseEstimator, clone
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
@@ -143,7 +143,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     >>> bool(left[1] < 0.7 * left[0])
     True
     """
-    models = [models] if hasattr(models, "predict") else listed("models", models)
+    models = [models] if isinstance(models, BaseEstimator) else listed("models", models)
     linears = _checked(models, arm)
     prior = _pooled(linears, arm)
     template = clone(models[0]).set_params(arm=arm)

@@ -97,11 +97,17 @@ def condition(prior, columns, free, y, weights):
     [1.8, 3.0]
     """
     p, y = len(prior.mean), y - columns @ prior.mean
-    factor, start = np.ones(len(y)), None
+    factor, logs = np.ones(len(y)), None
     for _ in range(_ROUNDS):
         rows = _Rows.of(columns, free, y, weights * factor)
-        start, tau, noise_sd, dual = _evidence(prior, rows, start)
-        sd = _change_sd(prior, tau, rows.n_free)
+        evidence = _Evidence(prior, rows)
+        logs = evidence.lowest(logs)
+        tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
+        noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
+        # Standard deviations of the changes and of the free coefficients.
+        sd = np.array([tau[name] for name in prior.part.tolist()]) * prior.size
+        sd = np.r_[sd, np.full(free.shape[2], prior.free_sd)]
+        dual = evidence.solved(logs)[1]
         mean = np.square(sd) * (rows.A.T @ dual)
         mean[:p] += prior.half @ (prior.half.T @ (rows.A[:, :p].T @ dual))
         # Few rows are followed closely: what is left of them is less than the noise.
@@ -177,7 +183,6 @@ class _Rows(NamedTuple):
 
     A: np.ndarray  # (m, p + q)
     y: np.ndarray  # (m,)
-    n_free: int  # q
     n_data: int  # coordinates that y sums up
 
     @classmethod
@@ -190,93 +195,85 @@ class _Rows(NamedTuple):
         if n_data > A.shape[1] + 1:
             R = np.linalg.qr(np.column_stack([A, y]), mode="r")
             A, y = R[:, :-1], R[:, -1]
-        return cls(A, y, free.shape[2], n_data)
+        return cls(A, y, n_data)
 
 
-def _evidence(prior, rows, start=None):
-    """Tau of each part and standard deviation of the noise that the evidence prefers.
+class _Evidence:
+    """Negative log posterior of the logarithms t of the taus and, last, of the noise.
 
-    The covariance C of the rows is a sum of matrices K, each times a number ``exp(2 t)``: one for
-    each part, the noise, and what does not change. The slope of the negative log evidence along t
-    is ``exp(2 t) (tr(C^-1 K) - a' K a)`` with ``a = C^-1 y``, so that one inverse gives all slopes
-    (Rasmussen and Williams, 2006, eq. 5.9). The search goes in units of the curvature at its start:
-    the mean of what is observed and what is expected needs no more inverses, ``2 exp(4 t)
-    (K a)' C^-1 (K a)`` (Gilmour, Thompson and Cullis, Biometrics 51, 1995).
-
-    Returns
-    -------
-    logs : ndarray
-        Where the evidence is highest: the next search starts there.
-    tau : dict
-    noise_sd : float
-    dual : ndarray of shape (m,)
-        a, of which the posterior mean is made.
+    The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each part,
+    the noise, and what does not change. With ``a = C^-1 y`` the slope along t is ``exp(2 t)
+    (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen and Williams, 2006, eq. 5.9).
     """
-    names = sorted(set(prior.part.tolist()))
-    m, p = len(rows.y), len(prior.mean)
-    A = rows.A[:, :p]
-    lower = np.tril_indices(m)
-    roots = [A[:, prior.part == name] * prior.size[prior.part == name] for name in names]
-    held = np.hstack([A @ prior.half, prior.free_sd * rows.A[:, p:]])
-    noise = prior.noise_variance * np.eye(m)
-    sums = np.stack([*((H @ H.T)[lower] for H in roots), noise[lower], (held @ held.T)[lower]])
-    twice = np.where(lower[0] == lower[1], 1.0, 2.0)  # an element below the diagonal stands for two
-    n_rest = rows.n_data - m  # coordinates that hold noise alone, which y has summed up
-    middle = np.r_[np.full(len(names), np.log(_TAU)), 0.0]
-    sd = np.r_[np.full(len(names), _TAU_LOG_SD), _NOISE_LOG_SD]
 
-    def solved(logs):
-        """Scales, lower root of the covariance, and its inverse times y."""
-        scale = np.exp(2 * logs)
-        covariance = np.zeros((m, m), order="F")
-        covariance[lower] = np.append(scale, 1.0) @ sums
+    def __init__(self, prior, rows):
+        self.y, (m, p) = rows.y, (len(rows.y), len(prior.mean))
+        self.names = sorted(set(prior.part.tolist()))
+        A = rows.A[:, :p]
+        members = [prior.part == name for name in self.names]
+        self.roots = [A[:, part] * prior.size[part] for part in members]
+        self.noise_variance = prior.noise_variance
+        held = np.hstack([A @ prior.half, prior.free_sd * rows.A[:, p:]])
+        # Only elements on and below the diagonal, of which the latter stand for two.
+        self.lower = np.tril_indices(m)
+        self.times = np.where(self.lower[0] == self.lower[1], 1.0, 2.0)
+        sums = [H @ H.T for H in self.roots] + [prior.noise_variance * np.eye(m), held @ held.T]
+        self.sums = np.stack([one[self.lower] for one in sums])
+        self.n_rest = rows.n_data - m  # coordinates that hold noise alone, which y has summed up
+        n = len(self.names)
+        self.middle = np.r_[np.full(n, np.log(_TAU)), 0.0]
+        self.sd = np.r_[np.full(n, _TAU_LOG_SD), _NOISE_LOG_SD]
+        self.bounds = np.array([_LOG_TAU] * n + [prior.log_noise])
+
+    def __call__(self, logs):
+        """Value and slopes."""
+        factor, dual = self.solved(logs)
+        z = (logs - self.middle) / self.sd
+        value = np.log(np.diag(factor)).sum() + self.n_rest * logs[-1]
+        value += 0.5 * (self.y @ dual + z @ z)
+        invert_triangle(factor)
+        inverse = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]
+        slopes = np.exp(2 * logs) * (self.sums[:-1] @ (self.times * inverse[self.lower]))
+        slopes += z / self.sd - dual @ self._pulls(logs, dual)
+        slopes[-1] += self.n_rest
+        return value, slopes
+
+    def solved(self, logs):
+        """Lower root of the covariance, and its inverse times y."""
+        covariance = np.zeros((len(self.y), len(self.y)), order="F")
+        covariance[self.lower] = np.append(np.exp(2 * logs), 1.0) @ self.sums
         factor, failed = lapack.dpotrf(covariance, lower=1, clean=1, overwrite_a=1)
         if failed:
             raise LinAlgError("the covariance of the new rows is not positive definite.")
-        return scale, factor, lapack.dpotrs(factor, rows.y, lower=1)[0]
+        return factor, lapack.dpotrs(factor, self.y, lower=1)[0]
 
-    def pulls(scale, dual):
-        products = [H @ (H.T @ dual) for H in roots] + [prior.noise_variance * dual]
-        return scale * np.stack(products, axis=1)
+    def _pulls(self, logs, dual):
+        """Each part of the covariance times a, side by side."""
+        pulls = [H @ (H.T @ dual) for H in self.roots] + [self.noise_variance * dual]
+        return np.exp(2 * logs) * np.stack(pulls, axis=1)
 
-    def negative(logs):
-        """Negative log posterior of the logs, and its slopes."""
-        scale, factor, dual = solved(logs)
-        z = (logs - middle) / sd
-        value = np.log(np.diag(factor)).sum() + n_rest * logs[-1] + 0.5 * (rows.y @ dual + z @ z)
-        invert_triangle(factor)
-        inverse = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]
-        slopes = scale * (sums[:-1] @ (twice * inverse[lower])) - dual @ pulls(scale, dual)
-        slopes[-1] += n_rest
-        return value, slopes + z / sd
+    def lowest(self, start=None):
+        """Where it is lowest, from a start or from the middle of the priors.
 
-    if start is None:
-        start = middle + np.eye(len(middle))[-1] * _FIRST_LOG_NOISE
-    scale, factor, dual = solved(start)
-    seen = solve_triangular(factor, pulls(scale, dual), lower=True, check_finite=False)
-    unit = 1 / np.sqrt(2 * np.square(seen).sum(axis=0) + 1 / sd**2)
+        The search goes in units of the curvature at its start: the mean of what is observed and
+        what is expected, ``2 exp(4 t) (K a)' C^-1 (K a)``, needs no inverse (Gilmour, Thompson and
+        Cullis, Biometrics 51, 1995).
+        """
+        if start is None:
+            start = self.middle + np.eye(len(self.middle))[-1] * _FIRST_LOG_NOISE
+        factor, dual = self.solved(start)
+        seen = solve_triangular(factor, self._pulls(start, dual), lower=True, check_finite=False)
+        unit = 1 / np.sqrt(2 * np.square(seen).sum(axis=0) + 1 / self.sd**2)
 
-    def in_units(x):
-        value, slopes = negative(x * unit)
-        return value, slopes * unit
+        def in_units(x):
+            value, slopes = self(x * unit)
+            return value, slopes * unit
 
-    bounds = np.array([_LOG_TAU] * len(names) + [prior.log_noise]) / unit[:, None]
-    steps = {"maxiter": _MOST_STEPS}
-    logs = (
-        unit
-        * minimize(
-            in_units, start / unit, jac=True, method="L-BFGS-B", bounds=bounds, options=steps
-        ).x
-    )
-    tau = dict(zip(names, np.exp(logs[:-1]).tolist(), strict=True))
-    noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
-    return logs, tau, noise_sd, solved(logs)[2]
-
-
-def _change_sd(prior, tau, n_free):
-    """Standard deviations of the changes and of the free coefficients, (p + q,)."""
-    change = np.array([tau[name] for name in prior.part.tolist()]) * prior.size
-    return np.r_[change, np.full(n_free, prior.free_sd)]
+        found = minimize(
+            in_units, start / unit, jac=True, method="L-BFGS-B",
+            bounds=self.bounds / unit[:, None], options={"maxiter": _MOST_STEPS},
+        )  # fmt: skip
+        return found.x * unit
 
 
 def _prior_root(half, sd):
