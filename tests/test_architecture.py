@@ -18,6 +18,7 @@ WINGS = (
     "residuals",
     "metrics",
     "calibration",
+    "measurements",
     "error_model",
     "correction",
     "datasets",

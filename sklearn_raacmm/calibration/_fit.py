@@ -15,6 +15,7 @@ from sklearn_raacmm.calibration._problem import (
     points_of_all,
     unpack,
 )
+from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.utils import align, robust_scale
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
@@ -162,8 +163,8 @@ class Fit:
             if not len(members):
                 continue
             square = np.sum((self.x[members] - self.nominal[members]) ** 2)
-            counts = np.sum(1 - share[members]) + _GUESS_COUNTS
-            sd = np.sqrt((square + _GUESS_COUNTS * guess**2) / counts)
+            seen = np.sum(1 - share[members])
+            sd = np.sqrt(evidence_variance(square, seen, guess**2, _GUESS_COUNTS))
             sd = np.clip(sd, least, most)
             settled &= bool(abs(np.log(sd / self.prior_sd[members[0]])) < 0.05)
             self.prior_sd[members] = sd

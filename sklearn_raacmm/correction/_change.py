@@ -11,14 +11,8 @@ import numpy as np
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
-from sklearn_raacmm.error_model import (
-    LIKELY_ORDER,
-    LinearModel,
-    constrained,
-    interval_scales,
-    observed_columns,
-)
-from sklearn_raacmm.inference import Prior, condition
+from sklearn_raacmm.error_model import LinearModel, constrained, observed_columns
+from sklearn_raacmm.inference import Prior, condition, interval_scales
 from sklearn_raacmm.utils import centred
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
@@ -31,6 +25,9 @@ LEAST_NOISE_MM = 1e-4
 # did, and the update faded, 60 poses left 0.277 mm where both rules leave 0.162
 # (benchmarks/bench_after_the_lab.py).
 _LOW_ORDERS = 8
+# Orders that every joint may show after a change, whether or not it did before; see
+# `with_low_orders`.
+_NEW_ORDERS = 2
 # Poses in the range of the new ones that are tried for how much a change leaves open there: a
 # number for speed.
 _TRIED = 200
@@ -173,7 +170,7 @@ def with_low_orders(linear):
     """
     if "harmonics" not in linear.prior_sd:
         return linear
-    wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, LIKELY_ORDER + 1)}
+    wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, _NEW_ORDERS + 1)}
     return with_harmonics(linear, sorted({*harmonics_of(linear), *wanted}))
 
 

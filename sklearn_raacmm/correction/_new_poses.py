@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model import JointHarmonicRegressor, check_poses, check_turns
+from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses, check_turns
 from sklearn_raacmm.utils import check_points, check_weights, encode_groups
 
 
@@ -66,14 +66,16 @@ class NewPoses(NamedTuple):
         )
 
 
-def linear_model_of(model, done):
-    """The linear model that a fitted correction uses."""
-    if not isinstance(model, JointHarmonicRegressor):
+def linear_model_of(model, done, in_use=True):
+    """The linear model of a fitted correction, which has to be in use or not."""
+    is_model = isinstance(model, ArmResidualRegressor)
+    if is_model:
+        check_is_fitted(model)
+    if not is_model or (in_use and not model.helps_):
         raise TypeError(
             f"{type(model).__name__} holds no linear model in use and cannot be {done}: it has no "
             "posterior of causes. It can be registered, by calibrate(..., correction=model)."
         )
-    check_is_fitted(model)
     return model.linear_model_
 
 

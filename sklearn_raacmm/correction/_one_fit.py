@@ -17,7 +17,7 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
-from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
 
@@ -115,7 +115,7 @@ class Data:
             return far
         every = np.arange(len(self.angles))
         rows, lonely = self.without_lonely(every)
-        model = JointHarmonicRegressor(calibration.arm)
+        model = ArmResidualRegressor(calibration.arm)
         y = self.residuals(calibration, rows)
         model.fit(self.angles[rows], y, groups=self.positions[rows])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
@@ -155,7 +155,7 @@ def _regions(points):
 def model_for(model, arm):
     """Copy of a model, or the default one, for this arm and for angles in rad."""
     if model is None:
-        return JointHarmonicRegressor(arm)
+        return ArmResidualRegressor(arm)
     model = clone(model)
     changes = {}
     for name, value in model.get_params(deep=True).items():

@@ -53,7 +53,7 @@ def next_poses(
 
     Parameters
     ----------
-    model : JointHarmonicRegressor or Arm
+    model : ArmResidualRegressor or Arm
         Fitted model, of which the linear one is used. With `free` an arm suffices.
 
     X : array-like of shape (n_candidates, n_joints)
@@ -103,7 +103,7 @@ def next_poses(
     See Also
     --------
     calibrate : Registers and calibrates.
-    JointHarmonicRegressor : The model.
+    ArmResidualRegressor : The model.
 
     Notes
     -----
@@ -114,11 +114,11 @@ def next_poses(
 
     Examples
     --------
-    >>> from sklearn_raacmm import JointHarmonicRegressor, next_poses
+    >>> from sklearn_raacmm import ArmResidualRegressor, next_poses
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=12, n_poses=15, random_state=0)  # simulated
     >>> known = test.groups < 4
-    >>> model = JointHarmonicRegressor(test.arm, max_order=4)
+    >>> model = ArmResidualRegressor(test.arm, orders=4)
     >>> _ = model.fit(test.data[known], test.target[known], groups=test.groups[known])
     >>> chosen, std = next_poses(model, test.data[~known], 3, groups=test.groups[~known])
     >>> len(chosen), bool(std[-1] < std[0])
@@ -129,7 +129,7 @@ def next_poses(
     """
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
         raise ValueError(f'criterion must be "I" or "D", got {show(criterion)}.')
-    linear = None if isinstance(model, Arm) else linear_model_of(model, "planned for")
+    linear = None if isinstance(model, Arm) else linear_model_of(model, "planned for", in_use=False)
     if free is None:
         design = _design_of_model(linear)
     else:

@@ -22,7 +22,7 @@ from sklearn_raacmm.correction._change import (
 )
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.correction._update import record_of
-from sklearn_raacmm.error_model import LIKELY_ORDER, Fading, smooth_shares
+from sklearn_raacmm.error_model import Fading, order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
 from sklearn_raacmm.utils import centred, listed, one_blas_thread, warn_user
 
@@ -33,11 +33,9 @@ _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
 # The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
 # may be better, too.
 _LOG_NOISE = (-4.0, 4.0)
-# Orders that a new fit has to choose from, for each joint: the price of a choice is the logarithm.
-# With it benchmarks/bench_transfer.py believes the misleading make in none of 25 cases.
-_OFFERED = 72
-# Of orders that are there only as parts of a smooth function the evidence is about 0; of chosen
-# ones at least their price. Half of it tells them apart: no choice of a number.
+# Of orders that are there only as parts of a smooth function the evidence is about 0; of lines at
+# least their price. Half of it tells them apart, or of that of order 2 where it is free: no choice
+# of a number.
 _CHOSEN = 0.5
 
 
@@ -52,7 +50,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
 
     Parameters
     ----------
-    models : JointHarmonicRegressor or list of them
+    models : ArmResidualRegressor or list of them
         Fitted models of earlier arms, one for each arm. Their linear models are used. They may
         have the same extra columns: what a degree or a newton does is common to the make, and
         counts from the mean over the rows of each arm. The numbers of tools are not: they must not
@@ -81,7 +79,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
 
     Returns
     -------
-    model : JointHarmonicRegressor
+    model : ArmResidualRegressor
         With the options of the first model. Without poses it is the mean of the earlier arms, with
         their spread as standard deviation. ``updates_`` holds one dictionary: `date`, `n_poses`,
         `tau` and `noise_sd_mm` as of :func:`update_correction`, `n_arms`, and `gain_nats`, the
@@ -116,8 +114,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     :func:`update_correction`. Cosine and sine of a harmonic share one variance, for phases are the
     individual's. Both models are compared by the logarithm of the marginal likelihood of `y` at
     their own variances, base and tool being free. The harmonics of the fit to the new poses alone
-    are charged the logarithm of the number of those offered, but orders 1 and 2 nothing, as in the
-    choice; nor are those of the earlier arms.
+    are charged what each order costs in the choice; those of the earlier arms nothing.
 
     It is a function and not an option of `fit`: what it needs is fitted models, which neither a
     clone nor a search over parameters should carry along.
@@ -125,7 +122,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor, transfer_correction
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor, transfer_correction
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> def measured(n, phase):  # joint 3 has a gear of 30 teeth, joint 2 is eccentric
@@ -134,11 +131,11 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     ...     error[:, 2] = 10 * np.cos(30 * angles[:, 2] - 2 * phase)
     ...     y = np.einsum("nij,nj->ni", arm.jacobian(angles), np.deg2rad(error / 3600))
     ...     return angles, y + rng.normal(scale=0.01, size=(n, 3))
-    >>> options = {"max_order": 40, "gravity": False, "wobble": False}
-    >>> earlier = [JointHarmonicRegressor(arm, **options).fit(*measured(300, i)) for i in range(3)]
+    >>> options = {"orders": 40, "causes": ["kinematics"]}
+    >>> earlier = [ArmResidualRegressor(arm, **options).fit(*measured(300, i)) for i in range(3)]
     >>> few, far = measured(20, 5), measured(300, 5)
     >>> new = transfer_correction(earlier, arm, *few)
-    >>> alone = JointHarmonicRegressor(arm, **options).fit(*few)
+    >>> alone = ArmResidualRegressor(arm, **options).fit(*few)
     >>> left = [np.abs(far[1] - m.predict(far[0])).mean() for m in (alone, new)]
     >>> bool(left[1] < 0.7 * left[0])
     True
@@ -208,7 +205,8 @@ def _families(terms):
 def _of_prior(estimator, prior):
     """Fitted estimator that knows nothing but the earlier arms."""
     new = deepcopy(estimator)
-    new.linear_model_, new.fading_ = prior, Fading(0.0, 0.0, 0.0)
+    new.linear_model_, new.fading_ = prior, Fading(0.0, 0.0)
+    new.helps_, new.judgement_, new.regressor_ = True, None, None
     new.n_features_in_ = prior.arm.n_joints + len(prior.terms.extra)
     new.pose_weight_ = np.empty(0)
     return new
@@ -279,20 +277,17 @@ def _evidence_of_change(prior, changed, poses):
 
 
 def _evidence_of_fit(linear, poses):
-    """Log evidence of a fit to the new poses alone, less the price that its harmonics had."""
-    price = np.log(_OFFERED * linear.arm.n_joints)
+    """Log evidence of a fit to the new poses alone, less the prices of its lines."""
+    orders = np.asarray(linear.terms.harmonics, dtype=int).reshape(-1, 2)[:, 1]
     sd = np.array([linear.prior_sd[name] for name in families_of(linear)])
-    if "smooth" in linear.prior_sd:
-        joined = linear.log_bayes_factor < _CHOSEN * price
-        share = np.repeat(np.sqrt(smooth_shares(linear.terms.harmonics[:, 1])), 2)
-        waves = slice(0, len(share))
-        of_smooth = np.repeat(joined, 2)
-        sd[waves] = np.where(of_smooth, linear.prior_sd["smooth"] * share, sd[waves])
-        n_chosen = np.count_nonzero(~joined)
-    else:
-        n_chosen = np.count_nonzero(linear.terms.harmonics[:, 1] > LIKELY_ORDER)
+    price, is_line = order_price(orders), np.ones(len(orders), bool)
+    if "smooth" in linear.prior_sd:  # which holds all low orders, lines or not
+        is_line = linear.log_bayes_factor > _CHOSEN * np.maximum(price, order_price(2))
+        variance = linear.prior_sd["smooth"] ** 2 * smooth_shares(orders)
+        variance += is_line * linear.prior_sd["harmonics"] ** 2
+        sd[: 2 * len(orders)] = np.repeat(np.sqrt(variance), 2)
     before = replace(linear, coef=np.zeros(len(sd)))
-    return _log_evidence(before, np.diag(sd), poses, linear.noise_sd) - n_chosen * price
+    return _log_evidence(before, np.diag(sd), poses, linear.noise_sd) - price[is_line].sum()
 
 
 def _log_evidence(linear, half, poses, noise_sd):

@@ -35,7 +35,7 @@ def update_correction(
 
     Parameters
     ----------
-    model : JointHarmonicRegressor
+    model : ArmResidualRegressor
         Fitted model; it is left as it is.
 
     X : array-like of shape (n_samples, n_joints + n_extra)
@@ -63,7 +63,7 @@ def update_correction(
 
     Returns
     -------
-    model : JointHarmonicRegressor
+    model : ArmResidualRegressor
         To be used with the base and the tool of the registration.
         ``updates_`` holds a dictionary for every update: `date`, `n_poses`, `tau` by joint and
         family, `noise_sd_mm`.
@@ -101,7 +101,7 @@ def update_correction(
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor, update_correction
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor, update_correction
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> angles = rng.uniform(-2, 2, (400, 6))
@@ -110,7 +110,7 @@ def update_correction(
     ...     error[:, 2] = np.deg2rad(arcsec / 3600) * np.cos(angles[:, 2])
     ...     return np.einsum("nij,nj->ni", arm.jacobian(angles), error)
     >>> y = residuals(angles, 20) + rng.normal(scale=0.01, size=(400, 3))
-    >>> model = JointHarmonicRegressor(arm, max_order=4).fit(angles, y)
+    >>> model = ArmResidualRegressor(arm, orders=4).fit(angles, y)
     >>> new = rng.uniform(-2, 2, (60, 6))  # after a knock it is more so
     >>> y_new = residuals(new, 40) + rng.normal(scale=0.01, size=(60, 3))
     >>> updated = update_correction(model, new, y_new)
@@ -128,8 +128,8 @@ def update_correction(
             f"{poses.too_few}: the model is kept as it was. Register only, or measure more poses."
         )
         return deepcopy(model)
-    second = second_stage(model, poses.angles)
-    changed = changed_model(linear, poses._replace(residuals=poses.residuals - second))
+    left = poses.residuals - model.second_stage(poses.angles)
+    changed = changed_model(linear, poses._replace(residuals=left))
     if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         warn_user(
             f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
@@ -142,11 +142,6 @@ def update_correction(
     before = vars(model).get("updates_", ())
     updated.updates_ = (*before, record_of(changed, len(poses.angles), date))
     return updated
-
-
-def second_stage(model, angles):
-    """What the model's second stage adds to the correction at angles in rad, (n, 3) mm."""
-    return np.zeros((len(angles), 3))  # the one estimator: model.second_stage(angles)
 
 
 def record_of(changed, n_poses, date):

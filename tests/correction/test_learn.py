@@ -16,8 +16,8 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
     Arm,
+    ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -29,9 +29,9 @@ from sklearn_raacmm.correction._scores import coverage_of
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-MODEL = JointHarmonicRegressor(max_order=4)
+MODEL = ArmResidualRegressor(orders=4)
 # Where the numbers do not matter.
-QUICK = JointHarmonicRegressor(max_order=2, gravity=False, wobble=False)
+QUICK = ArmResidualRegressor(orders=2, causes=["kinematics"])
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_scores_are_those_of_the_steps_written_out(test_data, learned):
     for train, test in GroupKFold(5).split(X, groups=groups):
         arm = calibrate(test_data.nominal_arm, X[train], groups[train]).arm
         y = position_residuals(arm.forward(X[train]), groups[train])
-        model = JointHarmonicRegressor(arm, max_order=4).fit(X[train], y, groups=groups[train])
+        model = ArmResidualRegressor(arm, orders=4).fit(X[train], y, groups=groups[train])
         points = arm.forward(X[test])
         for values, left in ((before, points), (after, points - model.predict(X[test]))):
             values[np.unique(groups[test])] = single_point_repeatability(
@@ -247,7 +247,7 @@ def test_the_default_is_the_arms_model_and_the_verdict_says_when_it_does_not_hel
     X, groups = rng.uniform(-2, 2, (60, 6)), np.repeat(np.arange(6), 10)
     tracker = arm.forward(X) + rng.normal(scale=0.05, size=(60, 3))
     learned = learn_correction(arm, X, groups, tracker, cv=3)
-    assert learned.model.get_params().keys() == JointHarmonicRegressor().get_params().keys()
+    assert learned.model.get_params().keys() == ArmResidualRegressor().get_params().keys()
     assert not learned.helps
     assert learned.verdict.startswith("Do not use it: at new positions mean deviation")
     assert "reaches 1" in learned.verdict

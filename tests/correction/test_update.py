@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm import (
     Arm,
-    JointHarmonicRegressor,
+    ArmResidualRegressor,
     RBFNetRegressor,
     calibrate,
     update_correction,
@@ -49,7 +49,7 @@ def rows(n, seed, knock=0.0, noise_mm=0.01):
 
 @pytest.fixture(scope="module")
 def model():
-    return JointHarmonicRegressor(ARM, max_order=20).fit(*rows(500, 0))
+    return ArmResidualRegressor(ARM, orders=20).fit(*rows(500, 0))
 
 
 def left(model, knock, seed=99):
@@ -90,7 +90,7 @@ def test_a_knock_is_learned_from_few_poses(model, n):
 def test_very_many_poses_are_a_new_fit(model):
     angles, y = rows(1000, 3, knock=15)
     updated = update_correction(model, angles, y)
-    fresh = JointHarmonicRegressor(ARM, max_order=20).fit(angles, y)
+    fresh = ArmResidualRegressor(ARM, orders=20).fit(angles, y)
     # 0.0014 and 0.0010 mm: to a seventh of the noise.
     assert left(updated, 15) < left(fresh, 15) + 0.001
 
@@ -172,7 +172,7 @@ def test_an_updated_model_is_a_file_and_is_updated_again(model):
 def test_single_points_update_too():
     data = make_single_point(n_positions=12, n_poses=20, random_state=0)
     old = data.groups < 9
-    model = JointHarmonicRegressor(data.arm, max_order=6)
+    model = ArmResidualRegressor(data.arm, orders=6)
     model.fit(data.data[old], data.target[old], groups=data.groups[old])
     new = ~old
     updated = update_correction(model, data.data[new], data.target[new], groups=data.groups[new])
@@ -222,7 +222,7 @@ def test_on_the_ur10_another_day(ur10, ur10_b):
     """Fitted to 2000 poses of one series, brought up to date with 60 of another."""
     some = np.random.default_rng(0).choice(len(ur10.angles), 2000, replace=False)
     first = calibrate(ARM, ur10.angles[some], points=ur10.points[some])
-    model = JointHarmonicRegressor(first.arm).fit(ur10.angles[some], first.residuals_mm)
+    model = ArmResidualRegressor(first.arm).fit(ur10.angles[some], first.residuals_mm)
     new = np.random.default_rng(0).permutation(len(ur10_b.angles))
     known, rest = new[:60], new[60:]
     angles, points = ur10_b.angles, ur10_b.points
@@ -245,8 +245,9 @@ def test_on_the_ur10_another_day(ur10, ur10_b):
 def test_an_arm_without_errors_stays_as_it_is():
     """Noise of rounding alone left covariances that were not positive definite."""
     test = make_single_point(6, 10, machine="none", random_state=3)
-    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False)
+    model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics", "wobble"])
     model.fit(test.data, test.target, groups=test.groups)
+    model.helps_ = True  # it cannot help where nothing is wrong
     few = test.groups < 4
     new = test.data[few], test.target[few]
     updated = update_correction(model, *new, groups=test.groups[few])
@@ -292,7 +293,7 @@ def warm_rows(n, seed, per_kelvin=1.0, lag=0.0):
 
 @pytest.fixture(scope="module")
 def warm_model():
-    model = JointHarmonicRegressor(ARM, max_order=20, extra=["temperature", "direction 2"])
+    model = ArmResidualRegressor(ARM, orders=20, extra=["temperature", "direction 2"])
     return model.fit(*warm_rows(500, 0, lag=6))
 
 
@@ -311,7 +312,7 @@ def test_extra_columns_are_brought_up_to_date(warm_model):
 def test_a_tool_that_the_model_does_not_know_is_refused():
     angles, y = rows(200, 3)
     tool = np.repeat([1.0, 2.0], 100)[:, None]
-    model = JointHarmonicRegressor(ARM, max_order=4, extra=["tool"])
+    model = ArmResidualRegressor(ARM, orders=4, extra=["tool"])
     model.fit(np.hstack([angles, tool]), y)
     updated = update_correction(model, np.hstack([angles, tool])[::3], y[::3])
     assert updated.predict(np.hstack([angles, tool])).shape == y.shape
@@ -334,19 +335,18 @@ def turned_rows(n, seed, knock=0.0):
 def test_orientations_are_brought_up_to_date_with_and_without_new_ones():
     """Joint 5 hardly moves the probe, and turns it: with orientations its knock is seen well."""
     angles, y, turns = turned_rows(400, 0)
-    model = JointHarmonicRegressor(ARM, max_order=4)
+    model = ArmResidualRegressor(ARM, orders=4)
     model.fit(angles, y, orientation_residuals=turns)
-    model.linear_model_ = model.orientation_model_  # the one estimator has one model
     new, y_new, turns_new = turned_rows(60, 1, knock=30)
     far, _, true = turned_rows(300, 2, knock=30)
     by_points = update_correction(model, new, y_new)
     by_both = update_correction(model, new, y_new, orientation_residuals=turns_new)
     old, points, both = (
-        np.linalg.norm(true - m.linear_model_.predict_turn(far)[0], axis=1).mean()
+        np.linalg.norm(true - m.predict_orientation(far), axis=1).mean()
         for m in (model, by_points, by_both)
     )
     assert both < points < 0.6 * old
     assert both < 2.5e-5  # of which the noise of the true turns is 1.6e-5
-    plain = JointHarmonicRegressor(ARM, max_order=4).fit(angles, y)
+    plain = ArmResidualRegressor(ARM, orders=4).fit(angles, y)
     with pytest.raises(ValueError, match="the model was fitted without any"):
         update_correction(plain, new, y_new, orientation_residuals=turns_new)
