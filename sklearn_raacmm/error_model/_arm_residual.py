@@ -31,6 +31,7 @@ from sklearn_raacmm.utils import (
     whole_fit,
 )
 
+
 class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
@@ -339,9 +340,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         with_field = isinstance(self.orders, Integral)
         fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
         left_out = leave_out(fitted, terms, positions, rows.weights)
-        model = with_honest_intervals(
-            fitted.model, left_out, rows.weights, rows.codes, positions
-        )
+        model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         mean, std = model.predict(rows.X, return_std=True)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
@@ -359,7 +358,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
 
     def _fitted_second_stage(self, rows, left, weights):
-        """The second stage, fitted to what the linear model leaves of poses that are no outliers."""
+        """The second stage, fitted to what the linear model leaves where no pose is an outlier."""
         arm, kept = rows.arm, weights > 0
         stage = CylindricalResidualTarget(clone(self.regressor), azimuth=arm.azimuth)
         takes_weights = has_fit_parameter(self.regressor, "sample_weight")

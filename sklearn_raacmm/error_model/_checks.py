@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm

@@ -11,7 +11,6 @@ import numpy as np
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
-    Terms,
     factored_columns,
     term_names,
 )

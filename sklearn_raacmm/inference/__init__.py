@@ -1,4 +1,4 @@
-"""Linear regression whose structures are chosen by evidence, and what is done with its posterior."""
+"""Linear regression whose structures are chosen by evidence, and what its posterior is for."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause

@@ -178,7 +178,7 @@ def _pruned(problem, state):
         needless = np.count_nonzero(net <= 0)
         if not needless:
             return state
-        worst = np.argsort(net, kind="stable")[: needless]
+        worst = np.argsort(net, kind="stable")[:needless]
         lines = np.delete(state.lines, worst)
         state = problem.state(lines, state.with_field, state.variance, state.noise_variance)
 
