@@ -125,7 +125,7 @@ def test_corrected_points_are_nearer_to_the_truth(test_data, learned):
 def test_slipped_probes_are_found_and_nothing_else(test_data):
     X = test_data.data.copy()
     X[[7, 100], [2, 4]] += [0.005, -0.01]
-    learned = learn_correction(test_data.nominal_arm, X, test_data.groups, model=QUICK)
+    learned = learn_correction(test_data.nominal_arm, X, test_data.groups, model=QUICK, cv=3)
     assert learned.outliers["row"].tolist() == [7, 100]
     assert learned.outliers["position"].tolist() == test_data.groups[[7, 100]].tolist()
     assert np.all(learned.outliers["distance"] > 0.3)
@@ -177,7 +177,7 @@ def test_against_a_tracker(test_data):
     truth = test_data.simulation.true_points
     tracker = truth[:, [1, 2, 0]] + [1500, -20, 300]
     learned = learn_correction(
-        test_data.nominal_arm, test_data.data, test_data.groups, tracker, model=MODEL
+        test_data.nominal_arm, test_data.data, test_data.groups, tracker, model=MODEL, cv=3
     )
     assert learned.scores.measure == "mean deviation"
     assert learned.helps
@@ -195,7 +195,7 @@ def test_tracker_points_without_labels_are_left_out_by_region():
     arm = Arm.from_name("ur10")
     X = rng.uniform(-2, 2, (200, 6))
     tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
-    learned = learn_correction(arm, X, None, tracker, model=QUICK)
+    learned = learn_correction(arm, X, None, tracker, model=QUICK, cv=3)
     labels = learned.scores.table["position"].tolist()
     assert labels == [f"region {i:02d}" for i in range(1, 11)]
     # Neighbours share a region: its points are nearer to their centre than the cloud is wide.

@@ -219,8 +219,8 @@ def test_a_model_without_causes_can_only_be_registered():
 
 
 def test_on_the_ur10_another_day(ur10, ur10_b):
-    """Fitted to 2000 poses of one series, brought up to date with 60 of another."""
-    some = np.random.default_rng(0).choice(len(ur10.angles), 2000, replace=False)
+    """Fitted to 1000 poses of one series, brought up to date with 60 of another."""
+    some = np.random.default_rng(0).choice(len(ur10.angles), 1000, replace=False)
     first = calibrate(ARM, ur10.angles[some], points=ur10.points[some])
     model = ArmResidualRegressor(first.arm).fit(ur10.angles[some], first.residuals_mm)
     new = np.random.default_rng(0).permutation(len(ur10_b.angles))
