@@ -54,16 +54,16 @@ def test_memory_does_not_grow(name):
             model.fit(X, y).predict(X)
         return held()
 
-    times = 60 if name == "harmonics" else 200  # its fits take long
+    times = 30 if name == "harmonics" else 100  # its fits take long
     tracemalloc.start()
     try:
-        before = use(20)
+        before = use(10)
         growth = use(times) - before
     finally:
         tracemalloc.stop()
     # A tenth (a third) of X kept by every fit would be that much; small objects kept for reuse come
     # to 50 kB.
-    assert growth < 20 * X.nbytes
+    assert growth < 10 * X.nbytes
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -179,7 +179,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     Coefficients have normal priors of mean zero, one variance a family, found with the noise by
     maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
     least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
-    the rise is more than the price of its order, ``2 log(order)`` nats. Where the data ask for it,
+    the rise is more than the price of its order k, ``2 log(k)`` nats. Where the data ask for it,
     all orders up to 48 are there together, with one small variance that falls with the order
     (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its angle,
     of which little is known where there are no poses.
