@@ -35,11 +35,6 @@ N_ROWS = 1500  # poses of the UR10 of which a model is made
 WITHIN = 1.96  # standard deviations of an interval of 95 %
 
 
-def fading_of(model):
-    """How the correction of a fitted model fades."""
-    return model.fading_ if hasattr(model, "fading_") else model.fadings_[0]
-
-
 def of_folds(name, folds, tracked=False):
     """What the model with default parameters leaves in the folds, and what it consists of."""
     lefts, inside, models = [], [], []
@@ -59,8 +54,8 @@ def of_folds(name, folds, tracked=False):
         f"{name}: share inside 95 %": np.concatenate(inside).mean(),
         f"{name}: columns, mean of folds": np.mean([len(m.linear_model_.coef) for m in models]),
         f"{name}: highest order of a fold": max(orders),
-        f"{name}: fading factor, mean of folds": np.mean([fading_of(m).factor for m in models]),
-        f"{name}: fading size, mean of folds": np.mean([fading_of(m).size_mm for m in models]),
+        f"{name}: fading factor, mean of folds": np.mean([m.fading_.factor for m in models]),
+        f"{name}: fading size, mean of folds": np.mean([m.fading_.size_mm for m in models]),
     }
 
 

@@ -23,7 +23,6 @@ from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, Stand
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     RBFNetRegressor,
 )
 from sklearn_raacmm.metrics import repeatability_scorer
@@ -144,7 +143,6 @@ MODELS = {
     (ALL, "nearest neighbours"): lambda arm: _neighbours(arm, ALL),
     (ALL, "perceptron"): lambda arm: _perceptron(arm, ALL),
     (ALL, "extra trees"): lambda arm: _trees(arm, ALL),
-    (ANGLES, "JointHarmonicRegressor"): JointHarmonicRegressor,
     (ANGLES, "ArmResidualRegressor"): ArmResidualRegressor,
 }
 
@@ -169,7 +167,7 @@ def run(name, fold, max_gp_rows=1000):
             warnings.simplefilter("ignore", ConvergenceWarning)
             search.fit(X, y, groups=splits)
         model = search.best_estimator_
-    elif isinstance(model, JointHarmonicRegressor | ArmResidualRegressor):
+    elif isinstance(model, ArmResidualRegressor):
         model.fit(X, y, groups=positions)
     elif name[0] == PAPER and isinstance(model.regressor[-1], RBFNetRegressor):
         # Rows of all joints are without groups: on the first arm of each kind the same to 1 %.
@@ -209,11 +207,6 @@ def n_parameters(model):
         case ExtraTreesRegressor():  # a split: feature and threshold; a leaf: three values
             trees = [tree.tree_ for tree in model.estimators_]
             return sum(2 * (t.node_count - t.n_leaves) + 3 * t.n_leaves for t in trees)
-        case JointHarmonicRegressor():
-            return model.coef_.size
         case ArmResidualRegressor():
-            if model.use_ == "none":
-                return 0
-            network = 0 if model.network_ is None else n_parameters(model.network_)
-            return model.linear_model_.coef.size + network
+            return model.coef_.size if model.helps_ else 0
     raise TypeError(f"Unknown kind of model: {model!r}.")

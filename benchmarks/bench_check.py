@@ -83,7 +83,7 @@ def poses_of_simulated_arm(arm, seed, n=40):
 def simulated(runs):
     arm = Arm.from_name("aacmm6")
     poses = partial(poses_of_simulated_arm, arm)
-    model = arm_model(arm, max_order=12).fit(*poses(10**6, 500))
+    model = arm_model(arm, orders=12).fit(*poses(10**6, 500))
     print("Simulated measuring arm, 40 poses")
     table(arm, model, poses, 0.015, runs)
 

@@ -14,8 +14,8 @@ are some of
 - octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
 
 The real data are looked for in ``../shared/data`` beside the project, or in the folder that
-SKLEARN_RAACMM_DATA names. `--defaults` runs `JointHarmonicRegressor` and `ArmResidualRegressor`
-alone, without the table of ideas; `--inputs` compares what a network alone is given instead.
+SKLEARN_RAACMM_DATA names. `--defaults` runs `ArmResidualRegressor` alone,
+without the table of ideas; `--inputs` compares what a network alone is given instead.
 
 Every real fold calibrates the arm on its own training rows. The settings of every method are its
 defaults, or found inside the training rows. The tables are printed as the documentation has them,
@@ -40,7 +40,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -73,19 +72,16 @@ def _without_first(X):
     return X[:, 2:]
 
 
-NONE, LINEAR, CHAIN = "no correction", "`JointHarmonicRegressor`", "`ArmResidualRegressor`"
+NONE, MODEL = "no correction", "`ArmResidualRegressor`"
 
 
 def ideas(arm, tracked, real):
     """Name, estimator, and whether it takes groups, of what the linear model is made of."""
-    bare = {"gravity": False, "kinematics": False, "wobble": False}
-    yield "harmonics alone", JointHarmonicRegressor(arm, **bare), True
-    yield "and gravity", JointHarmonicRegressor(arm, **{**bare, "gravity": True}), True
-    yield "and kinematics", JointHarmonicRegressor(arm, wobble=False), True
+    yield "harmonics alone", ArmResidualRegressor(arm, causes=[]), True
+    yield "and gravity", ArmResidualRegressor(arm, causes=["gravity"]), True
+    yield "and kinematics", ArmResidualRegressor(arm, causes=["gravity", "kinematics"]), True
     if not tracked:
-        yield "the default, but no offsets", JointHarmonicRegressor(arm, offsets=False), True
-    if real:
-        yield "the default, but least squares", JointHarmonicRegressor(arm, loss="squared"), True
+        yield "the default, but no offsets", ArmResidualRegressor(arm, offsets=False), True
 
 
 def inputs(arm, tracked, real):
@@ -125,14 +121,14 @@ def gauge_errors(mix):
         lengths = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs)
         return np.abs(lengths - gauge.lengths)[long].mean()
 
-    model = JointHarmonicRegressor(cone.arm).fit(cone.data, cone.target, groups=cone.groups)
+    model = ArmResidualRegressor(cone.arm).fit(cone.data, cone.target, groups=cone.groups)
     found = [error(0.0), error(model.predict(gauge.data))]
     short = np.isin(gauge.groups, gauge.pairs[~long])
     theta = np.vstack([cone.data, gauge.data[short]])
     y = np.vstack([cone.target, gauge.target[short]])
     groups = np.r_[cone.groups, 100 + gauge.groups[short]]
     known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[~long]]
-    model = JointHarmonicRegressor(cone.arm).fit(theta, y, groups=groups, lengths=known)
+    model = ArmResidualRegressor(cone.arm).fit(theta, y, groups=groups, lengths=known)
     return [*found, error(model.predict(gauge.data))]
 
 
@@ -142,18 +138,6 @@ def folds_of(name, n_rows):
     if name.startswith("ur10"):
         return ur10_folds(name.split("-")[1], n_rows)
     return simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
-
-
-def by_default(arm, theta, y, groups, train):
-    """Predictions of the two estimators, and z: residuals in standard deviations."""
-    of_train = {"groups": groups[train]}
-    chain = ArmResidualRegressor(arm).fit(theta[train], y[train], **of_train)
-    mean, std = chain.predict(theta[~train], return_std=True, with_noise=True)
-    first = mean
-    if chain.use_ != "harmonics":  # otherwise the chain is its first stage
-        linear = JointHarmonicRegressor(arm).fit(theta[train], y[train], **of_train)
-        first = linear.predict(theta[~train])
-    return first, mean, std
 
 
 def run(name, n_rows, others, with_defaults):
@@ -173,9 +157,11 @@ def run(name, n_rows, others, with_defaults):
             model.fit(theta[train], y[train], **extra)
             found[title] = left_by(model.predict(theta[~train]))
         if with_defaults:
-            first, mean, std = by_default(arm, theta, y, groups, train)
-            found[LINEAR], found[CHAIN] = left_by(first), left_by(mean)
-            inside.append(np.abs(found[CHAIN]) < 1.96 * std)
+            model = ArmResidualRegressor(arm)
+            model.fit(theta[train], y[train], groups=groups[train])
+            mean, std = model.predict(theta[~train], return_std=True, with_noise=True)
+            found[MODEL] = left_by(mean)
+            inside.append(np.abs(found[MODEL]) < 1.96 * std)
         for title, left in found.items():
             lefts.setdefault(title, []).append(left)
         print(f"  {name}: fold done", file=sys.stderr, flush=True)
@@ -188,20 +174,15 @@ def rows_of(name, lefts, groups, inside):
     reference = np.linalg.norm(lefts[NONE], axis=1)
     found = {title: statistics(left, groups, reference) for title, left in lefts.items()}
     ideas = {title: f"{found[title][0]:.4f} / {found[title][2]:.3f}" for title in found}
-    if LINEAR not in found:
+    if MODEL not in found:
         return ideas, {}
-    defaults = {NONE: ideas[NONE]}
-    for title in (LINEAR, CHAIN):
-        mean, half, largest, _ = found[title]
-        defaults[title] = f"{mean:.4f} ± {half:.4f} / {largest:.3f}"
-    if np.array_equal(lefts[CHAIN], lefts[LINEAR]):
-        defaults[CHAIN] = "same"
-    defaults["2S: none, model"] = f"{found[NONE][3]:.4f}, {found[LINEAR][3]:.4f}"
+    mean, half, largest, _ = found[MODEL]
+    defaults = {NONE: ideas[NONE], MODEL: f"{mean:.4f} ± {half:.4f} / {largest:.3f}"}
+    defaults["2S: none, model"] = f"{found[NONE][3]:.4f}, {found[MODEL][3]:.4f}"
     defaults["inside"] = f"{inside:.1f} %"
     if name.startswith("sim"):
         gauges = ", ".join(f"{error:.4f}" for error in gauge_errors(name[4:]))
         defaults["500 mm: none, model, 300 mm known"] = gauges
-    del ideas[CHAIN]
     return ideas, defaults
 
 
@@ -307,7 +288,7 @@ def grid():
         learn = angles[train], position_residuals(points[train], sockets[train])
         found = {"no correction": np.zeros_like(points)}
         for title, known in (("no lengths", ()), ("50 mm pairs", pairs), ("all", pairs + between)):
-            model = JointHarmonicRegressor(arm)
+            model = ArmResidualRegressor(arm)
             model.fit(*learn, groups=sockets[train], lengths=known)
             found[f"lengths in the fit: {title}"] = model.predict(angles)
         for title, correction in found.items():
@@ -345,7 +326,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=None, help="of the UR10 (default: all)")
     parser.add_argument("--inputs", action="store_true", help="compare the network's inputs")
-    parser.add_argument("--defaults", action="store_true", help="only the two arm estimators")
+    parser.add_argument("--defaults", action="store_true", help="only the default")
     mixes = ["sim-gravity", "sim-typical", "sim-eccentricity"]
     others = {"corners": corners, "grid": grid, "octants": octants}
     sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", "ur10b-space", *others]
@@ -354,7 +335,7 @@ def main():
     if wrong := set(args.sets) - set(sets):
         parser.error(f"no such set: {', '.join(sorted(wrong))}; there are {', '.join(sets)}.")
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
-    warnings.filterwarnings("ignore", message="With kinematics=False")
+    warnings.filterwarnings("ignore", message="Without the cause kinematics")
     compared = inputs if args.inputs else no_others if args.defaults else ideas
     tables = {}, {}
     for name in args.sets:

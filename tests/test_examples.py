@@ -111,7 +111,7 @@ def test_real_arm(run_alone, monkeypatch, data_folder, capsys):
     assert len(pictures) == 1
     assert "calibrated, uncorrected      mean 0.197 mm" in capsys.readouterr().out
     means = {name: values.mean() for name, (values, _) in page["rows"].items()}
-    assert means["JointHarmonicRegressor"] < 0.9 * means["calibrated, uncorrected"]
+    assert means["ArmResidualRegressor"] < 0.9 * means["calibrated, uncorrected"]
 
 
 def test_own_csv_is_corrected(monkeypatch, capsys):

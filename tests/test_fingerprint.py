@@ -21,8 +21,8 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
     Arm,
+    ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -73,7 +73,9 @@ def fingerprint():
     theta = angles.copy()
     theta[:, 1] += np.deg2rad(6 / 3600) * np.cos(angles[:, 1] - 0.5)
     moved = arm.forward(theta) - arm.forward(angles) + noise(240, 3, 0.003)
-    harmonics = JointHarmonicRegressor(arm, max_order=12, wobble=False).fit(angles, moved)
+    harmonics = ArmResidualRegressor(arm, orders=12, causes=["gravity", "kinematics"]).fit(
+        angles, moved
+    )
     nominal = arm.replace(a=arm.a.round(0), d=arm.d.round(0))
     result = calibrate(nominal, angles, points=arm.forward(angles) + noise(240, 3, 0.02) + 1000)
     groups = np.arange(240) // 24

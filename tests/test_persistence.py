@@ -20,7 +20,6 @@ import sklearn_raacmm
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -52,11 +51,16 @@ def data():
 @pytest.fixture(scope="module")
 def fitted(data):
     """Every public estimator, fitted, in chains or by itself."""
-    harmonics = JointHarmonicRegressor(data.arm, max_order=3)
+    harmonics = ArmResidualRegressor(data.arm, orders=3)
     models = networks(data.arm)
     models["harmonics"] = harmonics
-    models["both"] = ArmResidualRegressor(data.arm, harmonics=harmonics)
-    return {name: model.fit(data.data, data.target) for name, model in models.items()}
+    network = make_pipeline(PoseFeatures(data.arm), RBFNetRegressor(5, length_scale=1.0))
+    models["both"] = clone(harmonics).set_params(regressor=network)
+    known = {"groups": data.groups}
+    return {
+        name: model.fit(data.data, data.target, **(known if name in ("harmonics", "both") else {}))
+        for name, model in models.items()
+    }
 
 
 def test_a_file_gives_the_same_predictions(fitted, data, tmp_path):

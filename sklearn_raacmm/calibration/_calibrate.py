@@ -110,7 +110,7 @@ def calibrate(
         Label of the set-up of each sample, where the tracker or the arm was moved: each has a base
         of its own. For `points` only.
     correction : object, default=None
-        Fitted model of the arm's residuals, such as :class:`JointHarmonicRegressor`: what its
+        Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points, so
         that base, tool and table are fitted to corrected points. Needed wherever the correction
         will be used with the result: a base that was fitted without it has already taken up a part

@@ -6,6 +6,7 @@
 import numpy as np
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
+from sklearn_raacmm.error_model import ArmResidualRegressor
 
 _DOTS = {"color": AFTER["color"], "linestyle": "", "marker": "o", "markersize": 4, "capsize": 2}
 
@@ -105,14 +106,12 @@ class HarmonicDisplay:
             If it is a model of another kind.
         """
         check_model(estimator)
-        table = getattr(estimator, "harmonics_", None)
-        names = getattr(getattr(table, "dtype", None), "names", None) or ()
-        if "amplitude_arcsec" not in names:
+        if not isinstance(estimator, ArmResidualRegressor):
             raise TypeError(
-                "Harmonics are drawn of an ArmResidualRegressor, got "
-                f"{type(estimator).__name__}."
+                f"Harmonics are drawn of an ArmResidualRegressor, got {type(estimator).__name__}."
             )
-        return cls(harmonics=table, n_joints=estimator.arm_.n_joints).plot(axes)
+        harmonics, n_joints = estimator.harmonics_, estimator.arm_.n_joints
+        return cls(harmonics=harmonics, n_joints=n_joints).plot(axes)
 
     def plot(self, axes=None, *, errorbar_kwargs=None):
         """Draw.

@@ -354,7 +354,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         self.pose_weight_[used] = fitted.pose_weight
         self.regressor_ = None
         if self.regressor is not None:
-            left = rows.y - centred(mean * self.helps_, rows.codes, robust)
+            left = centred(rows.y - mean * self.helps_, rows.codes, robust)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
 
     def _fitted_second_stage(self, rows, left, weights):

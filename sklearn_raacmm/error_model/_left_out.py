@@ -90,12 +90,14 @@ def leave_out(fitted, terms, positions, weights):
     """
     model, state, rows = fitted.model, fitted.state, fitted.rows
     points = points_of(rows.arm, rows.X[:, : rows.arm.n_joints])
-    blocks = _blocks(points, positions)
+    blocks = _blocks(points, positions, weights)
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
     low = terms.harmonics[:, 1] <= _HIGHEST_ORDER
     low[state.lines] = True
+    if not low.any():  # only high ones are offered
+        low[:] = True
     terms = terms._replace(harmonics=terms.harmonics[low], target=rows.turn_mm > 0)
     structures = structures_of(rows.arm, terms, state.with_field)
     start = state._replace(noise_variance=model.noise_variance)
@@ -129,10 +131,10 @@ def _errors(model, rows, weights):
     return mean, std, centred(y - mean, rows.codes, weights), spread
 
 
-def _blocks(points, positions):
+def _blocks(points, positions, weights):
     """Blocks of neighbouring positions, by k-means among their mean points; None for one place."""
     means, place = np.unique(
-        group_means(points, positions), axis=0, return_inverse=True
+        group_means(points, positions, weights), axis=0, return_inverse=True
     )  # repeated rows, each a position of its own, are no more places than one
     n_blocks = min(N_BLOCKS, len(means))
     if n_blocks < 2:

@@ -170,7 +170,8 @@ def _settled(problem, state):
 def _pruned(problem, state):
     """The state without lines whose loss the others make good; at its variances.
 
-    All of them go at once. Of lines that resemble each other one joins again.
+    All of them but the best go at once, then that one where it is needless still: each of two
+    lines that are the same is needless beside the other.
     """
     while True:
         is_line = np.isin(state.pairs, state.lines, assume_unique=True)
@@ -178,7 +179,7 @@ def _pruned(problem, state):
         needless = np.count_nonzero(net <= 0)
         if not needless:
             return state
-        worst = np.argsort(net, kind="stable")[:needless]
+        worst = np.argsort(net, kind="stable")[: max(needless - 1, 1)]
         lines = np.delete(state.lines, worst)
         state = problem.state(lines, state.with_field, state.variance, state.noise_variance)
 

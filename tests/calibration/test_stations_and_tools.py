@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 
@@ -134,7 +134,7 @@ def test_the_ur10_of_another_day(ur10, ur10_b):
     """A model of series A on series B: through the correction, and not beside it."""
     rows = np.random.default_rng(0).choice(len(ur10.angles), 1000, replace=False)
     first = calibrate(ARM, ur10.angles[rows], points=ur10.points[rows])
-    model = JointHarmonicRegressor(first.arm)
+    model = ArmResidualRegressor(first.arm)
     model.fit(ur10.angles[rows], first.residuals_mm)
     new = np.random.default_rng(1).permutation(len(ur10_b.angles))
     known, rest = new[:60], new[60:]

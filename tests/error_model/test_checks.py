@@ -5,9 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model._fit_checks import _check_offsets, _check_vectors
+from sklearn_raacmm.error_model._checks import _check_offsets, _check_vectors
 
 ARM = Arm.from_name("aacmm6")
 RNG = np.random.default_rng(0)
@@ -17,7 +17,7 @@ NOISE = 0.05 * RNG.normal(size=(300, 3))
 
 
 def model(**options):
-    return JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False, **options)
+    return ArmResidualRegressor(ARM, orders=1, causes=["kinematics"], **options)
 
 
 def test_positions_of_one_pose_each_have_no_offsets():
@@ -80,32 +80,13 @@ def test_noise_is_not_made_from_nothing(size):
     assert std.max() < 1e-8
 
 
-@pytest.mark.parametrize("prior_sd", [1e-170, 0, 1e155, -1.0])
-def test_priors_out_of_range_get_a_sentence(prior_sd):
-    with pytest.raises(ValueError, match=r"prior_sd.*in the range"):
-        model(prior_sd=prior_sd).fit(ANGLES, NOISE)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("prior_sd", -1.0), ("max_order", "all"), ("loss", "huber"), ("fade", -1), ("gravity", 2)],
-)
-def test_options_of_a_first_stage_are_checked_too(name, value):
-    both = ArmResidualRegressor(ARM, harmonics=JointHarmonicRegressor(**{name: value}))
-    with pytest.raises(ValueError, match=f"'{name}' parameter of JointHarmonicRegressor"):
-        both.fit(ANGLES, NOISE)
-
-
 @pytest.mark.parametrize("scale", [1 / 300, 1e-200, 1e4, 1e6])
 def test_weights_that_are_no_repeats_are_told(scale):
     """With inverse variances nothing would be noise; too large ones ended in a LinAlgError."""
     weights = scale * np.arange(1.0, 41)
-    for estimator in (
-        JointHarmonicRegressor(ARM, max_order=2),
-        ArmResidualRegressor(ARM, harmonics=model(), use="harmonics"),
-    ):
-        with pytest.warns(UserWarning, match=r"the 40 rows are worth .* rows"):
-            estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=weights)
+    estimator = ArmResidualRegressor(ARM, orders=2)
+    with pytest.warns(UserWarning, match=r"the 40 rows are worth .* rows"):
+        estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=weights)
     with pytest.raises(ValueError, match=r"sample_weight holds 4e\+10, but a weight"):
         estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=1e9 * np.arange(1.0, 41))
 
@@ -125,6 +106,6 @@ def test_residuals_of_which_most_are_zero_do_not_overflow():
     y[:10] = 0.1
     angles = ANGLES[:40].copy()
     angles[10:] = 0.0
-    fitted = JointHarmonicRegressor(ARM, max_order=3, kinematics=False).fit(angles, y)
+    fitted = ArmResidualRegressor(ARM, orders=3, causes=["gravity", "wobble"]).fit(angles, y)
     assert np.isfinite(fitted.predict(ANGLES)).all()
     np.testing.assert_array_equal(fitted.pose_weight_ <= 1, True)

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import Terms, term_columns
-from sklearn_raacmm.error_model._columns import HARMONIC, term_names
-from sklearn_raacmm.error_model._place_fields import place_fields
+from sklearn_raacmm.error_model._columns import term_names
+from sklearn_raacmm.error_model._fit import Rows
+from sklearn_raacmm.error_model._gauge import place_fields, without_motions
+from sklearn_raacmm.inference import Sums
 from sklearn_raacmm.utils import centred
 
 NAMES = ("aacmm6", "panda", "ur10")
@@ -81,13 +84,13 @@ def errors_over_deviations(name, seed, single_point):
     arm, rng = Arm.from_name(name, probe=(5.0, -8.0, 120.0)), np.random.default_rng(seed)
     theta, codes = poses_at_points(arm, 30, 12, rng)
     terms = Terms(np.array([(1, 1), (1, 2), (2, 1), (3, 3), (4, 2)]), True, True, True)
-    family = np.r_[np.full(10, HARMONIC), term_names(arm, terms)[1]]
+    family = np.r_[np.zeros(10, int), 1 + term_names(arm, terms)[1]]
     columns = term_columns(arm, theta, terms)
     truth = columns @ rng.normal(0, SIZES[family])
     y = truth + rng.normal(0, NOISE_MM, truth.shape)
     y = centred(y, codes) if single_point else y
     train = codes % 3 > 0
-    model = JointHarmonicRegressor(arm, max_order=3)
+    model = ArmResidualRegressor(arm, orders=3)
     model.fit(theta[train], y[train], groups=codes[train])
     linear = model.linear_model_
     error = linear.predict(theta)[0] - truth
@@ -112,3 +115,33 @@ def test_deviations_are_right_on_three_arms(single_point):
     sizes = np.sqrt([np.mean(np.square(z)) for z in found])
     assert 0.9 < np.sqrt(np.mean(np.square(sizes))) < 1.1
     assert np.mean([np.mean(np.abs(z) < 1.96) for z in found]) == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "panda"])
+def test_a_single_point_test_knows_nothing_of_base_and_scale(name):
+    """What is taken out moves all points as a rigid body of another size does, in seven ways."""
+    arm = Arm.from_name(name, probe=(10.0, -20.0, 150.0))
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-2, 2, (60, arm.n_joints))
+    terms = Terms(np.array([(2, 1)]), False, True, False)
+    n = len(term_names(arm, terms)[0])
+    sums = Sums(np.eye(n), np.zeros(n), np.zeros((n, 2)), None, None, 0.0, 0.0, None)
+    taken = np.eye(n) - without_motions(sums, arm, terms).gram
+    size, vectors = np.linalg.eigh(taken)
+    assert_allclose(size, size > 0.5, atol=1e-12)  # a projection
+    out = vectors[:, size > 0.5]
+    moved = (term_columns(arm, theta, terms)[:, :, 2:] @ out).reshape(180, -1)
+    points, one = arm.forward(theta), np.ones((60, 1))
+    motions = [np.kron(one, e[:, None]) for e in np.eye(3)]
+    motions += [np.cross(e, points).reshape(-1, 1) for e in np.eye(3)]
+    motions = np.column_stack([*motions, points.ravel()])
+    motions /= np.linalg.norm(motions, axis=0)
+    left = moved - motions @ np.linalg.lstsq(motions, moved, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9 * np.abs(moved).max()
+    assert np.linalg.matrix_rank(moved, tol=1e-9 * np.linalg.norm(moved)) == 7
+    codes = np.arange(60) // 15
+    y = rng.normal(size=(60, 3))
+    sums, _ = Rows(arm, theta, y, np.ones(60), codes).sums(terms)
+    assert_allclose(sums.gram @ out, 0, atol=1e-12 * sums.gram.max())
+    assert_allclose(sums.moment @ out, 0, atol=1e-12 * np.abs(sums.moment).max())
+    assert_allclose(out.T @ sums.cross, 0, atol=1e-12 * np.abs(sums.cross).max())

@@ -9,12 +9,11 @@ from numpy.testing import assert_allclose
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    JointHarmonicRegressor,
     calibrate,
     learn_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import _moved_seats, find_steps
+from sklearn_raacmm.measurements import MOVED, _moved_seats, find_steps, warn_of_moved_seats
 
 NOISE = 0.01
 # In the order of the rows; what is left of the poses is random.
@@ -157,46 +156,27 @@ def moved_test(machine="none", n_positions=5):
     return test, angles, groups, rows[0]
 
 
-def test_models_name_position_rows_and_size():
+def test_the_warning_names_position_rows_and_size():
     test, angles, groups, first = moved_test()
-    y = test.arm.forward(angles)
-    y = y - np.stack([y[groups == label].mean(axis=0) for label in np.unique(groups)])[groups]
+    left = test.arm.forward(angles) - test.arm.forward(test.data)
+    left += np.random.default_rng(0).normal(0, NOISE, left.shape)
     expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first} \(rows counted"
-    models = (
-        JointHarmonicRegressor(test.arm, max_order=2),
-        ArmResidualRegressor(
-            test.arm, use="harmonics", n_folds=2, harmonics=JointHarmonicRegressor(max_order=2)
-        ),
-    )
-    for model in models:
-        with pytest.warns(UserWarning, match=expected) as said:
-            model.fit(angles, y, groups=groups)
-        assert [one.filename for one in said] == [__file__]
-    weights = (np.arange(len(y)) < first) | (groups != 2)
-    models[0].fit(angles, y, groups=groups, sample_weight=weights.astype(float))  # no warning
-
-
-def test_labels_of_their_own_after_each_step_are_the_way_out():
-    test, angles, groups, first = moved_test()
+    weights = np.ones(len(left))
+    with pytest.warns(UserWarning, match=f"^{MOVED} {expected}") as said:
+        warn_of_moved_seats(left, angles, weights, groups, NOISE**2)
+    assert [one.filename for one in said] == [__file__]
+    weights = ((np.arange(len(left)) < first) | (groups != 2)).astype(float)
+    warn_of_moved_seats(left, angles, weights, groups, NOISE**2)  # nothing to warn of
+    # Labels of their own after each step are the way out.
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
     labels[first:][groups[first:] == 2] = "cone 2, moved"
-    y = calibrate(test.arm, angles, labels, free=["probe"]).residuals_mm
-    model = JointHarmonicRegressor(test.arm, max_order=2).fit(angles, y, groups=labels)
-    assert model.noise_sd_ < 0.02
-
-
-def test_a_reference_is_no_socket():
-    test, angles, groups, _ = moved_test()
-    y = test.arm.forward(angles) - test.simulation.positions[groups]
-    model = JointHarmonicRegressor(test.arm, max_order=2, offsets=False)
-    model.fit(angles, y, groups=groups)
-    assert not model.offsets_
+    warn_of_moved_seats(left, angles, np.ones(len(left)), labels, NOISE**2)
 
 
 def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)
-    model = JointHarmonicRegressor(max_order=2)
+    model = ArmResidualRegressor(orders=2)
     with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first} ") as said:
         learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
     assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
@@ -208,11 +188,13 @@ def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
     for name in ("panda_2", "panda_3"):
         data = panda(name)
         result = calibrate(nominal, data.angles, data.groups)
+        left = result.residuals_mm
+        left = left - ArmResidualRegressor(result.arm, orders=20, fade=0).fit(
+            data.angles, left, groups=data.groups
+        ).predict(data.angles)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            JointHarmonicRegressor(result.arm, max_order=20).fit(
-                data.angles, result.residuals_mm, groups=data.groups
-            )
+            warn_of_moved_seats(left, data.angles, np.ones(len(left)), data.groups, 0.0)
         said[name] = [str(one.message) for one in caught]
     assert said["panda_3"] == []
     (sentence,) = said["panda_2"]
