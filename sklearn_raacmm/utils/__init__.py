@@ -53,6 +53,7 @@ from sklearn_raacmm.utils._sklearn import (
 )
 from sklearn_raacmm.utils._triangles import invert_triangle
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
+from sklearn_raacmm.utils._warnings import warn_user
 from sklearn_raacmm.utils._whole_fit import whole_fit
 
 __all__ = [
@@ -103,6 +104,7 @@ __all__ = [
     "stage",
     "validate_parameter_constraints",
     "validate_params",
+    "warn_user",
     "whole_fit",
     "write_whole",
 ]
