@@ -78,7 +78,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     network : RBFNetRegressor, default=None
         The second stage, cloned. None: one without a constant, so that it vanishes away from its
         centres and without powers of angles,
-        ``RBFNetRegressor(degree=-1, max_centers=2000, power_transform=None, random_state=0)``.
+        ``RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)``.
 
     joints : {"pose", "all"}, default="all"
         What the network sees: the pose of :class:`PoseFeatures`, or the angles of all joints.
@@ -312,16 +312,12 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         if network is None:
             # Fading asks for a standard deviation at every pose: a network has it sooner than a
             # process with a centre at every row.
-            network = RBFNetRegressor(
-                degree=-1, max_centers=2000, power_transform=None, random_state=0
-            )
-        if tuned is not None and not len(tuned.powers_.changed):
+            network = RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)
+        if tuned is not None:
             # Most of the time of a network is the search for these: that is done once.
             network = clone(network).set_params(
-                kernel=tuned.kernel_, length_scale=tuned.length_scale_
+                kernel=tuned.kernel_, length_scale=tuned.length_scale_, alpha=tuned.alpha_
             )
-            if np.ndim(tuned.alpha_) == 0 or np.ptp(tuned.alpha_) == 0:
-                network.set_params(alpha=float(np.ravel(tuned.alpha_)[0]))
         return network
 
     def _errors(self, stages, data, positions, left_out, n_models):
