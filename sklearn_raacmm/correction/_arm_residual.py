@@ -77,8 +77,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     network : RBFNetRegressor, default=None
         The second stage, cloned. None: one without a constant, so that it vanishes away from its
-        centres and without powers of angles,
-        ``RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)``.
+        centres, ``RBFNetRegressor(degree=-1, max_centers=2000, random_state=0)``.
 
     joints : {"pose", "all"}, default="all"
         What the network sees: the pose of :class:`PoseFeatures`, or the angles of all joints.

@@ -134,7 +134,7 @@ def search(
         width = silent_widths(spread, used) if length_scale is None else length_scale
         return Structure(kernels[0], width, np.ones(q) if alpha is None else alpha)
     data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
-    constants = data.codes is not None and (data.codes.any() or constant_std is not None)
+    constants = data.codes is not None and bool(data.codes.any() or constant_std is not None)
     task = Task(spread, used, q, isotropic, length_scale, alpha, constants, constant_std)
     few, many = (data.rows(data.draw(size, random_state)) for size in (COARSE_ROWS, EXACT_ROWS))
     ends = _coarse(task, kernels, few)
