@@ -8,7 +8,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, RBFNetRegressor
-from sklearn_raacmm.network import _group_search, _read_data
+from sklearn_raacmm.network import _group_search, _read
 from sklearn_raacmm.network._group_noise import group_errors, group_likelihood
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import (
@@ -18,7 +18,7 @@ from sklearn_raacmm.network._likelihood import (
     projected_likelihood,
 )
 from sklearn_raacmm.network._network_posterior import RadialFunctions, fit_path, posterior_of
-from sklearn_raacmm.network._training_data import merge, prepare, with_group_noise
+from sklearn_raacmm.network._rows import merge, prepare, with_group_noise
 from sklearn_raacmm.utils import centred, group_weights
 
 
@@ -309,7 +309,7 @@ def test_groups_that_cannot_be(monkeypatch):
     X, y, groups, _ = grouped_wave()
     with pytest.raises(ValueError, match="groups names 119 samples, but there are 120"):
         RBFNetRegressor().fit(X, y, groups=groups[1:])
-    monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 100)
     with pytest.raises(ValueError, match="at most 100 rows"):
         RBFNetRegressor().fit(X, y, groups=groups)
 
