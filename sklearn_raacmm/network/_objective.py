@@ -26,7 +26,7 @@ ALPHA_BOUNDS = (1e-12, 1e6)
 WIDTH_BOUNDS = (1e-2, 1e3)
 # Variance of groups' constants over that of an observation's noise: below, they are none; above,
 # nothing is left of a group's mean. Where the search for it starts.
-RATIO_BOUNDS, START_RATIO = (1e-5, 1e4), 0.1
+RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 # Relative error of a standard deviation of the constants that is given.
 GIVEN_TO = 0.05
 # The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;

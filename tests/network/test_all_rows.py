@@ -196,7 +196,7 @@ def test_rows_with_constants_are_generalised_least_squares(rough):
 def test_a_limit_of_centres_out_of_reach_takes_all_rows(monkeypatch):
     smooth = {"length_scale": 1.5, "alpha": 0.02}
     assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "criterion"
-    monkeypatch.setitem(_center_choice._MAX_CENTERS, "posterior", 10)
+    monkeypatch.setattr(_fit, "MAX_CENTERS", 10)
     assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "all rows"
 
 

@@ -1,4 +1,4 @@
-"""Groups of outputs with widths and centres of their own, against networks of each alone."""
+"""Each output's own network, and one hidden layer for all, against networks of each alone."""
 
 import copy
 import pickle
@@ -6,16 +6,10 @@ import pickle
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import GroupedPosterior, networks_of
-from sklearn_raacmm.network._likelihood import Data, exact_likelihood
-from sklearn_raacmm.network._output_groups import output_groups
-from sklearn_raacmm.network._width_search import search
 
 ALONG = np.array([0.9, -0.4])
-GROUPS = [[0, 1], [2, 4], [3]]
 
 
 def waves(X):
@@ -44,68 +38,89 @@ def given():
     """Data, and a network of which kernel and widths of every output are given."""
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (90, 2))
-    Y = np.column_stack([np.sin(k * X[:, 0]) + X[:, 1] for k in (1, 1.2, 3, 2, 3.3)])
-    widths, kernels = np.empty((5, 2)), np.empty(5, dtype=object)
-    ways = [(1, 2), "gaussian"], [(0.4, np.inf), "matern52"], [(0.7, 0.9), "matern32"]
-    for of, (width, kernel) in zip(GROUPS, ways, strict=True):
-        widths[of], kernels[of] = width, kernel
-    params = {"kernel": list(kernels), "length_scale": widths, "alpha": np.arange(1, 6) / 50}
+    Y = np.column_stack([np.sin(k * X[:, 0]) + X[:, 1] for k in (1, 3, 2)])
+    params = {
+        "kernel": ["gaussian", "matern52", "matern32"],
+        "length_scale": [[1, 2], [0.4, np.inf], [0.7, 0.9]],
+        "alpha": [0.02, 0.04, 0.06],
+    }
     Y += 0.05 * rng.standard_normal(Y.shape)
     return X, Y, rng.uniform(-2.5, 2.5, (40, 2)), RBFNetRegressor(**params, degree=1).fit(X, Y)
 
 
-def alone(given):
-    """The network of every group, fitted by itself."""
-    X, Y, _, model = given
-    for of in GROUPS:
-        i = of[0]
-        own = clone(model).set_params(
-            kernel=model.kernel[i], length_scale=model.length_scale[i], alpha=model.alpha[of]
-        )
-        yield of, own.fit(X, Y[:, of])
-
-
-def test_each_group_is_the_network_of_its_outputs(given):
-    X, _, T, model = given
-    np.testing.assert_array_equal(model.output_groups_, [0, 0, 1, 2, 1])
+def test_each_output_has_the_network_that_it_would_have_alone(given):
+    X, Y, T, model = given
     mean, std = model.predict(T, return_std=True)
     _, covariance = model.predict(T, return_cov=True, with_noise=False)
     slope, variance_slope = model.predict_gradient(T, return_variance=True)
     start = 0
-    for of, own in alone(given):
+    for i in range(3):
+        own = clone(model).set_params(
+            kernel=model.kernel[i], length_scale=model.length_scale[i], alpha=model.alpha[i]
+        )
+        own.fit(X, Y[:, i])
         own_mean, own_std = own.predict(T, return_std=True)
-        np.testing.assert_allclose(mean[:, of], own_mean, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(std[:, of], own_std, rtol=1e-12)
+        np.testing.assert_allclose(mean[:, i], own_mean, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(std[:, i], own_std, rtol=1e-12)
         own_covariance = own.predict(T, return_cov=True, with_noise=False)[1]
-        np.testing.assert_allclose(covariance[..., of], own_covariance, rtol=0, atol=1e-12)
-        for all_of_them, of_own in zip(
+        np.testing.assert_allclose(covariance[..., i], own_covariance, rtol=0, atol=1e-12)
+        for ours, alone in zip(
             (slope, variance_slope), own.predict_gradient(T, return_variance=True), strict=True
         ):
-            np.testing.assert_allclose(all_of_them[:, of], of_own, rtol=0, atol=1e-11)
+            np.testing.assert_allclose(ours[:, i], alone, rtol=0, atol=1e-11)
         for name in ("alpha_", "noise_variance_", "signal_variance_", "intercept_", "linear_coef_"):
-            np.testing.assert_allclose(getattr(model, name)[of], getattr(own, name), rtol=1e-12)
-        np.testing.assert_array_equal(model.length_scale_[of], [own.length_scale_] * len(of))
-        assert set(model.kernel_[of]) == {own.kernel_}
+            np.testing.assert_allclose(getattr(model, name)[i], getattr(own, name), rtol=1e-12)
+        np.testing.assert_array_equal(model.length_scale_[i], own.length_scale_)
+        assert model.kernel_[i] == own.kernel_
         centers = slice(start, start + len(own.centers_))
         np.testing.assert_array_equal(model.centers_[centers], own.centers_)
         np.testing.assert_array_equal(model.center_indices_[centers], own.center_indices_)
-        np.testing.assert_allclose(model.coef_[of, centers], own.coef_, rtol=1e-12)
+        np.testing.assert_allclose(model.coef_[i, centers], own.coef_, rtol=1e-12)
         start += len(own.centers_)
     assert start == len(model.centers_)
     np.testing.assert_array_equal(X[model.center_indices_], model.centers_)
-    # A weight for each centre of an output's group, and none for the others.
-    assert (
-        np.count_nonzero(model.coef_)
-        == sum(part.coef_.size for _, part in networks_of(model))
-        < model.coef_.size
+    # A weight for each centre of an output, and none for the others.
+    assert np.count_nonzero(model.coef_) == start
+    np.testing.assert_allclose(
+        model.predict(T), radial_sum(model, T) + model.intercept_ + T @ model.linear_coef_.T
     )
+
+
+def radial_sum(model, T):
+    """The radial functions of several networks, summed by hand."""
+    total, start = np.zeros((len(T), 3)), 0
+    for i, network in enumerate(model.networks_):
+        stop = start + len(network.centers)
+        gap = (T[:, None] - model.centers_[start:stop]) / model.length_scale_[i]
+        r = np.linalg.norm(gap, axis=2)
+        phi = {
+            "gaussian": np.exp(-0.5 * r**2),
+            "matern52": (1 + np.sqrt(5) * r + 5 / 3 * r**2) * np.exp(-np.sqrt(5) * r),
+            "matern32": (1 + np.sqrt(3) * r) * np.exp(-np.sqrt(3) * r),
+        }
+        total[:, i] = phi[model.kernel_[i]] @ model.coef_[i, start:stop]
+        start = stop
+    return total
+
+
+def test_variances_are_those_of_the_matrices_that_exporters_read(given):
+    *_, T, model = given
+    for network in model.networks_:
+        A, B = network.roots(0)
+        K = network.radial(T)
+        columns = np.hstack([np.column_stack([np.ones(len(T)), T]) @ network.tail_map.T, K])
+        outside = np.maximum(1 - np.square(K @ A.T).sum(axis=1), 0)
+        variance = network.signal_variance * outside
+        variance += network.noise_variance * (1 + np.square(columns @ B.T).sum(axis=1))
+        _, std = network.predict(T, return_std=True)
+        np.testing.assert_allclose(std[:, 0] ** 2, variance, rtol=1e-12)
 
 
 def test_draws_have_the_mean_and_the_covariance_that_are_said(given):
     *_, T, model = given
     mean, covariance = model.predict(T[:3], return_cov=True)
     draws = model.sample_y(T[:3], 20_000, random_state=0)
-    for i in range(5):
+    for i in range(3):
         sd = np.sqrt(covariance[..., i].diagonal())
         np.testing.assert_allclose(draws[:, i].mean(axis=1), mean[:, i], atol=5 * sd.max() / 140)
         np.testing.assert_allclose(
@@ -113,160 +128,84 @@ def test_draws_have_the_mean_and_the_covariance_that_are_said(given):
         )
 
 
-def test_the_data_form_the_groups(data, model):
+def test_widths_are_found_for_each_output(data, model):
     X, Y, T = data
-    np.testing.assert_array_equal(model.output_groups_, [0, 0, 1, 0, 1])
     error = np.std(model.predict(T) - waves(T), axis=0)
     assert error[[0, 3]].max() < 0.06
+    assert error[[2, 4]].max() < 0.25
     assert error[1] < 1e-12  # the constant
-    np.testing.assert_allclose(model.length_scale_[0], model.length_scale_[3])
     assert np.all(model.length_scale_[0] > 2 * model.length_scale_[2])
-    # Slow and fast outputs by themselves, on the same draws: to the last digit.
-    for of in ([0, 1, 3], [2, 4]):
-        own = RBFNetRegressor(random_state=0).fit(X, Y[:, of])
-        assert not own.output_groups_.any()
-        np.testing.assert_array_equal(model.predict(T)[:, of], own.predict(T))
-    # Widths that all share give up one of the two kinds.
-    shared = RBFNetRegressor(
-        kernel="gaussian", length_scale=model.length_scale_[2], random_state=0
-    ).fit(X, Y)
-    assert np.std(shared.predict(T) - waves(T), axis=0)[0] > 1.5 * error[0]
+    for i in range(5):  # on the same draws: to the last digit
+        own = RBFNetRegressor(random_state=0).fit(X, Y[:, i])
+        np.testing.assert_array_equal(model.predict(T)[:, i], own.predict(T))
+    # Widths that all share give up one of the two kinds, or follow the noise of the other.
+    shared = RBFNetRegressor(shared=True, random_state=0).fit(X, Y)
+    assert len(shared.networks_) == 1
+    assert np.max(np.std(shared.predict(T) - waves(T), axis=0) / np.fmax(error, 1e-3)) > 1.3
 
 
-def test_sums_over_groups(data, model):
+def test_sums_over_outputs(data, model):
     X, Y, _ = data
-    parts = [RBFNetRegressor(random_state=0).fit(X, Y[:, of]) for of in ([0, 1, 3], [2, 4])]
+    parts = [RBFNetRegressor(random_state=0).fit(X, y) for y in Y.T]
     assert model.n_iter_ == sum(part.n_iter_ for part in parts)
     value = sum(part.log_marginal_likelihood_value_ for part in parts)
     assert model.log_marginal_likelihood_value_ == pytest.approx(value, rel=1e-12)
     assert model.stop_reason_ == ", ".join(part.stop_reason_ for part in parts)
     assert model.relevance_.sum() == pytest.approx(1)
     assert np.argmax(model.relevance_) == 0
-    # Four outputs vary, two in each group: what the centres explain is the mean over outputs.
-    explained = np.mean([part.error_reduction_.sum() for part in parts])
-    assert model.error_reduction_.sum() == pytest.approx(explained)
-    assert len(model.criterion_path_) == sum(len(part.criterion_path_) for part in parts)
 
 
-def test_the_order_of_outputs_does_not_matter(data, model):
+def test_one_hidden_layer_is_the_trace_of_the_error_reduction(data):
+    """Chen's choice for several outputs: the largest sum of the shares of all outputs."""
+    X, Y, _ = data
+    Y = Y[:, [0, 2, 3]]
+    model = RBFNetRegressor(6, length_scale=1.0, alpha=0, shared=True).fit(X, Y * [1, 1e3, 1e-3])
+    assert model.coef_.shape == (3, 6)
+    gap = np.square(X[:, None] - X).sum(axis=2)
+    columns, targets = np.exp(-0.5 * gap), Y - Y.mean(axis=0)
+    columns, targets = columns - columns.mean(axis=0), targets / targets.std(axis=0)
+    chosen = []
+    for _ in range(6):
+        left = []
+        for j in range(len(X)):
+            A = columns[:, [*chosen, j]]
+            rest = targets - A @ np.linalg.lstsq(A, targets, rcond=None)[0]
+            left.append(np.inf if j in chosen else np.sum(rest**2))
+        chosen.append(int(np.argmin(left)))
+    np.testing.assert_array_equal(model.center_indices_, chosen)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_the_order_of_outputs_does_not_matter(data, shared):
     X, Y, T = data
     order = np.array([4, 1, 3, 0, 2])
-    other = RBFNetRegressor(random_state=0).fit(X, Y[:, order])
-    np.testing.assert_allclose(other.predict(T), model.predict(T)[:, order], rtol=0, atol=2e-3)
-    varies = order != 1  # what is constant is of the first group
-    groups, others = model.output_groups_[order][varies], other.output_groups_[varies]
-    np.testing.assert_array_equal(groups[:, None] == groups, others[:, None] == others)
+    one = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y)
+    other = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y[:, order])
+    atol = 2e-3 if shared else 1e-12
+    np.testing.assert_allclose(other.predict(T), one.predict(T)[:, order], rtol=0, atol=atol)
 
 
-def test_outputs_that_agree_are_one_group_and_pay_little(monkeypatch):
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-2, 2, (200, 2))
-    Y = np.column_stack([np.sin(X @ ALONG + k) + 0.1 * k * X[:, 0] ** 2 for k in range(3)])
-    Y += [0.05, 0.3, 1.0] * rng.standard_normal(Y.shape)
-    evaluations = []
-    objective = "sklearn_raacmm.network._width_objective.exact_likelihood"
-
-    def counted(data, *args):
-        evaluations.append(data.Y.shape[1])
-        return exact_likelihood(data, *args)
-
-    monkeypatch.setattr(objective, counted)
-    model = RBFNetRegressor(random_state=0).fit(X, Y)
-    np.testing.assert_array_equal(model.output_groups_, [0, 0, 0])
-    shared, single = evaluations.count(3), evaluations.count(1)
-    assert 0 < single / 3 < 0.15 * shared
-    evaluations.clear()
-    RBFNetRegressor(random_state=0).fit(X, Y[:, 0])
-    before = len(evaluations)
-    monkeypatch.setattr("sklearn_raacmm.network._tuning.output_groups", None)  # not even called
-    RBFNetRegressor(random_state=0).fit(X, Y[:, 0])
-    assert len(evaluations) == 2 * before
-
-
-def test_noise_and_weak_outputs_stay_where_they_are():
-    rng = np.random.default_rng(1)
-    X = rng.uniform(-2, 2, (200, 2))
-    clear = np.sin(2 * X[:, 0]) * X[:, 1]
-    tails = rng.standard_t(2.5, 200)
-    Y = np.column_stack([clear, 0.2 * clear + tails, rng.standard_normal(200), clear + 0.1 * tails])
-    model = RBFNetRegressor(random_state=0).fit(X, Y + 0.05 * rng.standard_normal(Y.shape))
-    np.testing.assert_array_equal(model.output_groups_, 0)
-
-
-def test_weights_and_a_given_ridge_and_one_width(data):
-    X, Y, _ = data
-    X, Y, weights = X, Y, np.repeat([1.0, 2.0], 60)
-    for params in ({"alpha": 0.01, "kernel": "matern52"}, {"length_scale": "isotropic"}):
-        model = RBFNetRegressor(random_state=0, **params).fit(X, Y[:, [0, 2]], weights)
-        np.testing.assert_array_equal(model.output_groups_, [0, 1])
-        for i, column in enumerate((0, 2)):
-            own = RBFNetRegressor(random_state=0, **params).fit(X, Y[:, column], weights)
-            np.testing.assert_allclose(model.predict(X)[:, i], own.predict(X), rtol=0, atol=1e-12)
-
-
-def test_what_has_been_found_can_be_given(data, model):
+@pytest.mark.parametrize("shared", [True, False])
+def test_what_has_been_found_can_be_given(data, shared):
     X, Y, T = data
+    model = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y)
     again = clone(model).set_params(
         kernel=model.kernel_, length_scale=model.length_scale_, alpha=model.alpha_
     )
     again = clone(again).fit(X, Y)
-    np.testing.assert_array_equal(again.output_groups_, model.output_groups_)
-    np.testing.assert_allclose(again.predict(T), model.predict(T), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(again.predict(T), model.predict(T), rtol=0, atol=1e-8)
     assert not hasattr(again, "log_marginal_likelihood_value_")
-    alike = again.set_params(length_scale=np.ones((5, 2)), kernel=["gaussian"] * 5).fit(X, Y)
-    assert alike.length_scale_.shape == (2,)
 
 
-def test_a_warm_start_keeps_the_groups(data, model, monkeypatch):
-    X, Y, T = data
-    warm = clone(model).set_params(warm_start=True).fit(X[:-5], Y[:-5])
-    groups = warm.output_groups_
-    monkeypatch.setattr("sklearn_raacmm.network._tuning.search", None)  # nothing is searched for
-    warm.fit(X, Y)
-    np.testing.assert_array_equal(warm.output_groups_, groups)
-    np.testing.assert_allclose(warm.predict(T), model.predict(T), rtol=0, atol=0.2)
-    monkeypatch.undo()
-    # Outputs that agree now are one group again; a number of centres is that of all.
-    slow = waves(X)[:, [0, 3, 0, 3, 1]] + 0.1 * np.random.default_rng(0).standard_normal(Y.shape)
-    assert not warm.fit(X, slow).output_groups_[:4].any()
-    assert warm.fit(X, Y).output_groups_.any()
-    assert len(warm.set_params(n_centers=30).fit(X, slow).centers_) == 30
-
-
-def test_outliers_leave_the_groups():
+def test_outliers_in_one_of_the_outputs():
     rng = np.random.default_rng(0)
     X = np.sort(rng.uniform(-2, 2, (120, 1)), axis=0)
     truth = np.column_stack([np.sin(X[:, 0]), np.sin(8 * X[:, 0])])
     Y, rows = truth + 0.1 * rng.standard_normal(truth.shape), rng.permutation(120)[:5]
     Y[rows, 0] += 10
     robust = RBFNetRegressor(loss="tukey", random_state=0).fit(X, Y)
-    np.testing.assert_array_equal(robust.output_groups_, [0, 1])
     assert np.all(robust.row_weight_[rows] == 0)
     assert np.std(robust.predict(X) - truth, axis=0).max() < 0.06
-
-
-def test_an_output_that_is_given_up_is_said():
-    """A number of centres is that of all outputs."""
-    rng = np.random.default_rng(3)
-    X, along = rng.uniform(-3, 3, (300, 3)), np.array([0.9, -0.3, 0.3])
-    slow, fast = np.sin([[1.2], [3.6]] * (X @ along)) + 0.1 * rng.standard_normal((2, 300))
-    model = RBFNetRegressor(60, random_state=0)
-    with pytest.warns(ConvergenceWarning, match="Output 2 is taken for noise") as said:
-        model.fit(X, np.column_stack([np.ones(300), slow, fast]))
-    assert said[0].filename == __file__  # the line of the call
-    assert model.centers_.shape == (60, 3)
-    assert not model.output_groups_.any()
-    # What is noise with any widths, or has functions with these, is passed over in silence.
-    noise = rng.standard_normal(300)
-    model.fit(X, np.column_stack([slow, noise, np.cos(1.2 * X @ along)]))
-
-
-def test_groups_of_rows_and_of_outputs(given):
-    X, Y, _, model = given
-    labels = np.arange(len(X)) // 10
-    centred = Y - np.array([Y[labels == g].mean(axis=0) for g in labels])
-    with pytest.raises(ValueError, match="without offsets of groups"):
-        clone(model).fit(X, centred, groups=labels)
 
 
 @pytest.mark.parametrize(
@@ -281,6 +220,7 @@ def test_groups_of_rows_and_of_outputs(given):
         ),
         ({"length_scale": [[1.0, 1.0], [1.0, 0.0]]}, "length_scale must be positive"),
         ({"length_scale": [[1.0, 1.0], [1.0, 1e-9]]}, "does not resolve"),
+        ({"length_scale": np.ones((2, 2)), "shared": True}, "which shared=True rules out"),
     ],
 )
 def test_odd_parameters(params, sentence):
@@ -294,43 +234,18 @@ def test_one_output_of_one_column(given):
     rows = RBFNetRegressor(length_scale=[[1.0, 2.0]], kernel=["gaussian"], alpha=0.1)
     plain = RBFNetRegressor(length_scale=[1.0, 2.0], kernel="gaussian", alpha=0.1).fit(X, Y[:, 0])
     np.testing.assert_array_equal(rows.fit(X, Y[:, 0]).predict(T), plain.predict(T))
-    np.testing.assert_array_equal(rows.output_groups_, [0])
 
 
 def test_files(given):
     *_, T, model = given
     again = pickle.loads(pickle.dumps(model))
     np.testing.assert_array_equal(again.predict(T), model.predict(T))
-    damaged = {
-        r"are \[0, 0, 1, 2\], where its parts have \[2, 2, 1\] outputs": {
-            "output_groups": np.array([0, 0, 1, 2])
-        },
-        r"are \[0, 0, 1, 3, 1\]": {"output_groups": np.array([0, 0, 1, 3, 1])},
-        "parts of GroupedPosterior are no posteriors": {"parts": (1, 2, 3)},
-        "output_groups of GroupedPosterior is missing": {"output_groups": None},
-    }
-    for sentence, changes in damaged.items():
-        state = copy.copy(vars(model.posterior_)) | changes
+    for sentence, changes in {
+        r"its networks predict the outputs \[1, 2\]": {"networks_": model.networks_[1:]},
+        "networks_ holds something else": {"networks_": (1, 2, 3)},
+        "center_indices_ of RBFNetRegressor": {"center_indices_": model.center_indices_[:-1]},
+    }.items():
+        lost = copy.deepcopy(model)
+        vars(lost).update(changes)
         with pytest.raises(ValueError, match=sentence):
-            GroupedPosterior.__new__(GroupedPosterior).__setstate__(state)
-    lost = copy.deepcopy(model)
-    vars(lost)["center_indices_"] = lost.center_indices_[:-1]
-    with pytest.raises(ValueError, match="center_indices_ of RBFNetRegressor"):
-        pickle.loads(pickle.dumps(lost))
-
-
-def test_noise_is_widened_in_every_group(given):
-    *_, T, model = given
-    wider = model.posterior_.with_noise(4.0)
-    np.testing.assert_allclose(wider.noise_variance, 4 * model.noise_variance_)
-    np.testing.assert_array_equal(wider.predict(T)[0], model.predict(T))
-    assert wider.weight_unit == model.posterior_.weight_unit
-
-
-def test_nothing_to_group():
-    rng = np.random.RandomState(0)
-    X = np.ones((20, 2))  # no feature varies
-    data = Data(X, rng.standard_normal((20, 3)), np.ones(20), np.zeros(3))
-    found = search(data, ["gaussian"], random_state=rng)
-    (one,) = output_groups(data, found)
-    np.testing.assert_array_equal(one, [0, 1, 2])
+            pickle.loads(pickle.dumps(lost))

@@ -108,7 +108,7 @@ def test_given_widths_and_ridge_are_respected():
     assert RBFNetRegressor(alpha=0.02).fit(X, y).alpha_ == 0.02
 
 
-@pytest.mark.parametrize("n_centers", ["auto", 0.05])
+@pytest.mark.parametrize("n_centers", ["auto", 0.02])
 def test_a_size_between_under_and_overfit_is_found(n_centers):
     X, y, f = smooth(300)
     model = RBFNetRegressor(n_centers, random_state=0).fit(X, y)
