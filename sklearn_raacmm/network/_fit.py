@@ -138,7 +138,7 @@ def takes_all_rows(problem, alpha, functions):
     Of more than `MOST_ROWS` so many are looked at, and become centres.
     """
     varying = problem.spread > 0
-    n = min(problem.n_rows, MOST_ROWS)
+    n = min(len(problem.X), MOST_ROWS)
     if not np.any(varying) or alpha.min() < LEAST_RIDGE * np.square(problem.sample.root).max():
         return False
     # The output that needs most decides, as it does on the centres.

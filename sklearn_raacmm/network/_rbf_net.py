@@ -304,12 +304,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         """
         for name in _SOMETIMES:
             vars(self).pop(name, None)
-        self._fit_weighted(X, y, sample_weight, groups, group_std)
+        labelled = self._fit_weighted(X, y, sample_weight, groups, group_std)
         if self.loss == "tukey":
-            reweigh(self, X, y, sample_weight, groups, group_std)
+            reweigh(self, X, y, sample_weight, groups if labelled else None, group_std)
 
     def _fit_weighted(self, X, y, sample_weight, groups, group_std, labelled=None):
-        """Fit by least squares with given weights; groups have constants, none, or may have."""
+        """Fit by least squares with given weights; return whether groups have constants."""
         if group_std is not None:
             if groups is None:
                 raise ValueError("group_std is that of the constants of groups, which are missing.")
@@ -340,6 +340,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         slope = np.sqrt(sum(slopes))
         total = slope.sum()
         self.relevance_ = slope / total if 0 < total < np.inf else np.zeros(len(slope))
+        return problem.codes is not None
 
     def predict(self, X, return_std=False, return_cov=False, with_noise=True):
         """Predict targets.

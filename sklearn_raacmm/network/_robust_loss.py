@@ -63,20 +63,20 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
     ----------
     estimator : RBFNetRegressor
     X, y, sample_weight, groups, group_std
-        As given to its `fit`.
+        As given to its `fit`; no groups where these have no constants.
     """
     if is_dask(X):
         X, y = X.compute(), np.asarray(y)
     given = check_weights(sample_weight, X)
     targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
-    factor, labelled = np.ones(len(given)), bool(np.any(estimator.group_std_))
-    codes = encode_groups(groups)[1] if labelled else None
+    factor = np.ones(len(given))
+    codes = None if groups is None else encode_groups(groups)[1]
     for _ in range(MAX_FITS):
         residuals = targets - estimator.predict(X).reshape(targets.shape)
         last, factor = factor, biweights(residuals, given, codes)
         if np.mean(np.abs(factor - last)) < SETTLED:
             break
-        estimator._fit_weighted(X, y, given * factor, groups, group_std, labelled)
+        estimator._fit_weighted(X, y, given * factor, groups, group_std, True)
     if np.any(factor < 1):
         parts = (network.with_noise(1 / NORMAL_SQUARE) for network in estimator.networks_)
         estimator.networks_ = tuple(parts)
