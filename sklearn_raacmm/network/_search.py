@@ -59,9 +59,9 @@ REVIVED = 3.0
 # Nats, evidence and leave-one-out density together, by which a kernel may trail on the rows of the
 # second stage before its search there: one trailed by 1.4 on 300 rows and led by 150 on 1000.
 TRAILING = 20.0
-# Nats by which a kernel other than the first has to lead in the end, lest noise be followed: without
-# a margin a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by
-# less than 2 % (benchmarks/bench_noise.py --margins).
+# Nats by which a kernel other than the first has to lead in the end, lest noise be followed: with
+# none a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by less
+# than 2 % (benchmarks/bench_noise.py --margins).
 KERNEL_MARGIN = 10.0
 # Observations a feature below which one width for all features may be the better process, and
 # below which leave-one-out densities count in part: the widths have been chosen on the same rows.
