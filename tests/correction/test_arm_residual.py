@@ -29,7 +29,7 @@ def small(**params):
     return ArmResidualRegressor(
         ARM,
         harmonics=JointHarmonicRegressor(max_order=4, gravity=False, wobble=False),
-        network=RBFNetRegressor(15, length_scale=1.0, alpha=1e-2, degree=-1),
+        network=RBFNetRegressor(15, length_scale=1.0, alpha=1e-2, degree=-1, shared=True),
         **params,
     )
 
