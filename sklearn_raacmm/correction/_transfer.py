@@ -161,6 +161,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     new = deepcopy(own)
     if gain > 0:
         new.linear_model_ = replace(changed.model, offsets=poses.codes is not None)
+        new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
         new.pose_weight_ = changed.pose_weight
         # Where the new poses say nothing, the mean of the make stands.
         new.fading_ = replace(own.fading_, factor=0.0)
