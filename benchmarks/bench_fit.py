@@ -34,7 +34,7 @@ from scipy.optimize import minimize
 
 from sklearn_raacmm import ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.network import _center_choice
+from sklearn_raacmm.network import _fit
 
 N_TEST = 1000
 # Rows up to which the peer takes all for its widths, and how many beyond: an evaluation of 10 000
@@ -107,12 +107,12 @@ class Stages(logging.Handler):
 
     def __init__(self):
         super().__init__()
-        self.ends, self.rank, self.groups = {}, 0, _center_choice.candidate_groups
+        self.ends, self.rank, self.groups = {}, 0, _fit.candidate_groups
         logger = logging.getLogger("sklearn_raacmm")
         logger.setLevel(logging.INFO)
         logger.propagate = False
         logger.addHandler(self)
-        _center_choice.candidate_groups = self.note_rank
+        _fit.candidate_groups = self.note_rank
 
     def emit(self, record):
         """Note when a stage has ended."""

@@ -69,7 +69,7 @@ def main():
     args = parser.parse_args()
     columns = [("inputs", 24, ""), ("arm", 12, ""), ("seed", 4, "d"), ("positions", 9, "d")]
     columns += [("2S without", 10, ".4f"), ("with", 6, ".4f"), ("ratio", 5, ".3f")]
-    columns += [("inside", 6, ".3f"), ("with", 6, ".3f"), ("offsets", 7, ""), ("share", 5, ".2f")]
+    columns += [("inside", 6, ".3f"), ("with", 6, ".3f"), ("constants, mm", 13, ".4f")]
     table, ratios = Table(*columns), {}
     for inputs in (PAPER, ALL):
         for mix in args.machine:
@@ -90,7 +90,7 @@ def main():
                     ratios.setdefault((inputs, mix, shape), []).append(after / before)
                     table.row(
                         *(inputs, mix, seed, shape[0], before, after, after / before),
-                        *(inside, inside_told, str(told.offsets_), told.group_share_),
+                        *(inside, inside_told, np.sqrt(np.mean(told.group_std_**2))),
                     )
     print("\nGeometric mean and largest ratio")
     for (inputs, mix, shape), found in ratios.items():

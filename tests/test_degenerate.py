@@ -288,7 +288,7 @@ SENTENCES = {
     "network: kernel": (lambda: far(kernel="gauss").fit(X, Y), "'kernel' parameter"),
     "network: length_scale": (lambda: far(length_scale="auto ").fit(X, Y), "'length_scale'"),
     "network: alpha": (lambda: RBFNetRegressor(alpha=np.nan).fit(X, Y), "'alpha' parameter"),
-    "network: criterion": (lambda: far(criterion="aic").fit(X, Y), "'criterion' parameter"),
+    "network: loss": (lambda: far(loss="huber").fit(X, Y), "'loss' parameter"),
     "network: n_centers": (lambda: RBFNetRegressor(2.5).fit(X, Y), "'n_centers' parameter"),
     "network: weights of another length": (lambda: far().fit(X, Y, Y[:5]), r"\(60,\)"),
     "network: no weight": (lambda: far().fit(X, Y, Y * 0), "one non-zero number"),
@@ -330,7 +330,7 @@ SENTENCES = {
     ),
     "planning: a network": (
         lambda: next_poses(RBFNetRegressor(3).fit(ANGLES, RESIDUALS), ANGLES, 1),
-        "got RBFNetRegressor",
+        "RBFNetRegressor holds no linear model in use and cannot be planned for",
     ),
     "correction: causes": (
         lambda: ArmResidualRegressor(ARM, causes=["network"]).fit(ANGLES, RESIDUALS),

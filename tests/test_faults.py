@@ -65,11 +65,11 @@ INTERRUPTED = """
 import signal
 import numpy as np
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _forward_selection as _selection
+from sklearn_raacmm.network import _selection
 
 rng = np.random.default_rng(0)
 X, y = rng.uniform(size=(600, 3)), rng.normal(size=(600, 3))
-model = RBFNetRegressor(200, length_scale=0.05, alpha=0.01)
+model = RBFNetRegressor(200, length_scale=0.05, alpha=0.01, shared=True)
 choose, steps = _selection._ForwardPass.choose, []
 
 def choose_and_press_ctrl_c(*args):

@@ -83,7 +83,6 @@ def fingerprint():
         "given widths, centres": given.center_indices_.tolist(),
         "given widths, coefficients": given.coef_[0, :5].tolist(),
         "given widths, predictions": given.predict(new).tolist(),
-        "network groups": network.output_groups_.tolist(),
         "network inverse widths": (1 / network.length_scale_).tolist(),
         "network predictions": network.predict(new).tolist(),
         "network deviations": network.predict(new, return_std=True)[1].tolist(),

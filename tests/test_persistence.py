@@ -25,7 +25,6 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
-from sklearn_raacmm.network import _all_rows
 from sklearn_raacmm.utils import _versioned
 
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
@@ -153,16 +152,12 @@ def skops():
     return pytest.importorskip("skops.io", reason="needs the extra skops")
 
 
-def test_skops_needs_no_other_trust(skops, fitted, data, monkeypatch):
+def test_skops_needs_no_other_trust(skops, fitted, data):
     needed = set()
-    # A network of which all rows are centres has a posterior of another kind, and so has one of
-    # several groups of outputs.
-    monkeypatch.setattr(_all_rows, "FEWEST_ROWS", len(data.data))
     rough = RBFNetRegressor(length_scale=0.3, alpha=0.01).fit(data.data, data.target)
-    assert rough.stop_reason_ == "all rows"
-    widths = np.repeat([[1.0], [2.0], [1.0]], data.data.shape[1], axis=1)
-    groups = RBFNetRegressor(length_scale=widths, alpha=0.01, max_centers=10)
-    for model in [*fitted.values(), rough, groups.fit(data.data, data.target)]:
+    assert rough.stop_reason_ == "all rows, all rows, all rows"
+    shared = RBFNetRegressor(10, length_scale=1.0, alpha=0.01, shared=True)
+    for model in [*fitted.values(), rough, shared.fit(data.data, data.target)]:
         text = skops.dumps(model)
         untrusted = skops.get_untrusted_types(data=text)
         needed |= set(untrusted)

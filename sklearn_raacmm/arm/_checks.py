@@ -58,7 +58,7 @@ def pair_of(name, value, low, high):
     return tuple(int(v) for v in pair)
 
 
-def check_angles(angles, n_joints, angle_unit, stacklevel=None):
+def check_angles(angles, n_joints, angle_unit):
     """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence.
 
     Warns where the unit is most likely another one: degrees given as radians or the reverse.

@@ -26,7 +26,7 @@ def arm_or_built_in(arm, owner):
     return Arm.from_name(_BUILT_IN)
 
 
-def arm_for(arm, owner, n_columns, stacklevel=None, extra=()):
+def arm_for(arm, owner, n_columns, extra=()):
     """As `arm_or_built_in`; refuses X without a column for each joint and each name in `extra`."""
     arm = arm_or_built_in(arm, owner)
     if extra and n_columns != arm.n_joints + len(extra):

@@ -23,6 +23,7 @@ from sklearn_raacmm.calibration._checks import (
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
+from sklearn_raacmm.calibration._priors import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
 from sklearn_raacmm.utils import (
@@ -36,16 +37,15 @@ from sklearn_raacmm.utils import (
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
-# Guesses of the prior standard deviations that are found: what machining leaves of a length, and
-# the matching angle. They hold where few rows say little.
-_GUESSES = (0.3, 0.003)
+# Guesses of the prior standard deviations that are found.
+_GUESSES = (LENGTH_MM, ANGLE_RAD)
 # Bounds of what is found. The upper ones are wide enough for a table taken from a drawing; data
 # that no arm explains would push them further.
 _LEAST, _MOST = (0.01, 0.0001), (2.0, 0.02)
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
 _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
 # What counts as knowing nothing of a base, a reach and a turn of one radian.
-_BASE_MM, _BASE_RAD = 1000.0, 1.0
+_BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE_COORDINATES = ("rx", "ry", "rz", "x", "y", "z")
 _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
 
@@ -77,7 +77,7 @@ def calibrate(
     loss="soft_l1",
     prior_length_mm="auto",
     prior_angle_rad="auto",
-    prior_probe_mm=1000.0,
+    prior_probe_mm=UNKNOWN_PLACE_MM,
     angle_unit="rad",
 ):
     """Identify the static parameters of an arm.

@@ -21,7 +21,7 @@ _HARM = 2.0
 # What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
 # part of the reach; a reach.
 _FAR = 10.0
-_SHARE_OF_REACH = 0.02
+SHARE_OF_REACH = 0.02
 _LEAST_REACH_MM = 20.0
 
 
@@ -183,7 +183,7 @@ def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after)
             f"{departure[worst]:.3g} times the prior standard deviation away: look at the known "
             "lengths, their unit, and the nominal table."
         )
-    if after > min(_SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
+    if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
         signs.append(
             f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
             f"{reach:.4g} mm): look at the labels, known lengths, the order and sense of the "

@@ -1,4 +1,4 @@
-"""The whole correction: which models are used, the guards, and which poses to measure next."""
+"""A correction in use: learnt, judged, checked, updated, moved to another arm, and planned."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause

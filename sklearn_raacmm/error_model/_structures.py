@@ -17,7 +17,7 @@ from sklearn_raacmm.inference import Structures
 # What a harmonic costs per logarithm of its order.
 _PRICE_PER_LOG_ORDER = 2.0
 # Orders up to this may be there all together, small, and smaller the higher they are: a smooth
-# function of the joint's angle. Order at which the decay begins, and price in nats: any from 4 to 64
+# function of the joint's angle. Order at which the decay begins; price in nats: any from 8 to 64
 # leaves about the same (``benchmarks/bench_prices.py --field``).
 _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
 # Log evidence that a family of extra columns has to add, in nats: a user may name causes that are

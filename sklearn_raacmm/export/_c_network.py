@@ -9,7 +9,7 @@ from math import factorial
 import numpy as np
 
 from sklearn_raacmm.export._steps import n_outputs, posterior_spectrum
-from sklearn_raacmm.network import kernel_matrix, networks_of
+from sklearn_raacmm.network import kernel_matrix
 
 # Centres that are computed together: a multiple of the numbers in a processor's vector.
 _VECTOR = 8
@@ -53,24 +53,17 @@ def network(numbers, step, std, with_noise=True, exact=False):
     v takes the variances; it is there with `std` only. They are good to 1e-3 of the standard
     deviation, or with `exact` to rounding: where a correction depends on them.
     """
-    text, q = _network(numbers, step, std, with_noise, exact)
-    if not len(step.powers_.changed):
-        return text, q
-    text = re.sub(r"\bnetwork(?=\()", "network_of_powers", text)
-    text += _powers(numbers, step)
-    lines = [f"{numbers.real} powers[{step.n_features_in_}];", "see(x, powers);"]
-    lines.append(f"network_of_powers(powers, y{', v' if std else ''});")
-    body = "\n".join(f"    {line}" for line in lines)
-    return f"{text}\n{_head(numbers.real, step.n_features_in_, q, std)}\n{{\n{body}\n}}\n", q
+    return _network(numbers, step, std, with_noise, exact)
 
 
 def _network(numbers, step, std, with_noise, exact):
     """The same of the features as the network sees them."""
-    groups, real, d, q = networks_of(step), numbers.real, step.n_features_in_, n_outputs(step)
+    groups, real, d, q = step.networks_, numbers.real, step.n_features_in_, n_outputs(step)
     if len(groups) == 1:
-        return _group_network(numbers, step, std, with_noise, exact)
+        return _group_network(numbers, groups[0], std, with_noise, exact)
     exp, text, lines = _exponential(numbers), "", []
-    for number, (of, part) in enumerate(groups, start=1):
+    for number, part in enumerate(groups, start=1):
+        of = part.outputs
         own = _group_network(numbers, part, std, with_noise, exact)[0]
         own = _OWN_NAME.sub(rf"\1_{number}", own)
         # All use the same exponential.
@@ -99,11 +92,11 @@ def _head(real, d, q, std):
 
 def _group_network(numbers, step, std, with_noise, exact):
     """The same of outputs that share centres."""
-    real, d, q = numbers.real, step.n_features_in_, n_outputs(step)
-    k = len(step.posterior_.centers)
+    real, d, q = numbers.real, len(step.length_scale), len(step.outputs)
+    k = len(step.centers)
     full = _whole_vectors(k)
-    text = numbers.table("intercept", np.atleast_1d(step.intercept_))
-    linear_coef = np.atleast_2d(step.linear_coef_)
+    text = numbers.table("intercept", step.polynomial[0])
+    linear_coef = step.polynomial[1:].T
     lines = [f"{real} phi[{full}];"] if k else ["(void)x;"]
     lines += [f"for (int j = 0; j < {q}; ++j)", "    y[j] = intercept[j];"]
     if np.any(linear_coef):
@@ -134,34 +127,6 @@ def _group_network(numbers, step, std, with_noise, exact):
     return f"{text}\n{_head(real, d, q, std)}\n{{\n{body}\n}}\n", q
 
 
-def _powers(numbers, step):
-    """``see(given, x)``: the features as the network sees them, see `FeaturePowers`."""
-    real, f, d, powers = numbers.real, numbers.suffix, step.n_features_in_, step.powers_
-    at = powers.changed
-    text = numbers.integers("power_feature", at, "features that are seen through a power")
-    for name in ("lambdas", "unit", "start", "low"):
-        text += numbers.table(f"power_{name}", getattr(powers, name)[at])
-    return (
-        text
-        + f"""
-/* x + start to the power lambda, in a unit; below low along the tangent. */
-static void see(const {real} given[{d}], {real} x[{d}])
-{{
-    for (int i = 0; i < {d}; ++i)
-        x[i] = given[i];
-    for (int i = 0; i < {len(at)}; ++i) {{
-        const {real} value = given[power_feature[i]], low = power_low[i], lambda = power_lambdas[i];
-        const {real} at = value < low ? low : value, u = at / power_unit[i];
-        const {real} l = power_start[i] > 0 ? log1p{f}(u) : log{f}(u);
-        const {real} power = lambda > 0 ? expm1{f}(lambda * l) / lambda : l;
-        x[power_feature[i]] = power_unit[i] * (power + (1 - power_start[i]))
-            + exp{f}((lambda - 1) * l) * (value - at);
-    }}
-}}
-"""
-    )
-
-
 def _whole_vectors(n):
     """The next multiple of `_VECTOR`: zeros fill up the rest, and compilers need no remainder."""
     return -(-n // _VECTOR) * _VECTOR
@@ -169,19 +134,19 @@ def _whole_vectors(n):
 
 def _radial_functions(numbers, step, full):
     """Tables of the centres, and lines that compute phi of all of them."""
-    d, centers = step.n_features_in_, step.posterior_.centers
+    d, centers = len(step.length_scale), step.centers
     fill = ((0, 0), (0, full - len(centers)))
     # Centred as predict does it: the rounding is the same.
     shift = centers.mean(axis=0)
     text = numbers.table("center_shift", shift, "middle of the centres")
     note = "1 / length scale; 0 for a feature that did not vary"
-    text += numbers.table("inverse_width", 1 / step.length_scale_, note)
-    centers = ((centers - shift) / step.length_scale_).T
+    text += numbers.table("inverse_width", 1 / step.length_scale, note)
+    centers = ((centers - shift) / step.length_scale).T
     note = "one column a centre, less their middle, in units of the length scales"
     text += numbers.table("center", np.pad(centers, fill), note)
-    weights = np.pad(np.atleast_2d(step.coef_), fill)
+    weights = np.pad(step.coef.T, fill)
     text += numbers.table("weight", weights, "one column a centre")
-    exp, loops = _kernel(numbers, step.kernel_, full)
+    exp, loops = _kernel(numbers, step.kernel, full)
     lines = [
         f"for (int c = 0; c < {full}; ++c)",
         "    phi[c] = 0;",
@@ -210,11 +175,11 @@ def _in_few_digits(step, turn, shift, tail, shrunk, with_noise):
     factor : ndarray of shape (r, 1)
         None, None where single precision is not enough, as for data without noise.
     """
-    rows = _rows_to_measure(step.posterior_.centers)
-    scaled = (rows / step.length_scale_, step.posterior_.centers / step.length_scale_)
-    phi = kernel_matrix(*scaled, step.kernel_).T
+    rows = _rows_to_measure(step.centers)
+    scaled = (rows / step.length_scale, step.centers / step.length_scale)
+    phi = kernel_matrix(*scaled, step.kernel).T
     u = tail @ np.vstack([np.ones(len(rows)), rows.T])
-    noise, signal = (np.reshape(v, (-1, 1)) for v in (step.noise_variance_, step.signal_variance_))
+    noise, signal = (np.reshape(v, (-1, 1)) for v in (step.noise_variance, step.signal_variance))
 
     def variances(g):
         h = np.square(g - shift @ u)
@@ -246,11 +211,11 @@ def _rows_to_measure(centers):
 
 def _network_variance(numbers, step, with_noise, exact):
     """``network_variance(x, phi, v)``: the variance as `NetworkPosterior` computes it."""
-    real, d, q = numbers.real, step.n_features_in_, n_outputs(step)
-    k = len(step.posterior_.centers)
-    text = numbers.table("noise_variance", np.atleast_1d(step.noise_variance_))
-    text += numbers.table("signal_variance", np.atleast_1d(step.signal_variance_))
-    p = len(step.posterior_.tail_map)
+    real, d, q = numbers.real, len(step.length_scale), len(step.outputs)
+    k = len(step.centers)
+    text = numbers.table("noise_variance", step.noise_variance)
+    text += numbers.table("signal_variance", step.signal_variance)
+    p = len(step.tail_map)
     turn, shift, tail, shrunk = posterior_spectrum(step)
     lines = [f"{real} outside = 1, common = {int(with_noise)};"]
     if p:

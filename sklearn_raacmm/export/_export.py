@@ -17,13 +17,7 @@ from sklearn_raacmm.export._json import model_of, text_of
 from sklearn_raacmm.export._load_c import compiled, single_precision
 from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._steps import check_fitted
-from sklearn_raacmm.network import (
-    FeaturePowers,
-    GroupedPosterior,
-    NetworkPosterior,
-    ProcessPosterior,
-    RBFNetRegressor,
-)
+from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_path, show, write_whole
 
@@ -36,13 +30,10 @@ TRUSTED_TYPES = [
         Arm.azimuth,
         ArmResidualRegressor,
         Fading,
-        FeaturePowers,
-        GroupedPosterior,
         JointHarmonicRegressor,
         LinearModel,
         PoseFeatures,
-        NetworkPosterior,
-        ProcessPosterior,
+        Network,
         RBFNetRegressor,
         Terms,
         CylindricalResidualTarget,

@@ -22,13 +22,7 @@ from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
 from sklearn_raacmm.export._c_source import fingerprint_of
 from sklearn_raacmm.export._steps import STAGES, check_fitted
-from sklearn_raacmm.network import (
-    FeaturePowers,
-    GroupedPosterior,
-    NetworkPosterior,
-    ProcessPosterior,
-    RBFNetRegressor,
-)
+from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_shapes, show
 
@@ -46,7 +40,7 @@ _ESTIMATORS = {
 _VALUES = {
     kind.__name__: kind
     for kind in (
-        FeaturePowers, Fading, GroupedPosterior, LinearModel, NetworkPosterior, ProcessPosterior,
+        Fading, LinearModel, Network,
     )
 }  # fmt: skip
 # Arrays of scikit-learn's steps: d is the number of features. Those that are None are left out.

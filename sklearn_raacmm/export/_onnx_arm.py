@@ -7,7 +7,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model import LOAD, PUSH, SHIFT, column_table, given_factors
 from sklearn_raacmm.export._onnx_graph import Graph, TensorProto, angle, point, transforms
-from sklearn_raacmm.export._onnx_steps import azimuth, network, pose_angles, seen, to_cartesian
+from sklearn_raacmm.export._onnx_steps import azimuth, network, pose_angles, to_cartesian
 from sklearn_raacmm.export._steps import arm_of, fadings_of, force_of, posterior_spectrum
 
 # Entry [j, 3 k + i] of the product that makes the matrix of ``u -> u x r`` of r: (u x r)_k is the
@@ -177,7 +177,7 @@ def _network_variance(graph, parts, x):
 def _group_variance(graph, step, x, phi):
     """The same of outputs that share centres."""
     turn, shift, tail, shrunk = posterior_spectrum(step)
-    noise, signal = np.atleast_1d(step.noise_variance_), np.atleast_1d(step.signal_variance_)
+    noise, signal = step.noise_variance, step.signal_variance
     one = graph.integers(1)
     total = graph("Add", graph.refusal(x), 0.0)
     u = g = None
@@ -237,7 +237,6 @@ def convert_arm_model(scope, operator, container):
         if step.joints == "pose":
             used, elevation = pose_angles(graph, arm, angles, poses)
             x = graph("Concat", used, angle(graph, *elevation), axis=1)
-        x = seen(graph, step.network_, x)
         y, parts = network(graph, step.network_, x)
         variance = _network_variance(graph, parts, x) if doubted else None
         y = to_cartesian(graph, y, azimuth(graph, arm, poses))

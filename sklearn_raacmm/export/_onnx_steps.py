@@ -18,7 +18,6 @@ from sklearn_raacmm.export._onnx_graph import (
     transforms,
 )
 from sklearn_raacmm.export._steps import azimuth_arm, n_outputs
-from sklearn_raacmm.network import networks_of
 from sklearn_raacmm.residuals import NORM_TOLERANCE
 
 
@@ -93,72 +92,48 @@ def _radial(graph, kernel, s):
     raise RuntimeError(f"RBFNetRegressor with kernel={kernel!r} cannot be converted to ONNX.")
 
 
-def seen(graph, step, x):
-    """Features as an `RBFNetRegressor` sees them, (n, d), see `FeaturePowers`."""
-    powers = step.powers_
-    changed = powers.changed
-    if not len(changed):
-        return x
-    names = ("lambdas", "unit", "start", "low")
-    exponent, unit, start, low = (getattr(powers, name)[None, changed] for name in names)
-    value = graph("Gather", x, graph.integers(*changed), axis=1)
-    at = graph("Max", value, low)
-    u = graph("Log", graph("Add", graph("Div", at, unit), start))
-    slope = graph("Exp", graph("Mul", u, exponent - 1))
-    power = graph("Sub", graph("Exp", graph("Mul", u, exponent)), 1.0)
-    is_log = exponent == 0
-    power = graph("Div", power, np.where(is_log, 1.0, exponent))
-    power = graph("Add", power, graph("Mul", u, is_log.astype(float)))  # exp(0) - 1 is 0
-    power = graph("Mul", graph("Add", power, 1.0 - start), unit)
-    power = graph("Add", power, graph("Mul", slope, graph("Sub", value, at)))
-    # Where each column goes; the others keep theirs.
-    place = np.eye(len(powers.lambdas))
-    kept = graph("Mul", x, (powers.lambdas == 1.0).astype(float)[None, :])
-    return graph("Add", kept, graph("MatMul", power, place[changed]))
-
-
 def network(graph, step, x):
-    """Prediction (n, q) of an `RBFNetRegressor` at features as it sees them, see `seen`.
+    """Prediction (n, q) of an `RBFNetRegressor`.
 
     Returns
     -------
     y : str
-    parts : list of (object, str or None)
-        Every group of outputs as a network, and its radial functions (n, k), None without centres.
+    parts : list of (Network, str or None)
+        Its networks, and their radial functions (n, k), None without centres.
     """
-    groups = networks_of(step)
-    found = [_group_network(graph, part, x) for _, part in groups]
-    parts = [(part, phi) for (_, part), (_, phi) in zip(groups, found, strict=True)]
+    groups = step.networks_
+    found = [_group_network(graph, part, x) for part in groups]
+    parts = [(part, phi) for part, (_, phi) in zip(groups, found, strict=True)]
     if len(groups) == 1:
         return found[0][0], parts
-    order = np.argsort(np.concatenate([of for of, _ in groups]))
+    order = np.argsort(np.concatenate([part.outputs for part in groups]))
     y = graph("Concat", *(y for y, _ in found), axis=1)
     return graph("Gather", y, graph.integers(*order), axis=1), parts
 
 
 def _group_network(graph, step, x):
     """Prediction of outputs that share centres, and their radial functions or None."""
-    y = graph("Add", graph.refusal(x), np.atleast_1d(step.intercept_)[None, :])
-    linear = np.atleast_2d(step.linear_coef_)
+    y = graph("Add", graph.refusal(x), step.polynomial[:1])
+    linear = step.polynomial[1:]
     if np.any(linear):
-        y = graph("Add", y, graph("MatMul", x, linear.T))
-    centers = step.posterior_.centers
+        y = graph("Add", y, graph("MatMul", x, linear))
+    centers = step.centers
     if not len(centers):
         return y, None
     shift = centers.mean(axis=0)
-    centers = (centers - shift) / step.length_scale_
-    z = graph("Mul", graph("Sub", x, shift), 1 / step.length_scale_)
+    centers = (centers - shift) / step.length_scale
+    z = graph("Mul", graph("Sub", x, shift), 1 / step.length_scale)
     # |z|^2 + |c|^2 - 2 z.c, as predict has it.
     squares = graph("ReduceSum", graph("Mul", z, z), graph.integers(1), keepdims=1)
     s = graph("MatMul", z, -2.0 * centers.T)
     s = graph("Add", graph("Add", s, np.square(centers).sum(axis=1)[None, :]), squares)
-    phi = _radial(graph, step.kernel_, graph("Max", s, 0.0))
-    return graph("Add", y, graph("MatMul", phi, np.atleast_2d(step.coef_).T)), phi
+    phi = _radial(graph, step.kernel, graph("Max", s, 0.0))
+    return graph("Add", y, graph("MatMul", phi, step.coef)), phi
 
 
 def convert_network(scope, operator, container):
     step, graph = operator.raw_operator, Graph(scope, container)
-    y, _ = network(graph, step, seen(graph, step, graph.as_double(operator.inputs[0])))
+    y, _ = network(graph, step, graph.as_double(operator.inputs[0]))
     graph.put(y, operator.outputs[0])
 
 

@@ -17,7 +17,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import force_on_probe
-from sklearn_raacmm.network import ProcessPosterior, RBFNetRegressor, networks_of
+from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show
 
@@ -127,15 +127,12 @@ def n_outputs(network):
 
 def described(network):
     """Kernel and number of centres of a fitted `RBFNetRegressor`, group by group, as text."""
-    parts = networks_of(network)
-    texts = [f"{part.kernel_}, {len(part.posterior_.centers)} centres" for _, part in parts]
-    changed = len(network.powers_.changed)
-    powers = f", powers of {changed} features" if changed else ""
+    parts = network.networks_
+    texts = [f"{part.kernel}, {len(part.centers)} centres" for part in parts]
     if len(parts) == 1:
-        return texts[0] + powers
-    outputs = [", ".join(str(i) for i in of) for of, _ in parts]
-    groups = [f"outputs {of}: {text}" for of, text in zip(outputs, texts, strict=True)]
-    return "; ".join(groups) + powers
+        return texts[0]
+    outputs = [", ".join(str(i) for i in part.outputs) for part in parts]
+    return "; ".join(f"outputs {of}: {text}" for of, text in zip(outputs, texts, strict=True))
 
 
 def extra_of(model):
@@ -190,8 +187,8 @@ def posterior_spectrum(step):
     ValueError
         If the tables would be too large, as they are where thousands of rows are centres.
     """
-    posterior, k = step.posterior_, len(step.posterior_.centers)
-    if k > MOST_CENTERS and isinstance(posterior, ProcessPosterior):
+    posterior, k = step, len(step.centers)
+    if k > MOST_CENTERS and posterior.all_rows:
         raise ValueError(
             f"The standard deviation of a network of {k} centres would need a table of "
             f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
@@ -201,7 +198,7 @@ def posterior_spectrum(step):
     left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
     tail = solve_triangular(left, posterior.tail_map, trans="T") if p else posterior.tail_map
     if not k:
-        return np.empty((0, 0)), np.empty((0, p)), tail, np.empty((n_outputs(step), 0))
+        return np.empty((0, 0)), np.empty((0, p)), tail, np.empty((len(step.outputs), 0))
     whiten = posterior.prior_root
     _, singular, turn = np.linalg.svd(own @ whiten.T)
     spectrum = np.zeros(len(whiten))

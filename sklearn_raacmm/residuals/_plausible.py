@@ -79,7 +79,7 @@ def refuse_large(y, reach=np.inf):
         )
 
 
-def warn_of_another_frame(y, points=None, reach=np.inf, stacklevel=None):
+def warn_of_another_frame(y, points=None, reach=np.inf):
     """Warn where a motion of the base explains nearly all of the residuals.
 
     Parameters
@@ -90,8 +90,6 @@ def warn_of_another_frame(y, points=None, reach=np.inf, stacklevel=None):
         Where the arm says that its probe is, mm. None: only shifts can be seen.
     reach : float, default=np.inf
         Reach of the arm, mm.
-    stacklevel : int, default=None
-        Ignored.
 
     Warns
     -----
