@@ -1,4 +1,4 @@
-"""A fitted model on its way: as C99, as ONNX, what to trust in its file, and what to say of it."""
+"""A fitted model on its way: as C99, as ONNX, as JSON, and what to say of it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -14,12 +14,14 @@ from sklearn_raacmm.export._export import (
     to_json,
     to_onnx,
 )
+from sklearn_raacmm.export._json import ExportedModel
 from sklearn_raacmm.export._load_c import CompiledModel
 from sklearn_raacmm.export._model_card import ModelCard
 
 __all__ = [
     "TRUSTED_TYPES",
     "CompiledModel",
+    "ExportedModel",
     "ModelCard",
     "describe",
     "export_c",
@@ -30,3 +32,8 @@ __all__ = [
     "to_json",
     "to_onnx",
 ]
+
+try:  # wherever skl2onnx is used, it knows this package's estimators
+    register_onnx()
+except ImportError:
+    pass

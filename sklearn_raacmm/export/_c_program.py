@@ -1,0 +1,624 @@
+"""A program as C99: tables, and one static function that computes its outputs.
+
+Operations on single numbers of a row are written as one expression as far as each result is used
+once. The others have a loop of their own.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from math import factorial
+
+import numpy as np
+
+# Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
+# know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
+_VECTOR = 8
+# Of each number of a row by itself; {f} is the suffix of the precision.
+_ELEMENTWISE = {
+    "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})",
+    "max": "larger({}, {})", "min": "smaller({}, {})", "less": "less({}, {})",
+    "sqrt": "sqrt{f}({})", "exp": "exp{f}({})", "log": "log{f}({})", "sin": "sin{f}({})",
+    "cos": "cos{f}({})", "elevation": "atan2{f}({}, {})",
+}  # fmt: skip
+# Operations that take each number of a value once, so that it need not be an array; of the last two
+# that is the first value.
+_BY_NUMBER = {*_ELEMENTWISE, "join", "finite", "within"}
+_HELPERS = {
+    "max": """\
+static inline {real} larger({real} a, {real} b)
+{{
+    return a < b ? b : a; /* NaN if a is */
+}}
+""",
+    "min": """\
+static inline {real} smaller({real} a, {real} b)
+{{
+    return a > b ? b : a;
+}}
+""",
+    "less": """\
+static inline {real} less({real} a, {real} b)
+{{
+    return a < b ? 1 : 0;
+}}
+""",
+}
+_ALL_FINITE = """\
+static int all_finite(const {real} *v, int n)
+{{
+    for (int i = 0; i < n; ++i)
+        if (!isfinite(v[i]))
+            return 0;
+    return 1;
+}}
+"""
+
+
+def _whole(n):
+    """The next multiple of `_VECTOR`: zeros fill up the rest."""
+    return -(-n // _VECTOR) * _VECTOR
+
+
+class Tables:
+    """Tables of constants and helping functions, each there once."""
+
+    def __init__(self, numbers):
+        self.numbers, self.texts, self.helpers, self._names = numbers, [], {}, {}
+
+    def __call__(self, name, array, note=""):
+        """Name of a table of real numbers, or of whole ones if its type is such."""
+        array = np.asarray(array)
+        key = (array.dtype.kind == "f", array.shape, array.tobytes())
+        if key not in self._names:
+            self._names[key] = f"{name}_{len(self._names)}"
+            write = self.numbers.table if array.dtype.kind == "f" else self.numbers.integers
+            self.texts.append(write(self._names[key], array, note))
+        return self._names[key]
+
+    def help(self, name, text):
+        self.helpers[name] = text
+
+    @property
+    def text(self):
+        return "\n".join([*self.helpers.values(), *self.texts])
+
+
+class _Writer:
+    """Writes one program as a function."""
+
+    def __init__(self, program, tables):
+        self.ops, self.outputs, self.tables = program.ops, program.outputs, tables
+        self.numbers, self.real, self.f = tables.numbers, tables.numbers.real, tables.numbers.suffix
+        self.users = [[] for _ in self.ops]
+        for number, op in enumerate(self.ops):
+            for place, i in enumerate(op.inputs):
+                self.users[i].append((number, place))
+        self.kept = set(self.outputs.values())
+        self.padded = set()
+        self.lines = []
+        for number in range(1, len(self.ops)):
+            self._write(number)
+
+    # -- what stands for a value
+
+    def inline(self, number):
+        """Whether a value is an expression in the one place where it is used."""
+        op, users = self.ops[number], self.users[number]
+        if op.name == "constant":
+            return True
+        scattered = op.name == "take" and not self._start(op)
+        if not (op.name in _ELEMENTWISE or scattered) or number in self.kept or len(users) != 1:
+            return False
+        ((user, place),) = users
+        by_number = self.ops[user].name in _BY_NUMBER
+        if self.ops[user].name in ("finite", "within") and place == 1:
+            return False
+        return by_number and (self.ops[user].size == op.size or self.ops[user].name == "join")
+
+    def _start(self, op):
+        """First index of a `take` of numbers that follow each other, as text; else nothing."""
+        index = op.given["index"]
+        return f"{index[0]}" if np.all(np.diff(index) == 1) else ""
+
+    def at(self, number, i):
+        """Expression of one number of a value."""
+        op = self.ops[number]
+        i = "0" if op.size == 1 else i
+        if op.name == "constant":
+            if op.size == 1:
+                return self.numbers.literal(op.given["value"][0])
+            return f"{self.tables('constant', op.given['value'])}[{i}]"
+        if not self.inline(number):
+            return f"{self.array(number)}[{i}]"
+        if op.name == "take":
+            return self.at(op.inputs[0], f"{self.tables('index', op.given['index'])}[{i}]")
+        operands = [self.at(source, i) for source in op.inputs]
+        return self._format(op.name, operands)
+
+    def _format(self, name, operands):
+        if name in _HELPERS:
+            self.tables.help(name, _HELPERS[name].format(real=self.real))
+        return _ELEMENTWISE[name].format(*operands, f=self.f)
+
+    def array(self, number):
+        """Name of a value as an array."""
+        op = self.ops[number]
+        if op.name == "constant":
+            return self.tables("constant", op.given["value"])
+        return "input" if number == 0 else f"v{number}"
+
+    # -- statements
+
+    def put(self, *lines):
+        self.lines += lines
+
+    def loop(self, n, body):
+        """``for`` over n numbers, or the body itself with 0 in place of i."""
+        if n == 1:
+            self.put(body("0"))
+        else:
+            self.put(f"for (int i = 0; i < {n}; ++i)", f"    {body('i')}")
+
+    def declare(self, number, fill="", padded=False):
+        n = self.ops[number].size
+        self.padded |= {number} if padded else set()
+        self.put(f"{self.real} v{number}[{_whole(n) if padded else n}]{fill};")
+
+    def _write(self, number):
+        op = self.ops[number]
+        if self.inline(number):
+            return
+        if op.name in _ELEMENTWISE:
+            self.declare(number)
+            self.loop(
+                op.size,
+                lambda i: (
+                    f"v{number}[{i}] = "
+                    + self._format(op.name, [self.at(source, i) for source in op.inputs])
+                    + ";"
+                ),
+            )
+        else:
+            getattr(self, f"_{op.name}")(number, op)
+
+    def _take(self, number, op):
+        start, source = self._start(op), op.inputs[0]
+        if start and not (self.inline(source) and self.ops[source].name != "constant"):
+            self.put(f"const {self.real} *const v{number} = {self.array(source)} + {start};")
+            return
+        index = self.tables("index", op.given["index"])
+        self.declare(number)
+        self.loop(op.size, lambda i: f"v{number}[{i}] = {self.at(source, f'{index}[{i}]')};")
+
+    def _join(self, number, op):
+        self.declare(number)
+        start = 0
+        for source in op.inputs:
+            n = self.ops[source].size
+            place = "i" if start == 0 else f"{start} + i"
+            self.loop(
+                n,
+                lambda i, place=place, start=start, source=source: (
+                    f"v{number}[{place if i == 'i' else start}] = {self.at(source, i)};"
+                ),
+            )
+            start += n
+
+    def _dots(self, number, op):
+        (rows, x), r = (self.array(i) for i in op.inputs), op.size
+        n = self.ops[op.inputs[1]].size
+        self.declare(number)
+        row = f"{rows}[i * {n} + j]" if r > 1 else f"{rows}[j]"
+        self.put(f"for (int i = 0; i < {r}; ++i) {{")
+        self.put(*(f"    {line}" for line in self._sum(n, f"{row} * {x}[j]", f"v{number}[i]")))
+        self.put("}")
+
+    def _sum(self, n, term, result):
+        """Lines that sum up terms of j: several sums side by side where there are many."""
+        if n < 4 * _VECTOR:
+            return [f"{self.real} sum = 0;", f"for (int j = 0; j < {n}; ++j)",
+                    f"    sum += {term};", f"{result} = sum;"]  # fmt: skip
+        full = n // _VECTOR * _VECTOR
+        lines = [f"{self.real} part[{_VECTOR}] = {{0}}, sum = 0;",
+                 f"for (int k = 0; k < {full}; k += {_VECTOR})",
+                 f"    for (int j = 0; j < {_VECTOR}; ++j)",
+                 f"        part[j] += {term.replace('j]', 'k + j]')};",
+                 f"for (int j = 0; j < {_VECTOR}; ++j)", "    sum += part[j];"]  # fmt: skip
+        if full < n:
+            lines += [f"for (int j = {full}; j < {n}; ++j)", f"    sum += {term};"]
+        return [*lines, f"{result} = sum;"]
+
+    def _finite(self, number, op):
+        y, x = op.inputs
+        self._refused(number, f"all_finite({self.array(x)}, {self.ops[x].size})", y)
+
+    def _refused(self, number, condition, y):
+        self.put(f"const int ok{number} = {condition};")
+        self.declare(number)
+        nan = f"({self.real})NAN"
+        self.loop(
+            self.ops[number].size,
+            lambda i: f"v{number}[{i}] = ok{number} ? {self.at(y, i)} : {nan};",
+        )
+
+    def _within(self, number, op):
+        y, x = op.inputs
+        low, high = (self.numbers.literal(op.given[key]) for key in ("low", "high"))
+        name, n = self.array(x), self.ops[x].size
+        parts = [f"{name}[{j}] >= {low} && {name}[{j}] <= {high}" for j in range(n)]
+        self._refused(number, " && ".join(parts), y)
+
+    def _affine(self, number, op):
+        matrix, shift = op.given["matrix"], op.given["shift"]
+        rows, columns = matrix.shape
+        (source,), x = op.inputs, self.array(op.inputs[0])
+        if not np.any(matrix):
+            self.declare(number)
+            self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift, i)};")
+        elif 2 * np.count_nonzero(matrix) <= matrix.size:
+            self._sparse(number, matrix, shift, x)
+        elif rows < _VECTOR:
+            self.declare(number)
+            full = source in self.padded and columns >= _VECTOR
+            n = _whole(columns) if full else columns
+            table = self.tables("rows", np.pad(matrix, ((0, 0), (0, n - columns))))
+            self.put(f"for (int i = 0; i < {rows}; ++i) {{")
+            lines = self._sum(n, f"{table}[i][j] * {x}[j]", f"v{number}[i]")
+            self.put(*(f"    {line}" for line in lines))
+            self.put(*([f"    v{number}[i] += {self._init(shift)};"] if np.any(shift) else []), "}")
+        else:
+            n, packed = _packed(matrix.T)
+            table = self.tables("packed" if packed.ndim == 1 else "columns", packed)
+            self.declare(number, " = {0}", padded=True)
+            if np.any(shift):
+                self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift)};")
+            self.put(*self._product(f"v{number}", table, columns, n, packed.ndim == 1, f"{x}[c]"))
+
+    def _init(self, shift, i="i"):
+        if len(shift) == 1:
+            return self.numbers.literal(shift[0])
+        return f"{self.tables('shift', np.asarray(shift, dtype=float))}[{i}]"
+
+    def _product(self, name, table, columns, n, is_packed, factor):
+        """Lines that add columns of a matrix times numbers; a triangle has them one by one."""
+        if not is_packed:
+            return [
+                f"for (int c = 0; c < {columns}; ++c)", f"    for (int i = 0; i < {n}; ++i)",
+                f"        {name}[i] += {table}[c][i] * {factor};",
+            ]  # fmt: skip
+        return [
+            "{", f"    const {self.real} *row = {table}; /* a triangle */",
+            f"    for (int c = 0; c < {columns}; ++c) {{", f"        {_LENGTH.format(n=n)}",
+            "        for (int i = 0; i < n; ++i)",
+            f"            {name}[i] += row[i] * {factor};", "        row += n;", "    }", "}",
+        ]  # fmt: skip
+
+    def _sparse(self, number, matrix, shift, x):
+        row, column = np.nonzero(matrix)
+        start = self.tables("start", np.searchsorted(row, np.arange(len(matrix) + 1)))
+        of, values = self.tables("column", column), self.tables("entry", matrix[row, column])
+        self.declare(number)
+        first = self._init(shift) if np.any(shift) else "0"
+        self.put(
+            f"for (int i = 0; i < {len(matrix)}; ++i) {{", f"    {self.real} sum = {first};",
+            f"    for (int e = {start}[i]; e < {start}[i + 1]; ++e)",
+            f"        sum += {values}[e] * {x}[{of}[e]];", f"    v{number}[i] = sum;", "}",
+        )  # fmt: skip
+
+    def _frames(self, number, op):
+        table = op.given["table"]
+        text = _FRAMES.format(
+            real=self.real, f=self.f, v=f"v{number}", theta=self.array(op.inputs[0]),
+            n=len(table), table=self.tables("dh", table, "cos alpha, sin alpha, a mm, d mm"),
+            turn=_TURNS[op.given["convention"]].format(real=self.real),
+        )  # fmt: skip
+        self.declare(number)
+        self.put(*text.splitlines())
+
+    def _waves(self, number, op):
+        """Powers of ``exp(i angle)``: each is the product of two others."""
+        joint, order = op.given["joint"], op.given["order"]
+        firsts, products, place = _chain(joint, np.abs(order))
+        out = np.where(order > 0, 2 * place, np.where(order < 0, 2 * place + 1, 0))
+        m, n, a = len(order), len(firsts) + len(products), self.array(op.inputs[0])
+        first = self.tables("wave_joint", np.array(firsts, dtype=int))
+        self.declare(number)
+        self.put(
+            "{", f"    {self.real} power[{2 * n + 2}] = {{1, 0}}; /* cosines and sines by turns */",
+            f"    for (int i = 0; i < {len(firsts)}; ++i) {{",
+            f"        power[2 * i + 2] = cos{self.f}({a}[{first}[i]]);",
+            f"        power[2 * i + 3] = sin{self.f}({a}[{first}[i]]);", "    }",
+        )  # fmt: skip
+        if products:
+            of = self.tables("wave_of", np.array(products, dtype=int))
+            self.put(
+                f"    for (int i = 0; i < {len(products)}; ++i) {{",
+                f"        const {self.real} *a = power + {of}[i][0], *b = power + {of}[i][1];",
+                f"        {self.real} *c = power + 2 * i + {2 * len(firsts) + 2};",
+                "        c[0] = a[0] * b[0] - a[1] * b[1];",
+                "        c[1] = a[0] * b[1] + a[1] * b[0];", "    }",
+            )  # fmt: skip
+        at = self.tables("wave_at", out)
+        self.put(
+            f"    for (int i = 0; i < {m}; ++i)", f"        v{number}[i] = power[{at}[i]];", "}"
+        )
+
+    def _radial(self, number, op):
+        centers, kernel = op.given["centers"].T, op.given["kernel"]
+        d, k = centers.shape
+        n, v, x = _whole(k), f"v{number}", self.array(op.inputs[0])
+        shift = self.tables("center_shift", op.given["shift"], "middle of the centres")
+        note = "1 / length scale; 0 for a feature that did not vary"
+        width = self.tables("inverse_width", op.given["inverse_width"], note)
+        note = "one column a centre, less their middle, in units of the length scales"
+        center = self.tables("center", np.pad(centers, ((0, 0), (0, n - k))), note)
+        most = self.numbers.literal(-_EXP[self.real]["least"])
+        if any("falling_exp" in line for line in _KERNEL_LOOPS[kernel]):
+            self.tables.help("falling_exp", _exponential(self.numbers))
+        self.declare(number, " = {0}", padded=True)
+        self.put(
+            f"for (int i = 0; i < {d}; ++i) {{",
+            f"    const {self.real} z = ({x}[i] - {shift}[i]) * {width}[i];",
+            f"    for (int c = 0; c < {n}; ++c)",
+            f"        {v}[c] += (z - {center}[i][c]) * (z - {center}[i][c]);", "}",
+            f"/* {kernel}, of the squared distance in units of the length scales */",
+        )  # fmt: skip
+        roots = {f"sqrt{i}": self.numbers.literal(np.sqrt(i)) for i in (3, 5)}
+        for line in _KERNEL_LOOPS[kernel]:
+            body = line.format(v=v, f=self.f, most=most, **roots)
+            self.put(f"for (int c = 0; c < {n}; ++c)", f"    {body}")
+
+    def _variances(self, number, op):
+        root = op.given["root"]
+        n, packed = _packed(root)
+        text = _VARIANCES.format(
+            real=self.real, v=f"v{number}", m=len(root), r=n, axes=self.ops[op.inputs[0]].size // 3,
+            vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),
+            vector=self.tables("vector", op.given["vector"], "of each column"),
+            root=self.tables("root", packed.ravel(), "of the coefficients' covariance, row by row"),
+            length=_LENGTH.format(n=n) if packed.ndim == 1 else f"const int n = {n};",
+        )  # fmt: skip
+        self.declare(number)
+        self.put(*text.splitlines())
+
+    def _doubt(self, number, op):
+        same = (
+            i
+            for i, other in enumerate(self.ops[:number])
+            if other.name == "variances"
+            and other.inputs == op.inputs
+            and other.given["root"] is op.given["root"]
+        )
+        found = next(same, None)
+        known = self.numbers.literal(op.given["known"])
+        if found is None:
+            self.put(f"{self.real} v{number}[3];")
+            lines, self.lines = self.lines, []
+            self._variances(number, op)
+            self.lines = lines + self.lines[1:]
+            found = number
+        total = f"v{found}[0] + v{found}[1] + v{found}[2] - {known}"
+        if found != number:
+            self.declare(number)
+        self.put(f"v{number}[0] = {total};", f"if (v{number}[0] < 0)", f"    v{number}[0] = 0;")
+
+
+def function(program, tables, name, faded_below):
+    """A static function that computes the outputs of a program; it returns a status."""
+    writer = _Writer(program, tables)
+    real, ops = tables.numbers.real, program.ops
+    tables.help("all_finite", _ALL_FINITE.format(real=real))
+    outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
+    for out, i in program.outputs.items():
+        writer.loop(ops[i].size, lambda j, out=out, i=i: f"{out}_out[{j}] = {writer.at(i, j)};")
+    status = f"return all_finite(y_out, {program.n_outputs}) ? 0 : 2;"
+    if "trust" in program.outputs:
+        limit = tables.numbers.literal(faded_below)
+        status = (
+            f"return !all_finite(y_out, {program.n_outputs}) ? 2 : trust_out[0] < {limit} ? 1 : 0;"
+        )
+    body = "\n".join(f"    {line}" for line in [*writer.lines, status])
+    head = f"static int {name}(const {real} input[{program.n_inputs}], {', '.join(outputs)})"
+    return f"/* 0: fine, 1: faded, 2: not finite. */\n{head}\n{{\n{body}\n}}\n"
+
+
+# Of a triangle: entries of a row, up to the diagonal and to the end of a vector.
+_LENGTH = (
+    f"const int whole = c / {_VECTOR} * {_VECTOR} + {_VECTOR}, n = whole < {{n}} ? whole : {{n}};"
+)
+
+
+def _packed(root):
+    """Numbers in a row, and the rows one by one, of a triangle without what is above its diagonal.
+
+    Rows are filled up with zeros to whole vectors.
+    """
+    n = _whole(root.shape[1])
+    full = np.pad(root, ((0, 0), (0, n - root.shape[1])))
+    if np.any(np.triu(root, 1)):
+        return n, full
+    lengths = np.minimum(np.arange(len(root)) // _VECTOR * _VECTOR + _VECTOR, n)
+    return n, np.concatenate([row[:length] for row, length in zip(full, lengths, strict=True)])
+
+
+def _chain(joint, order):
+    """How powers of ``exp(i angle)`` follow from each other.
+
+    Returns
+    -------
+    firsts : list of int
+        Joints whose first power is taken from cosine and sine.
+    products : list of (int, int)
+        Where the two factors of each further one stand, as the first of two numbers; 1 is at 0.
+    place : ndarray
+        Which power each wave is, 0 where it has none.
+    """
+    wanted = {(int(j), int(k)) for j, k in zip(joint, order, strict=True) if k}
+    firsts = sorted({j for j, _ in wanted})
+    place = {(j, 1): 1 + i for i, j in enumerate(firsts)}
+    products = []
+
+    def reach(j, k):
+        if (j, k) not in place:
+            half = (k // 2, k - k // 2) if k % 2 == 0 else (1, k - 1)
+            near = [reach(j, part) for part in half]
+            products.append((2 * near[0], 2 * near[1]))
+            place[j, k] = len(firsts) + len(products)
+        return place[j, k]
+
+    for j, k in sorted(wanted):
+        reach(j, k)
+    pairs = zip(joint, order, strict=True)
+    return firsts, products, np.array([place.get((int(j), int(k)), 0) for j, k in pairs])
+
+
+_FRAMES = """\
+for (int i = 0; i < 12; ++i)
+    {v}[i] = i % 4 == 0 && i < 9 ? 1 : 0;
+for (int i = 0; i < {n}; ++i) {{
+    const {real} *dh = {table}[i], *from = {v} + 12 * i;
+    const {real} c = cos{f}({theta}[i]), s = sin{f}({theta}[i]);
+    {real} *to = {v} + 12 * i + 12;
+    for (int k = 0; k < 3; ++k) {{
+        const {real} x0 = from[k], y0 = from[3 + k], z0 = from[6 + k];
+{turn}
+    }}
+}}
+"""
+_TURNS = {
+    "standard": """\
+        const {real} x = c * x0 + s * y0, y = c * y0 - s * x0;
+        to[k] = x;
+        to[3 + k] = dh[0] * y + dh[1] * z0;
+        to[6 + k] = dh[0] * z0 - dh[1] * y;
+        to[9 + k] = from[9 + k] + dh[3] * z0 + dh[2] * x;""",
+    "modified": """\
+        const {real} y = dh[0] * y0 + dh[1] * z0, z = dh[0] * z0 - dh[1] * y0;
+        to[k] = c * x0 + s * y;
+        to[3 + k] = c * y - s * x0;
+        to[6 + k] = z;
+        to[9 + k] = from[9 + k] + dh[2] * x0 + dh[3] * z;""",
+}
+# Columns that share a vector are summed first: that leaves one product of each entry, not three.
+_VARIANCES = """\
+{{
+    {real} dot[3][{r}] = {{{{0}}}};
+    const {real} *row = {root};
+    for (int c = 0; c < {m};) {{
+        const int a = {vector}[c];
+        {real} shared[{r}] = {{0}};
+        int filled = 0;
+        do {{
+            {length}
+            for (int i = 0; i < n; ++i)
+                shared[i] += {sizes}[c] * row[i];
+            filled = n;
+            row += n;
+            ++c;
+        }} while (c < {m} && {vector}[c] == a);
+        for (int k = 0; k < 3; ++k)
+            for (int i = 0; i < filled; ++i)
+                dot[k][i] += {vectors}[{axes} * k + a] * shared[i];
+    }}
+    for (int k = 0; k < 3; ++k) {{
+        {real} sum = 0;
+        for (int i = 0; i < {r}; ++i)
+            sum += dot[k][i] * dot[k][i];
+        {v}[k] = sum;
+    }}
+}}
+"""
+# From the squared scaled distance s in v[c] to the radial function, a loop over all centres for
+# each line: only loops without branches and calls are computed for several centres at once.
+# {f} is the suffix of the precision, {most} where falling_exp ends.
+_BOUND = "{v}[c] = {v}[c] > {most} ? {most} : {v}[c];"
+_KERNEL_LOOPS = {
+    "gaussian": ["{v}[c] *= 0.5{f};", _BOUND, "{v}[c] = falling_exp(-{v}[c]);"],
+    "matern32": [
+        "{v}[c] = {sqrt3} * sqrt{f}({v}[c]);",
+        _BOUND,
+        "{v}[c] = (1 + {v}[c]) * falling_exp(-{v}[c]);",
+    ],
+    "matern52": [
+        "{v}[c] = {sqrt5} * sqrt{f}({v}[c]);",
+        _BOUND,
+        "{v}[c] = (1 + {v}[c] + {v}[c] * {v}[c] / 3) * falling_exp(-{v}[c]);",
+    ],
+    "rational_quadratic": ["{v}[c] = 1 / (1 + 0.5{f} * {v}[c]);"],
+    "inverse_multiquadric": ["{v}[c] = 1 / sqrt{f}(1 + {v}[c]);"],
+}
+_FALLING_EXP = """
+/* exp(x) for {least} <= x <= 0, to {error} of itself: libm's cannot be computed for several x at
+   once. x = n log 2 + r; the power series of exp(r); 2^n by its bits. */
+#if FLT_EVAL_METHOD == 0 && FLT_RADIX == 2 && {digits_macro} == {digits}
+static inline {real} falling_exp({real} x)
+{{
+    /* The sum is rounded to a whole number, which its last bits then are. */
+    const {real} shifted = x * {log2e} + {shifter};
+    const {real} n = shifted - {shifter};
+    const {real} r = (x - n * {high}) - n * {low};
+    {real} p = {last};
+{series}
+    uint{bits}_t power;
+    {real} scale;
+    memcpy(&power, &shifted, sizeof power);
+    power = (power + {bias}) << {shift};
+    memcpy(&scale, &power, sizeof scale);
+    return p * scale;
+}}
+#else
+static inline {real} falling_exp({real} x)
+{{
+    return exp{f}(x);
+}}
+#endif
+"""
+# high + low = log 2; high has so few digits that its product with n is exact (W. J. Cody, W. Waite,
+# "Software manual for the elementary functions", 1980). The first term left out of the series is
+# 4e-18 and 5e-9 of the sum. The tests measure the error against decimals of 40 digits.
+_EXP = {
+    "double": {
+        "least": -708.0,  # the smallest normal number is exp(-708.4)
+        "error": "3e-16",
+        "digits_macro": "DBL_MANT_DIG",
+        "digits": 53,
+        "bits": 64,
+        "shifter": 1.5 * 2.0**52,
+        "high": 6.93147180369123816490e-01,
+        "low": 1.90821492927058770002e-10,
+        "degree": 13,
+        "bias": 1023,
+        "shift": 52,
+    },
+    "float": {
+        "least": -87.0,
+        "error": "2e-7",
+        "digits_macro": "FLT_MANT_DIG",
+        "digits": 24,
+        "bits": 32,
+        "shifter": 1.5 * 2.0**23,
+        "high": 0.693359375,
+        "low": -2.12194440e-4,
+        "degree": 7,
+        "bias": 127,
+        "shift": 23,
+    },
+}
+
+
+def _exponential(numbers):
+    """``falling_exp(x)`` in C."""
+    facts = dict(_EXP[numbers.real])
+    degree = facts.pop("degree")
+    factors = [numbers.literal(1 / factorial(i)) for i in range(degree + 1)]
+    for name in ("least", "shifter", "high", "low"):
+        facts[name] = numbers.literal(facts[name])
+    return _FALLING_EXP.format(
+        real=numbers.real,
+        f=numbers.suffix,
+        log2e=numbers.literal(1 / np.log(2)),
+        last=factors[-1],
+        series="\n".join(f"    p = p * r + {factor};" for factor in factors[-2::-1]),
+        **facts,
+    )

@@ -1,0 +1,820 @@
+"""Fitted models as programs: the only file that knows what a model is made of.
+
+One function for each kind of step: it adds the step's operations to those before it.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from functools import partial
+from types import MethodType
+from typing import NamedTuple
+
+import numpy as np
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm
+from sklearn_raacmm.correction import ArmResidualRegressor
+from sklearn_raacmm.error_model import (
+    LOAD,
+    PUSH,
+    SHIFT,
+    JointHarmonicRegressor,
+    column_table,
+    force_on_probe,
+    given_factors,
+)
+from sklearn_raacmm.export._program import Builder
+from sklearn_raacmm.network import RBFNetRegressor, networks_of
+from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, PoseFeatures
+from sklearn_raacmm.utils import show
+
+_SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
+_LINEAR = (LinearRegression, Ridge)
+_OF_ARM = (JointHarmonicRegressor, ArmResidualRegressor)
+_KNOWN = (PoseFeatures, *_SCALERS, CylindricalResidualTarget, RBFNetRegressor, *_LINEAR, *_OF_ARM)
+OWN = (PoseFeatures, CylindricalResidualTarget, RBFNetRegressor, *_OF_ARM)
+# Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
+MOST_CENTERS = 2000
+# In place of a length that is nothing.
+_TINY = 1e-30
+
+
+class Step(NamedTuple):
+    """One estimator of the chain, by the path that leads to it."""
+
+    path: str
+    estimator: object
+
+
+def leaves(model, path=None):
+    """Steps in the order in which data pass; a wrapper comes before what it wraps.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+    path : str, optional
+        What to call it in a message.
+
+    Yields
+    ------
+    Step
+    """
+    path = type(model).__name__ if path is None else path
+    if isinstance(model, Pipeline):
+        for name, step in model.steps:
+            if step is not None and not (isinstance(step, str) and step == "passthrough"):
+                yield from leaves(step, name if path == "Pipeline" else f"{path}.{name}")
+        return
+    if hasattr(model, "best_estimator_"):  # of a search: what it has found
+        yield from leaves(model.best_estimator_, path)
+        return
+    yield Step(path, model)
+    if isinstance(model, CylindricalResidualTarget) and hasattr(model, "regressor_"):
+        yield from leaves(model.regressor_, f"{path}.regressor")
+
+
+def check_fitted(model):
+    """Refuse a class, or an estimator that is not fitted, with one sentence."""
+    if isinstance(model, type) or not hasattr(model, "fit"):
+        raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
+    for path, step in leaves(model):
+        try:
+            check_is_fitted(step)
+        except NotFittedError:
+            raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
+
+
+def _azimuth_arm(path, azimuth):
+    """Arm and angle unit of a callable `azimuth`, which has to be the method of an `Arm`."""
+    unit, method = "rad", azimuth
+    if (
+        isinstance(azimuth, partial)
+        and not azimuth.args
+        and set(azimuth.keywords) == {"angle_unit"}
+    ):
+        unit, method = azimuth.keywords["angle_unit"], azimuth.func
+    known = isinstance(method, MethodType) and method.__func__ is Arm.azimuth
+    if not known or not isinstance(method.__self__, Arm):
+        raise ValueError(
+            f"{path} takes its azimuth from {azimuth!r}, which cannot be exported: only the method "
+            "of an Arm can, azimuth=arm.azimuth."
+        )
+    return method.__self__, unit
+
+
+def arm_of(model):
+    """Arm and angle unit of a chain, (None, None) where it has none.
+
+    Raises
+    ------
+    ValueError
+        If two steps disagree.
+    """
+    found = []
+    for path, step in leaves(model):
+        if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
+            found.append((path, *_azimuth_arm(path, step.azimuth)))
+        elif isinstance(getattr(step, "arm_", None), Arm):
+            found.append((path, step.arm_, step.angle_unit))
+    for path, arm, unit in found[1:]:
+        if (arm, unit) != found[0][1:]:
+            what = "arms" if arm != found[0][1] else "angle units"
+            raise ValueError(
+                f"{found[0][0]} and {path} have different {what}, so the model cannot be exported: "
+                f"{found[0][1]!r} in {found[0][2]}, {arm!r} in {unit}."
+            )
+    return found[0][1:] if found else (None, None)
+
+
+def extra_of(model):
+    """Name and reference of each column after the angles, as `Terms` has them."""
+    for _, step in leaves(model):
+        if isinstance(step, _OF_ARM):
+            return step.linear_model_.terms.extra
+    return ()
+
+
+def is_flat(model):
+    """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
+    last = list(leaves(model))[-1].estimator
+    if isinstance(last, _OF_ARM):
+        return False
+    # A linear model without intercept has a scalar for it in either case.
+    return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
+
+
+def described(step):
+    """What a step is, in a few words for people."""
+    name = type(step).__name__
+    if isinstance(step, RBFNetRegressor):
+        parts = [(part.outputs, part.kernel, len(part.centers)) for part in _networks(step)]
+        texts = [f"{kernel}, {k} centres" for _, kernel, k in parts]
+        if len(parts) > 1:
+            named = [", ".join(map(str, outputs)) for outputs, _, _ in parts]
+            texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]
+        return f"{name}: {'; '.join(texts)}"
+    if isinstance(step, PoseFeatures):
+        return f"{name}: {', '.join(step._names())}"
+    if isinstance(step, _OF_ARM):
+        return f"{name}: {len(step.linear_model_.coef)} terms, {getattr(step, 'use_', 'harmonics')}"
+    return name
+
+
+# -- the whole chain ------------------------------------------------------------------------------
+
+
+class _Chain:
+    """A program that grows along a chain, and the arm that the angles belong to."""
+
+    def __init__(self, model, std):
+        first = next(leaves(model))
+        self.model, self.std = model, std
+        self.arm, self.unit = arm_of(model)
+        self.p = Builder(int(first.estimator.n_features_in_))
+        self.trust = None
+
+    def angles(self):
+        """Joint angles in rad."""
+        n = self.arm.n_joints
+        angles = self.p.x if self.p.size(self.p.x) == n else self.p.take(self.p.x, np.arange(n))
+        return angles if self.unit == "rad" else self.p("mul", angles, np.pi / 180)
+
+    def frames(self):
+        """Axes and origin of every frame, 12 numbers each, the base first."""
+        arm = self.arm
+        theta = self.p("add", self.p("mul", self.angles(), arm.joint_signs), arm.theta_offset)
+        table = np.stack([np.cos(arm.alpha), np.sin(arm.alpha), arm.a, arm.d], axis=1)
+        return self.p("frames", theta, table=table, convention=arm.convention)
+
+    def probe(self):
+        """Centre of the probe in the base frame, mm."""
+        last = self.p.take(self.frames(), 12 * self.arm.n_joints + np.arange(12))
+        axes, eye = self.arm.probe.reshape(3, 1, 1), np.eye(3)
+        matrix = np.concatenate([*(axes * eye), eye], axis=1)
+        return self.p("affine", last, matrix=matrix, shift=np.zeros(3))
+
+    def direction(self):
+        """Cosine and sine of the probe's azimuth, and the probe's distance from the axis."""
+        p = self.p
+        xy = p.take(self.probe(), [0, 1])
+        radius = p.length(xy)
+        # On the axis itself 1 and 0, as atan2(0, 0) would have it.
+        on_axis = p("mul", p("less", radius, _TINY), [1.0, 0.0])
+        return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
+
+
+def program_of(model, std=False):
+    """The program of a fitted model.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+    std : bool, default=False
+        Whether the standard deviation is among its outputs.
+
+    Returns
+    -------
+    Program
+        Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
+        three numbers; ``trust``, the share of the correction that is left, where it fades; ``std``.
+
+    Raises
+    ------
+    ValueError
+        If a step cannot be exported: the sentence names it.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+    """
+    check_fitted(model)
+    chain = _Chain(model, std)
+    p = chain.p
+    steps = list(leaves(model))
+    y, v = _read(chain, steps, p.x)
+    outputs = {"y": p("finite", y, p.x)}
+    corrects = chain.arm is not None and p.size(y) == 3
+    if corrects:
+        outputs["point"] = p("sub", chain.probe(), outputs["y"])
+    if chain.trust is not None:
+        outputs["trust"] = p("finite", chain.trust, outputs["y"])
+    if std:
+        outputs["std"] = p("finite", p("sqrt", v), outputs["y"])
+    about = {"steps": [described(step) for _, step in steps], "corrects": corrects}
+    if chain.arm is not None:
+        label = f" {chain.arm.name}" if chain.arm.name else ""
+        n = chain.arm.n_joints
+        about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
+        about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_of(model)]}
+    about["flat"] = bool(p.size(y) == 1 and is_flat(model))
+    return p.program(outputs, about)
+
+
+def _read(chain, steps, x):
+    """Prediction and variance (or None) of steps, the last of which is a regressor."""
+    for number, (path, step) in enumerate(steps):
+        rest = steps[number + 1 :]
+        if isinstance(step, CylindricalResidualTarget):
+            return _cylindrical(chain, path, step, rest, x)
+        if isinstance(step, PoseFeatures):
+            _needs_angles(chain, path, x)
+            x = pose_features(chain, step)
+        elif isinstance(step, _SCALERS):
+            x = scaler(chain.p, step, x)
+        elif isinstance(step, (RBFNetRegressor, *_LINEAR, *_OF_ARM)):
+            if rest:
+                raise ValueError(
+                    f"{rest[0].path} comes after the regressor, which cannot be exported."
+                )
+            return _regressor(chain, path, step, x)
+        else:
+            raise ValueError(
+                f"{path} is a {type(step).__name__}, which cannot be exported: only "
+                f"{', '.join(kind.__name__ for kind in _KNOWN)} and pipelines of these can. "
+                "to_onnx also takes what skl2onnx knows."
+            )
+    names = ", ".join(kind.__name__ for kind in (RBFNetRegressor, *_LINEAR, *_OF_ARM))
+    raise ValueError(f"The model has no regressor at its end: none of {names}.")
+
+
+def _needs_angles(chain, path, x):
+    if x != chain.p.x:
+        raise ValueError(
+            f"{path} comes after another transformer, which cannot be exported: it has to see the "
+            "joint angles."
+        )
+
+
+def _regressor(chain, path, step, x):
+    if isinstance(step, RBFNetRegressor):
+        return network(chain.p, step, x, chain.std, with_noise=True)
+    if isinstance(step, _OF_ARM):
+        _needs_angles(chain, path, x)
+        return arm_model(chain, step)
+    if chain.std:
+        raise ValueError(
+            f"{path} is a {type(step).__name__}, which has no standard deviation: export it with "
+            "std=False."
+        )
+    matrix = np.atleast_2d(step.coef_)
+    shift = np.broadcast_to(np.atleast_1d(step.intercept_), (len(matrix),)).astype(float)
+    return chain.p("affine", x, matrix=matrix, shift=shift), None
+
+
+def _cylindrical(chain, path, step, rest, x):
+    """A regressor in the cylindrical frame of the probe's azimuth."""
+    p, direction = chain.p, None
+    if any(isinstance(inner, CylindricalResidualTarget) for _, inner in rest):
+        raise ValueError(f"{rest[0].path} is the second of its kind, which cannot be exported.")
+    if step._drops_direction:
+        n = step.n_features_in_ - 2
+        direction, x = given_direction(p, p.take(x, [n, n + 1])), p.take(x, np.arange(n))
+    elif step._rotates:
+        if x != p.x:
+            raise ValueError(
+                f"{path} takes its azimuth from the joint angles but comes after a transformer, "
+                "which cannot be exported."
+            )
+        direction = chain.direction()[0]
+    y, v = _read(chain, rest, x)
+    return (y, v) if direction is None else to_cartesian(p, direction, y, v)
+
+
+def given_direction(p, direction):
+    """A direction that comes with the features, NaN where its norm is not 1."""
+    norm = p.length(direction)
+    return p("within", direction, norm, low=1 - NORM_TOLERANCE, high=1 + NORM_TOLERANCE)
+
+
+def to_cartesian(p, direction, y, v=None):
+    """Radial, tangential and axial numbers as x, y and z; variances of independent ones."""
+    along, across = p.take(direction, [0, 1]), p.take(direction, [1, 0])
+    across_signed = p("mul", across, [-1.0, 1.0])
+
+    def turned(values, first, second):
+        a = p("mul", p.take(values, [0, 0]), first)
+        b = p("mul", p.take(values, [1, 1]), second)
+        return p("join", p("add", a, b), p.take(values, [2]))
+
+    # x is radial cos - tangential sin, y radial sin + tangential cos.
+    both = p("join", p.take(along, [0]), p.take(along, [1]))
+    y = turned(y, both, across_signed)
+    if v is None:
+        return y, None
+    return y, turned(v, p("mul", along, along), p("mul", across, across))
+
+
+# -- parts of a chain, for converters that know the rest of it -------------------------------------
+
+
+def step_program(step):
+    """The program of one step by itself, transformer or regressor."""
+    chain = _Chain(step, False)
+    if isinstance(step, PoseFeatures):
+        y = pose_features(chain, step)
+    else:
+        y = _read(chain, list(leaves(step)), chain.p.x)[0]
+    return chain.p.program({"y": chain.p("finite", y, chain.p.x)}, {})
+
+
+def direction_program(step):
+    """Cosine and sine of the azimuth that a `CylindricalResidualTarget` turns by."""
+    chain = _Chain(step, False)
+    p, n = chain.p, step.n_features_in_
+    if step._drops_direction:
+        direction = given_direction(p, p.take(p.x, [n - 2, n - 1]))
+    else:
+        direction = chain.direction()[0]
+    return p.program({"y": p("finite", direction, p.x)}, {})
+
+
+def turning_program():
+    """From a direction, then radial, tangential and axial numbers, to x, y and z."""
+    p = Builder(5)
+    y, _ = to_cartesian(p, p.take(p.x, [0, 1]), p.take(p.x, [2, 3, 4]))
+    return p.program({"y": p("finite", y, p.x)}, {})
+
+
+# -- transformers ---------------------------------------------------------------------------------
+
+
+def pose_features(chain, step):
+    """What `PoseFeatures` makes of the joint angles."""
+    p, arm = chain.p, chain.arm
+    columns = chain.angles()
+    if step.joints == "pose":
+        columns = pose_of(chain)
+    if step.encoding == "periodic":
+        n = p.size(columns)
+        both = p("join", p("cos", columns), p("sin", columns))
+        columns = p.take(both, np.arange(2 * n).reshape(2, n).T.ravel())
+    columns = p("finite", columns, p.x)
+    if not step.append_azimuth:
+        return columns
+    direction, radius = chain.direction()
+    return p("join", columns, p("within", direction, radius, low=MIN_LENGTH_MM, high=_FAR))
+
+
+# Lengths above which there is no arm, mm.
+_FAR = 1e30
+
+
+def pose_of(chain):
+    """Angles of the pose's joints, and the elevation of the line from shoulder to wrist, rad."""
+    p, arm, frames = chain.p, chain.arm, chain.frames()
+    shoulder, wrist = (p.take(frames, 12 * i + 9 + np.arange(3)) for i in arm.pose_frames)
+    line = p("sub", wrist, shoulder)
+    reach = p.length(p.take(line, [0, 1]))
+    elevation = p("elevation", p.take(line, [2]), reach)
+    elevation = p("within", elevation, p.length(line), low=MIN_LENGTH_MM, high=_FAR)
+    used = p.take(chain.angles(), np.array(arm.pose_joints) - 1)
+    return p("join", used, elevation)
+
+
+def scaler(p, step, x):
+    """One of scikit-learn's scalers."""
+    if isinstance(step, MinMaxScaler):
+        x = p("add", p("mul", x, step.scale_), step.min_)
+        clip = step.feature_range if step.clip else None
+    else:
+        center = step.center_ if isinstance(step, RobustScaler) else getattr(step, "mean_", None)
+        if center is not None and getattr(step, "with_mean", True):
+            x = p("sub", x, center)
+        if step.scale_ is not None:
+            x = p("div", x, step.scale_)
+        clip = (-1.0, 1.0) if getattr(step, "clip", False) else None
+    return x if clip is None else p("min", p("max", x, clip[0]), clip[1])
+
+
+# -- networks -------------------------------------------------------------------------------------
+
+
+class _Network(NamedTuple):
+    """One of the networks of an `RBFNetRegressor`: of outputs that share centres."""
+
+    outputs: np.ndarray
+    kernel: str
+    centers: np.ndarray
+    length_scale: np.ndarray
+    coef: np.ndarray  # (k, m)
+    polynomial: np.ndarray  # (1 + d, m)
+    alpha: np.ndarray
+    noise_variance: np.ndarray
+    signal_variance: np.ndarray
+    posterior: object
+
+
+def _networks(step):
+    """The networks of an `RBFNetRegressor`."""
+    return [
+        _Network(
+            np.asarray(outputs), part.posterior_.kernel, part.posterior_.centers,
+            part.posterior_.length_scale, np.atleast_2d(part.coef_).T,
+            np.vstack([np.atleast_1d(part.intercept_), np.atleast_2d(part.linear_coef_).T]),
+            part.posterior_.alpha, np.atleast_1d(part.noise_variance_),
+            np.atleast_1d(part.signal_variance_), part.posterior_,
+        )
+        for outputs, part in networks_of(step)
+    ]  # fmt: skip
+
+
+def network(p, step, x, std, with_noise):
+    """Prediction and variance (or None) of an `RBFNetRegressor`."""
+    x, found, order = _powers(p, step, x), [], []
+    for part in _networks(step):
+        order += list(part.outputs)
+        found.append(_one_network(p, part, x, std, with_noise))
+    if len(found) == 1:
+        return found[0]
+    place = np.argsort(order)
+    y, v = (p("join", *parts) if parts[0] is not None else None for parts in zip(*found))
+    return p.take(y, place), None if v is None else p.take(v, place)
+
+
+def _powers(p, step, x):
+    """Features as an `RBFNetRegressor` sees them, see `FeaturePowers`."""
+    powers = step.powers_
+    which = powers.changed
+    if not len(which):
+        return x
+    exponent, unit, start, low = (
+        getattr(powers, name)[which] for name in ("lambdas", "unit", "start", "low")
+    )
+    value = p.take(x, which)
+    at = p("max", value, low)
+    u = p("log", p("add", p("div", at, unit), start))
+    power = p("sub", p("exp", p("mul", u, exponent)), 1.0)
+    power = p("div", power, np.where(exponent == 0, 1.0, exponent))
+    power = p("add", power, p("mul", u, (exponent == 0).astype(float)))
+    slope = p("mul", p("exp", p("mul", u, exponent - 1)), p("sub", value, at))
+    power = p("add", p("mul", p("add", power, 1.0 - start), unit), slope)
+    place = np.arange(p.size(x))
+    place[which] = p.size(x) + np.arange(len(which))
+    return p.take(p("join", x, power), place)
+
+
+def _one_network(p, net, x, std, with_noise):
+    """Prediction and variance (or None) of outputs that share centres."""
+    k, phi = len(net.centers), None
+    linear = net.polynomial[1:].T
+    y = p("add", p.constant(net.polynomial[0]), 0.0)
+    if np.any(linear):
+        y = p("affine", x, matrix=linear, shift=net.polynomial[0])
+    if k:
+        # Centred as predict does it: the rounding is the same.
+        shift = net.centers.mean(axis=0)
+        phi = p(
+            "radial", x, kernel=net.kernel, centers=(net.centers - shift) / net.length_scale,
+            shift=shift, inverse_width=1 / net.length_scale,
+        )  # fmt: skip
+        nothing = np.zeros(len(linear))
+        if np.any(linear):
+            y = p("add", y, p("affine", phi, matrix=net.coef.T, shift=nothing))
+        else:
+            y = p("affine", phi, matrix=net.coef.T, shift=net.polynomial[0])
+    return y, _network_variance(p, net, x, phi, with_noise) if std else None
+
+
+def _network_variance(p, net, x, phi, with_noise):
+    r"""Variances of a network's outputs, without the difference of two large numbers.
+
+    The weights have the prior signal K^-1, and what the training rows say of them and of the
+    polynomial's coefficients is a triangle. With g the radial functions at a point in coordinates
+    in which prior and data are diagonal, 1 and s_i, and t the polynomial's terms there, the
+    variance of an output is (conditioning on the weights first, then on the polynomial)
+
+        signal (1 - sum_i g_i^2) + noise (sum_i g_i^2 / (s_i + alpha) + |R (t - J g)|^2 + noise?).
+
+    The two sums are one, of ``g_i^2 (1 - (noise / signal) / (s_i + alpha))``, where noise / signal
+    is as a rule alpha: directions of which the data say nothing drop out, and with them their
+    rounding, which ``1 - |g|^2`` alone has multiplied by a signal much larger than the noise.
+    """
+    noise, signal, k = net.noise_variance, net.signal_variance, len(net.centers)
+    found = p.constant(noise * float(with_noise))
+    turn, spectrum, across, left, tail_map = _spectrum(net)
+    known = np.maximum(spectrum + net.alpha[:, None], np.finfo(float).tiny)
+    if len(tail_map):
+        groups = [_tail_variance(p, x, phi, turn, across, left, tail_map, row) for row in known]
+        found = p("add", found, p("mul", p("join", *groups), noise))
+    if not k:
+        return p("add", found, signal)
+    weights = 1 - (noise / np.maximum(signal, np.finfo(float).tiny))[:, None] / known
+    distinct, which = np.unique(weights, axis=0, return_inverse=True)
+    if len(distinct) > 2 or np.any(distinct < 0):
+        g = p("affine", phi, matrix=turn, shift=np.zeros(len(turn)))
+        squares = p("mul", g, g)
+        inside = p("affine", squares, matrix=weights, shift=np.zeros(len(weights)))
+    else:
+        lengths = []
+        for row in distinct:
+            root = _triangle(np.sqrt(row)[:, None] * turn)
+            g = p("affine", phi, matrix=root, shift=np.zeros(len(root)))
+            lengths.append(p("dots", g, g))
+        inside = p.take(p("join", *lengths), which.ravel())
+    outside = p("max", p("sub", 1.0, inside), 0.0)
+    return p("add", found, p("mul", outside, signal))
+
+
+def _tail_variance(p, x, phi, turn, across, left, tail_map, known):
+    """Squared length of R (t - J g): the polynomial's part of a variance, over the noise."""
+    matrix = np.eye(len(left)) - (across / known) @ across.T
+    root = np.linalg.cholesky(left.T @ matrix @ left)
+    u = np.linalg.solve(root, tail_map)
+    u = p("affine", x, matrix=u[:, 1:], shift=u[:, 0])
+    if phi is not None:
+        seen = np.linalg.solve(root, left.T @ (across / known) @ turn)
+        u = p("sub", u, p("affine", phi, matrix=seen, shift=np.zeros(len(seen))))
+    return p("dots", u, u)
+
+
+def _triangle(root):
+    """A triangle that makes the same lengths as a root."""
+    return np.linalg.qr(root, mode="r")
+
+
+def _spectrum(net):
+    """Prior and data of a network's weights in coordinates in which both are diagonal.
+
+    Returns
+    -------
+    turn : ndarray of shape (rank, k)
+        From radial functions to g.
+    spectrum : ndarray of shape (rank,)
+    across : ndarray of shape (p, rank)
+        The data's triangle: the tail's rows in these coordinates.
+    left : ndarray of shape (p, p)
+        Its corner.
+    tail_map : ndarray of shape (p, 1 + d)
+    """
+    posterior, k = net.posterior, len(net.centers)
+    if k > MOST_CENTERS:
+        raise ValueError(
+            f"The standard deviation of a network of {k} centres would need a table of "
+            f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
+            f"max_centers={MOST_CENTERS}."
+        )
+    tail_map, rows = posterior.tail_map, posterior.design_triangle()
+    p = len(tail_map)
+    if not k:
+        return np.empty((0, 0)), np.empty(0), np.empty((p, 0)), rows, tail_map
+    whiten = posterior.prior_root
+    _, singular, turn = np.linalg.svd(rows[:, p:] @ whiten.T)
+    spectrum = np.zeros(len(whiten))
+    spectrum[: len(singular)] = np.square(singular)
+    return turn @ whiten, spectrum, rows[:p, p:] @ whiten.T @ turn.T, rows[:p, :p], tail_map
+
+
+# -- the arm's own error model --------------------------------------------------------------------
+
+
+def arm_model(chain, step):
+    """Correction and variance (or None) of one of the arm's estimators: its stages, faded."""
+    p, linear = chain.p, step.linear_model_
+    use = getattr(step, "use_", "harmonics")
+    fadings = step.fadings_ if hasattr(step, "fadings_") else [step.fading_]
+    total, variances = p("mul", p.take(p.x, [0, 0, 0]), 0.0), []
+    if use != "none":
+        y, v, doubt = linear_model(chain, linear, fadings[0])
+        total = _faded(chain, y, doubt, fadings[0])
+        variances.append(v)
+    if use == "harmonics+network":
+        fades = fadings[1].factor > 0
+        x = pose_of(chain) if step.joints == "pose" else chain.angles()
+        y, v = network(p, step.network_, x, chain.std or fades, with_noise=False)
+        y, v = to_cartesian(p, chain.direction()[0], y, v)
+        doubt = None
+        if fades:
+            doubt = p("sub", p("dots", v, np.ones(3)), fadings[1].known_mm ** 2)
+            doubt = p("max", doubt, 0.0)
+        total = p("add", total, _faded(chain, y, doubt, fadings[1]))
+        variances.append(v)
+    total = _known_tools(chain, linear.terms.extra, total)
+    cap = getattr(step, "cap_mm_", np.inf)
+    if np.isfinite(cap):
+        length = p("max", p.length(total), _TINY)
+        total = p("mul", total, p("min", p("div", cap, length), 1.0))
+    if not chain.std:
+        return total, None
+    v = p.constant(np.zeros(3))
+    for variance in variances:
+        v = p("add", v, variance)
+    return total, p("mul", v, linear.std_scale**2)
+
+
+def _faded(chain, y, doubt, fading):
+    """A stage times the share of it that `Fading` leaves; the smallest share is the trust."""
+    if not fading.factor > 0:
+        return y
+    p = chain.p
+    share = p.constant(1.0)
+    if fading.size_mm > 0:
+        size = fading.size_mm**2
+        share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
+    chain.trust = share if chain.trust is None else p("min", chain.trust, share)
+    return p("mul", y, share)
+
+
+def _known_tools(chain, extra, y):
+    """NaN where a tool is none of the fit's, which predict refuses."""
+    p = chain.p
+    for i, (name, known) in enumerate(extra):
+        if name == "tool":
+            off = p("sub", p.take(p.x, [chain.arm.n_joints + i]), np.array(known))
+            off = p("max", off, p("mul", off, -1.0))
+            least = p.take(off, [0])
+            for tool in range(1, len(known)):
+                least = p("min", least, p.take(off, [tool]))
+            y = p("within", y, least, low=0.0, high=0.0)
+    return y
+
+
+def linear_model(chain, linear, fading):
+    """Correction of a `LinearModel`, variances (or None), and by how much these leave the known."""
+    p, arm = chain.p, linear.arm
+    table = column_table(arm, linear.terms)
+    m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
+    if not m:
+        nothing = p("mul", p.take(p.x, [0, 0, 0]), 0.0)
+        return nothing, nothing, p.take(nothing, [0])
+    # Columns that share a vector stand together.
+    vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
+    order = np.argsort(vector, kind="stable")
+    vectors = _vectors(chain)
+    sizes = p.take(_sizes(chain, linear, table, vectors), order)
+    vector = vector[order]
+    matrix = np.zeros((2 * n_axes, m))
+    matrix[vector, np.arange(m)] = linear.coef[order]
+    along = p("affine", sizes, matrix=matrix, shift=np.zeros(2 * n_axes))
+    y = p("dots", vectors, along)
+    # Any root gives the same variances; a triangle has half the entries.
+    root = _triangle(linear.gauge_free_half[order].T).T
+    v = p("variances", vectors, sizes, vector=vector, root=root) if chain.std else None
+    if not fading.factor > 0:
+        return y, v, None
+    known = fading.known_mm**2
+    return y, v, p("doubt", vectors, sizes, vector=vector, root=root, known=known)
+
+
+def _vectors(chain):
+    """Turns about every axis of every frame, then shifts along them: x of all, then y, then z.
+
+    mm of the probe per rad, or per mm.
+    """
+    p, n_axes, frames = chain.p, 3 * (chain.arm.n_joints + 1), chain.frames()
+    axis = np.arange(n_axes)
+    of_axis = 12 * (axis // 3) + 3 * (axis % 3)
+    of_origin = 12 * (axis // 3) + 9
+    k = np.repeat(np.arange(3), n_axes)
+    lever = p("sub", p.take(chain.probe(), k), p.take(frames, np.tile(of_origin, 3) + k))
+
+    def part(shift):
+        at = (k + shift) % 3
+        return p.take(frames, np.tile(of_axis, 3) + at), p.take(
+            lever, n_axes * at + np.tile(axis, 3)
+        )
+
+    (u1, r1), (u2, r2) = part(1), part(2)
+    turns = p("sub", p("mul", u1, r2), p("mul", u2, r1))
+    both = p("join", turns, part(0)[0])
+    return p.take(both, np.arange(6 * n_axes).reshape(2, 3, n_axes).transpose(1, 0, 2).ravel())
+
+
+def _sizes(chain, linear, table, vectors):
+    """Size of each column: unit, wave, torque, and what an extra column says."""
+    p, arm, m = chain.p, linear.arm, len(table.kind)
+    n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
+    sizes = p.constant(table.unit)
+    if np.any(table.order):
+        waves = p("waves", chain.angles(), joint=table.of * (table.order != 0), order=table.order)
+        sizes = p("mul", sizes, waves)
+    loaded = np.flatnonzero(table.kind == LOAD)
+    if len(loaded):
+        # The torque of a load: gravity is along -z.
+        places = p("join", chain.frames(), chain.probe())
+        of, frame = (12 * at[loaded] + 9 for at in (table.of, table.frame))
+        of = np.where(table.of[loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
+        axis = 12 * table.frame[loaded] + 3 * table.axis[loaded]
+        x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in (0, 1))
+        ux, uy = (p.take(places, axis + k) for k in (0, 1))
+        torque = p("sub", p("mul", uy, x), p("mul", ux, y))
+        sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
+    if not extra:
+        return sizes
+    values = p.take(p.x, arm.n_joints + np.arange(len(extra)))
+    pushed = np.flatnonzero(table.kind == PUSH)
+    if len(pushed):
+        mean = np.array([reference[0] for _, reference in extra])
+        force = p("affine", p("sub", values, mean), matrix=_force_of(extra), shift=np.zeros(3))
+        turns = 3 * table.frame[pushed] + table.axis[pushed]
+        at = np.arange(3) * 2 * n_axes + turns[:, None]
+        torque = p("dots", p.take(vectors, at.ravel()), force)
+        sizes = p("mul", sizes, _at_columns(p, m, pushed, torque))
+    factors = given_factors(arm, linear.terms)
+    for of_tool in np.unique(factors.of_tool):
+        column, by, reference, _ = (field[factors.of_tool == of_tool] for field in factors)
+        given = p("sub", p.take(values, by), reference)
+        if of_tool:  # 1 for this tool, 0 for others
+            given = p("less", p("mul", given, given), _TINY)
+        sizes = p("mul", sizes, _at_columns(p, m, column, given))
+    return sizes
+
+
+def _force_of(extra):
+    """Force on the probe of one unit of each extra column, (3, n_extra), base frame."""
+    mean = np.array([reference[0] for _, reference in extra])
+    one = force_on_probe(extra, mean + np.eye(len(extra)))
+    return np.round(one - force_on_probe(extra, mean[None])).T
+
+
+def _at_columns(p, m, columns, factors):
+    """Factors of m columns: those of some, 1 elsewhere."""
+    place = np.full(m, len(columns))
+    place[columns] = np.arange(len(columns))
+    return p.take(p("join", factors, 1.0), place)
+
+
+# -- rows to try a file on ------------------------------------------------------------------------
+
+
+def typical_rows(model, n, seed=0):
+    """Rows such as a fitted model may see, (n, n_inputs): random angles, or features of its centres.
+
+    Parameters
+    ----------
+    model : estimator
+    n : int
+    seed : int, default=0
+
+    Returns
+    -------
+    ndarray of shape (n, n_inputs)
+    """
+    rng = np.random.default_rng(seed)
+    arm, unit = arm_of(model)
+    n_inputs = int(next(leaves(model)).estimator.n_features_in_)
+    if arm is not None and n_inputs >= arm.n_joints:
+        turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
+        extra = [rng.choice(known, n) for _, known in extra_of(model)]
+        return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
+    rows, back = rng.normal(size=(n, n_inputs)), []
+    for _, step in leaves(model):
+        if isinstance(step, _SCALERS):
+            back.append(step)
+        if isinstance(step, RBFNetRegressor):
+            centers = np.concatenate([part.centers for part in _networks(step)])
+            if len(centers) and not len(step.powers_.changed):
+                pairs = rng.integers(0, len(centers), (2, n))
+                inside = centers[pairs].mean(axis=0)
+                rows[:, : inside.shape[1]] = inside
+        if isinstance(step, CylindricalResidualTarget) and step._drops_direction:
+            turns = rng.uniform(-np.pi, np.pi, n)
+            rows[:, -2:] = np.column_stack([np.cos(turns), np.sin(turns)])
+    for step in reversed(back):
+        of_scaler = rows[:, : step.n_features_in_]
+        rows[:, : step.n_features_in_] = step.inverse_transform(of_scaler)
+    return rows
