@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.export import TRUSTED_TYPES, _steps, from_json, load_c, to_json, to_onnx
+from sklearn_raacmm.export import TRUSTED_TYPES, from_json, load_c, to_json, to_onnx
 from sklearn_raacmm.network import _all_rows
 
 RNG = np.random.default_rng(0)

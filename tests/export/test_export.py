@@ -34,7 +34,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import _c_columns, describe, export_c, fingerprint, from_json, to_json
+from sklearn_raacmm.export import describe, export_c, fingerprint, from_json, to_json
 from sklearn_raacmm.network import networks_of
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 
