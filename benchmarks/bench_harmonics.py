@@ -27,16 +27,12 @@ deviations, noise included.
 """
 
 import argparse
-import importlib.util
-import os
 import sys
 import warnings
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
-from sklearn.cluster import KMeans
-from sklearn.model_selection import GroupKFold
+from _arm_folds import panda_folds, read_panda, read_ur10, simulated_folds, ur10_folds, ur10b_folds
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
@@ -52,9 +48,6 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths
-
-ROOT = Path(__file__).resolve().parent.parent
-DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
 
 
 def network(arm, **inputs):
@@ -108,56 +101,6 @@ def no_others(arm, tracked, real):
     return ()
 
 
-def readers():
-    spec = importlib.util.spec_from_file_location("readers", ROOT / "tests" / "conftest.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def ur10_folds(split, n_rows):
-    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_grid.csv")
-    rng = np.random.default_rng(0)
-    rows = np.sort(rng.permutation(len(data.angles))[:n_rows])
-    theta, points, goals = data.angles[rows], data.points[rows], data.groups[rows]
-    if split == "goal":
-        fold = (rng.permutation(goals.max() + 1) % 5)[goals]
-    else:
-        labels, index = np.unique(goals, return_inverse=True)
-        means = np.stack([points[index == i].mean(axis=0) for i in range(len(labels))])
-        fold = KMeans(5, n_init=5, random_state=0).fit_predict(means)[index]
-    yield from tracked_folds(theta, points, goals, fold)
-
-
-def ur10b_folds():
-    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_joint_configurations.csv")
-    fold = KMeans(5, n_init=1, random_state=0).fit_predict(data.points)
-    regions = KMeans(60, n_init=1, random_state=0).fit_predict(data.points)  # it has no goals
-    yield from tracked_folds(data.angles, data.points, regions, fold)
-
-
-def tracked_folds(theta, points, groups, fold):
-    """Arm, angles, residuals, groups and training rows of each of five folds."""
-    for k in range(5):
-        train = fold != k
-        result = calibrate(
-            Arm.from_name("ur10", probe=(0, 0, 109)), theta[train], points=points[train]
-        )
-        measured = (points - result.base_translation) @ result.base_rotation
-        yield result.arm, theta, result.arm.forward(theta) - measured, groups, train
-
-
-def panda_folds(name):
-    data = readers().read_panda(DATA / "panda_ball_socket" / name)
-    for placement in np.unique(data.placements):
-        train = data.placements != placement
-        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(data.placements[train])]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=lengths).arm
-        y = position_residuals(arm.forward(data.angles), data.groups)
-        yield arm, data.angles, y, data.groups, train
-
-
 def statistics(left, groups, reference):
     """Mean, half width of the interval of the mean's difference to the reference, maximum, 2S."""
     length = np.linalg.norm(left, axis=1)
@@ -170,13 +113,6 @@ def statistics(left, groups, reference):
     low, high = np.quantile(differences, [0.025, 0.975])
     two_s = 2 * np.sqrt(np.bincount(index, length**2) / np.maximum(counts - 1, 1))
     return length.mean(), (high - low) / 2, length.max(), two_s[counts > 1].mean()
-
-
-def simulated_folds(mix):
-    cone = make_single_point(10, 40, machine=mix, random_state=0)
-    for train, _ in GroupKFold(5).split(cone.data, groups=cone.groups):
-        mask = np.isin(np.arange(len(cone.data)), train)
-        yield cone.arm, cone.data, cone.target, cone.groups, mask
 
 
 def gauge_errors(mix):
@@ -315,9 +251,9 @@ def corners():
 
 def octants():
     """A UR10 learns in one octant, with an arm calibrated there or everywhere."""
-    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_grid.csv")
-    rows = np.random.default_rng(0).permutation(len(data.angles))[:2500]
-    theta, points, goals = data.angles[rows], data.points[rows], data.groups[rows]
+    theta, points, goals = read_ur10("A")
+    rows = np.random.default_rng(0).permutation(len(theta))[:2500]
+    theta, points, goals = theta[rows], points[rows], goals[rows]
 
     def calibrated(mask):
         nominal = Arm.from_name("ur10", probe=(0, 0, 109))
@@ -354,10 +290,10 @@ GRID = {
 
 def grid():
     """Distances that one placement of panda_3 has to the others, by models of the others."""
-    data = readers().read_panda(DATA / "panda_ball_socket" / "panda_3")
+    angles, sockets, placements = read_panda("panda_3")
     errors = {}
     for out in GRID:
-        train = data.placements != out
+        train = placements != out
         rest = [name for name in GRID if name != out]
         pairs = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in rest]
         between = [
@@ -366,18 +302,18 @@ def grid():
             for hole in "01"
         ]
         nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=pairs).arm
-        points = arm.forward(data.angles)
-        learn = data.angles[train], position_residuals(points[train], data.groups[train])
+        arm = calibrate(nominal, angles[train], sockets[train], lengths=pairs).arm
+        points = arm.forward(angles)
+        learn = angles[train], position_residuals(points[train], sockets[train])
         found = {"no correction": np.zeros_like(points)}
         for title, known in (("no lengths", ()), ("50 mm pairs", pairs), ("all", pairs + between)):
             model = JointHarmonicRegressor(arm)
-            model.fit(*learn, groups=data.groups[train], lengths=known)
-            found[f"lengths in the fit: {title}"] = model.predict(data.angles)
+            model.fit(*learn, groups=sockets[train], lengths=known)
+            found[f"lengths in the fit: {title}"] = model.predict(angles)
         for title, correction in found.items():
             centre = {
-                label: (points - correction)[data.groups == label].mean(axis=0)
-                for label in np.unique(data.groups)
+                label: (points - correction)[sockets == label].mean(axis=0)
+                for label in np.unique(sockets)
             }
 
             def error(a, b, length, centre=centre):

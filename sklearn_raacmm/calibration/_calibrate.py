@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from dataclasses import replace
 from numbers import Real
 from typing import NamedTuple
@@ -12,7 +11,6 @@ import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
 from sklearn_raacmm.calibration._checks import (
-    CALLER,
     check_arm_angles,
     check_correction,
     check_free,
@@ -27,7 +25,14 @@ from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
-from sklearn_raacmm.utils import Interval, StrOptions, listed, one_blas_thread, validate_params
+from sklearn_raacmm.utils import (
+    Interval,
+    StrOptions,
+    listed,
+    one_blas_thread,
+    validate_params,
+    warn_user,
+)
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
@@ -193,11 +198,9 @@ def calibrate(
     wanted = _Parameters.of(arm, tool_labels, free, priors)
     fit, given, before = _fitted(arm, angles, problem, wanted, loss)
     if not fit.converged:
-        warnings.warn(
+        warn_user(
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
-            f"its scatter is {fit.distances().mean():.4g} mm.",
-            UserWarning,
-            stacklevel=CALLER - 1,
+            f"its scatter is {fit.distances().mean():.4g} mm."
         )
     warn_of_wrong_lengths(lengths, fit.length_errors(), fit.sigma)
     after, values = fit.distances().mean(), fit.x[: len(wanted.names)]

@@ -11,13 +11,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model import (
-    LIKELY_ORDER,
-    LinearModel,
-    constrained,
-    interval_scales,
-    observed_columns,
-)
+from sklearn_raacmm.error_model import LinearModel, constrained, observed_columns
+from sklearn_raacmm.inference import interval_scales
 from sklearn_raacmm.utils import centred
 
 # Prior of tau: its median, and the standard deviation of its logarithm. A tenth is what
@@ -164,7 +159,7 @@ def with_low_orders(linear):
     known = [tuple(pair) for pair in np.asarray(linear.terms.harmonics).tolist()]
     if "harmonics" not in linear.prior_sd:
         return linear
-    wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, LIKELY_ORDER + 1)}
+    wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, 3)}
     pairs = sorted({*known, *wanted})
     place = {pair: i for i, pair in enumerate(pairs)}
     # Column of the new model of each column of the old one.

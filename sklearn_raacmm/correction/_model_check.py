@@ -131,7 +131,7 @@ def check_correction(
 
     Parameters
     ----------
-    model : JointHarmonicRegressor or ArmResidualRegressor
+    model : ArmResidualRegressor
         Fitted model.
 
     X : array-like of shape (n_samples, n_joints + n_extra)
@@ -197,12 +197,12 @@ def check_correction(
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor, check_correction
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor, check_correction
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> angles = rng.uniform(-2, 2, (400, 6))
     >>> y = rng.normal(scale=0.01, size=(400, 3))
-    >>> model = JointHarmonicRegressor(arm, max_order=4).fit(angles, y)
+    >>> model = ArmResidualRegressor(arm, max_order=4).fit(angles, y)
     >>> today = rng.uniform(-2, 2, (30, 6))
     >>> check_correction(model, today, rng.normal(scale=0.01, size=(30, 3))).holds
     True

@@ -19,8 +19,8 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
-from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model import MOVED, JointHarmonicRegressor
+from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.measurements import MOVED
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
 
@@ -118,7 +118,7 @@ class Data:
             return far
         every = np.arange(len(self.angles))
         rows, lonely = self.without_lonely(every)
-        model = JointHarmonicRegressor(calibration.arm)
+        model = ArmResidualRegressor(calibration.arm)
         y = self.residuals(calibration, rows)
         with _said_of_all_rows():
             model.fit(self.angles[rows], y, groups=self.positions[rows])

@@ -52,7 +52,7 @@ def next_poses(
 
     Parameters
     ----------
-    model : JointHarmonicRegressor, ArmResidualRegressor or Arm
+    model : ArmResidualRegressor or Arm
         Fitted model; of an ArmResidualRegressor, the first stage. With `free` an arm suffices.
 
     X : array-like of shape (n_candidates, n_joints)
@@ -102,7 +102,7 @@ def next_poses(
     See Also
     --------
     calibrate : Registers and calibrates.
-    JointHarmonicRegressor : The model.
+    ArmResidualRegressor : The model.
 
     Notes
     -----
@@ -113,11 +113,11 @@ def next_poses(
 
     Examples
     --------
-    >>> from sklearn_raacmm import JointHarmonicRegressor, next_poses
+    >>> from sklearn_raacmm import ArmResidualRegressor, next_poses
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=12, n_poses=15, random_state=0)  # simulated
     >>> known = test.groups < 4
-    >>> model = JointHarmonicRegressor(test.arm, max_order=4)
+    >>> model = ArmResidualRegressor(test.arm, max_order=4)
     >>> _ = model.fit(test.data[known], test.target[known], groups=test.groups[known])
     >>> chosen, std = next_poses(model, test.data[~known], 3, groups=test.groups[~known])
     >>> len(chosen), bool(std[-1] < std[0])
@@ -168,7 +168,7 @@ def _design_of_model(model):
     linear = getattr(model, "linear_model_", None)
     if linear is None:
         raise TypeError(
-            "next_poses needs a JointHarmonicRegressor, an ArmResidualRegressor or, with free, an "
+            "next_poses needs a ArmResidualRegressor, an ArmResidualRegressor or, with free, an "
             f"Arm, got {type(model).__name__}."
         )
     if not len(linear.coef):
@@ -262,4 +262,4 @@ def _greedy(rows, aim, n_poses, criterion):
 def _check_poses(model, X):
     if isinstance(model, Arm):
         return check_angles(X, model.n_joints, "rad", stacklevel=4)
-    return check_poses(model, X, stacklevel=5)
+    return check_poses(model, X)

@@ -74,7 +74,7 @@ class CorrectionScores:
         How many times calibration and model were fitted.
     outliers : ndarray of shape (n_outliers,)
         Rows that the calibration of all rows names as outliers and that the arm's linear error
-        model (:class:`JointHarmonicRegressor`) gives no weight either: slipped probes. They are
+        model (:class:`ArmResidualRegressor`) gives no weight either: slipped probes. They are
         neither learnt from nor counted here, before or after.
     rows_by_position : list of ndarray
         Rows counted at each position of the table.
@@ -223,12 +223,12 @@ def cross_validate_correction(
 
     Examples
     --------
-    >>> from sklearn_raacmm import JointHarmonicRegressor, cross_validate_correction
+    >>> from sklearn_raacmm import ArmResidualRegressor, cross_validate_correction
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
     >>> scores = cross_validate_correction(
     ...     test.nominal_arm, test.data, test.groups,
-    ...     model=JointHarmonicRegressor(max_order=4), cv=3,
+    ...     model=ArmResidualRegressor(max_order=4), cv=3,
     ... )
     >>> scores.helps, scores.measure
     (True, '2S')

@@ -24,9 +24,8 @@ from sklearn_raacmm.correction._linear_change import (
 )
 from sklearn_raacmm.correction._update import check_new_poses, linear_model_of, record_of
 from sklearn_raacmm.error_model import (
-    LIKELY_ORDER,
+    ArmResidualRegressor,
     Fading,
-    JointHarmonicRegressor,
     smooth_shares,
 )
 from sklearn_raacmm.utils import centred, listed, one_blas_thread
@@ -54,7 +53,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
 
     Parameters
     ----------
-    models : JointHarmonicRegressor or ArmResidualRegressor, or list of them
+    models : ArmResidualRegressor, or list of them
         Fitted models of earlier arms, one for each arm. Their linear models are used. They may
         have the same extra columns: what a degree or a newton does is common to the make, and
         counts from the mean over the rows of each arm. The numbers of tools are not: they must not
@@ -83,7 +82,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
 
     Returns
     -------
-    model : JointHarmonicRegressor
+    model : ArmResidualRegressor
         With the options of the first model. Without poses it is the mean of the earlier arms, with
         their spread as standard deviation. ``updates_`` holds one dictionary: `date`, `n_poses`,
         `tau` and `noise_sd_mm` as of :func:`update_correction`, `n_arms`, and `gain_nats`, the
@@ -127,7 +126,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor, transfer_correction
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor, transfer_correction
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> def measured(n, phase):  # joint 3 has a gear of 30 teeth, joint 2 is eccentric
@@ -137,10 +136,10 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     ...     y = np.einsum("nij,nj->ni", arm.jacobian(angles), np.deg2rad(error / 3600))
     ...     return angles, y + rng.normal(scale=0.01, size=(n, 3))
     >>> options = {"max_order": 40, "gravity": False, "wobble": False}
-    >>> earlier = [JointHarmonicRegressor(arm, **options).fit(*measured(300, i)) for i in range(3)]
+    >>> earlier = [ArmResidualRegressor(arm, **options).fit(*measured(300, i)) for i in range(3)]
     >>> few, far = measured(20, 5), measured(300, 5)
     >>> new = transfer_correction(earlier, arm, *few)
-    >>> alone = JointHarmonicRegressor(arm, **options).fit(*few)
+    >>> alone = ArmResidualRegressor(arm, **options).fit(*few)
     >>> left = [np.abs(far[1] - m.predict(far[0])).mean() for m in (alone, new)]
     >>> bool(left[1] < 0.7 * left[0])
     True
@@ -208,12 +207,7 @@ def _checked(models, arm):
                 f"models[{i}] has other families of columns than models[0]: fit all with the same "
                 "gravity, kinematics, wobble and extra, with orientations or without."
             )
-    template = models[0]
-    if not isinstance(template, JointHarmonicRegressor):
-        unit, template = template.angle_unit, template.harmonics
-        template = JointHarmonicRegressor() if template is None else clone(template)
-        template.set_params(angle_unit=unit)
-    return linears, clone(template)
+    return linears, clone(models[0])
 
 
 def _families(terms):
@@ -224,7 +218,7 @@ def _families(terms):
 def _of_prior(estimator, prior):
     """Fitted estimator that knows nothing but the earlier arms."""
     new = deepcopy(estimator)
-    new.linear_model_, new.orientation_model_ = prior, None
+    new.linear_model_, new.helps_, new.regressor_ = prior, True, None
     new.fading_ = Fading(0.0, 0.0, 0.0)
     new.n_features_in_ = prior.arm.n_joints + len(prior.terms.extra)
     if not hasattr(new, "pose_weight_"):
@@ -321,7 +315,7 @@ def _evidence_of_fit(linear, poses):
         sd[waves] = np.where(of_smooth, linear.prior_sd["smooth"] * share, sd[waves])
         n_chosen = np.count_nonzero(~joined)
     else:
-        n_chosen = np.count_nonzero(linear.terms.harmonics[:, 1] > LIKELY_ORDER)
+        n_chosen = np.count_nonzero(linear.terms.harmonics[:, 1] > 2)
     evidence = _log_evidence(linear, np.zeros(len(sd)), np.diag(sd), poses, linear.noise_sd)
     return evidence - n_chosen * price
 

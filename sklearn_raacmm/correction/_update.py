@@ -48,7 +48,7 @@ def update_correction(
 
     Parameters
     ----------
-    model : JointHarmonicRegressor or ArmResidualRegressor
+    model : ArmResidualRegressor
         Fitted model; it is left as it is.
 
     X : array-like of shape (n_samples, n_joints + n_extra)
@@ -76,7 +76,7 @@ def update_correction(
 
     Returns
     -------
-    model : JointHarmonicRegressor or ArmResidualRegressor
+    model : ArmResidualRegressor
         A model of the same type, to be used with the base and the tool of the registration.
         ``updates_`` holds a dictionary for every update: `date`, `n_poses`, `tau` by joint and
         family, `noise_sd_mm`.
@@ -114,7 +114,7 @@ def update_correction(
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor, update_correction
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor, update_correction
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> angles = rng.uniform(-2, 2, (400, 6))
@@ -123,7 +123,7 @@ def update_correction(
     ...     error[:, 2] = np.deg2rad(arcsec / 3600) * np.cos(angles[:, 2])
     ...     return np.einsum("nij,nj->ni", arm.jacobian(angles), error)
     >>> y = residuals(angles, 20) + rng.normal(scale=0.01, size=(400, 3))
-    >>> model = JointHarmonicRegressor(arm, max_order=4).fit(angles, y)
+    >>> model = ArmResidualRegressor(arm, max_order=4).fit(angles, y)
     >>> new = rng.uniform(-2, 2, (60, 6))  # after a knock it is more so
     >>> y_new = residuals(new, 40) + rng.normal(scale=0.01, size=(60, 3))
     >>> updated = update_correction(model, new, y_new)
@@ -137,7 +137,7 @@ def update_correction(
         return deepcopy(model)
     angles, residuals, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
     turns = check_turns(orientation_residuals, len(angles), codes)
-    if turns is not None and getattr(model, "orientation_model_", None) is None:
+    if turns is not None and not linear.turn_mm:
         raise ValueError(
             "orientation_residuals were given, but the model was fitted without any: leave them "
             "out, or fit it again."
@@ -153,8 +153,7 @@ def update_correction(
             stacklevel=5,
         )
         return deepcopy(model)
-    network = _unfaded(model, angles) - linear.predict(angles)[0]
-    poses = poses._replace(residuals=residuals - network)
+    poses = poses._replace(residuals=residuals - model.second_stage(angles))
     changed = changed_model(linear, poses)
     noise_sd = changed.change.noise_sd
     if noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
@@ -167,10 +166,6 @@ def update_correction(
         )
     updated = deepcopy(model)
     updated.linear_model_ = changed.model
-    both = getattr(model, "orientation_model_", None)
-    if both is not None:
-        same = both is linear
-        updated.orientation_model_ = changed.model if same else changed_model(both, poses).model
     _keep_fading(updated, model, angles[weights > 0])
     updated.updates_ = (*getattr(model, "updates_", ()), record_of(changed, len(angles), date))
     return updated
@@ -200,22 +195,8 @@ def _keep_fading(updated, model, angles):
         for m in (model, updated)
     )
     added = max(np.max(new - old), 0.0)
-    fadings = list(getattr(updated, "fadings_", None) or [updated.fading_])
-    fadings[0] = replace(fadings[0], known_mm=float(np.sqrt(fadings[0].known_mm ** 2 + added)))
-    if hasattr(updated, "fadings_"):
-        updated.fadings_ = fadings
-    else:
-        updated.fading_ = fadings[0]
-
-
-def _unfaded(model, angles):
-    """What a model predicts at angles in rad before it fades."""
-    model = copy(model).set_params(angle_unit="rad")
-    if hasattr(model, "fadings_"):
-        model.fadings_ = [replace(fading, factor=0.0) for fading in model.fadings_]
-    else:
-        model.fading_ = replace(model.fading_, factor=0.0)
-    return model.predict(angles)
+    known = float(np.sqrt(updated.fading_.known_mm**2 + added))
+    updated.fading_ = replace(updated.fading_, known_mm=known)
 
 
 def linear_model_of(model, done):
@@ -223,7 +204,7 @@ def linear_model_of(model, done):
     linear = getattr(model, "linear_model_", None)
     if hasattr(model, "fit"):
         check_is_fitted(model)
-    if not isinstance(linear, LinearModel) or getattr(model, "use_", "") == "none":
+    if not isinstance(linear, LinearModel) or not model.helps_:
         raise TypeError(
             f"A {type(model).__name__} that holds no linear model in use cannot be {done}: it has "
             "no posterior of causes. It can be registered, by calibrate(..., correction=model)."
@@ -233,7 +214,7 @@ def linear_model_of(model, done):
 
 def check_new_poses(model, X, y, groups, sample_weight):
     """Angles, residuals, weights and codes of new poses; each fault gets one clear sentence."""
-    angles = check_poses(model, X, stacklevel=8)
+    angles = check_poses(model, X)
     y = check_points(y, 3)
     if len(y) != len(angles):
         raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")

@@ -17,11 +17,16 @@ from sklearn_raacmm.arm import FIELDS, cross, dh_theta, frame_columns, probe_of,
 from sklearn_raacmm.error_model._extra import force_on_probe, parsed
 
 ARCSEC = np.pi / 180 / 3600
-# Families of columns, each with a prior of its own.
-HARMONIC, GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, TOOL = range(8)
+# Families of columns, each with a prior of its own; then that of harmonics that are taken for
+# themselves, and that of all low orders together.
+GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, TOOL = range(7)
 FAMILIES = (
-    "harmonics", "gravity", "kinematics", "wobble", "temperature", "direction", "force", "tool"
+    "gravity", "kinematics", "wobble", "temperature", "direction", "force", "tool", "harmonics",
+    "smooth",
 )  # fmt: skip
+# The families that `ArmResidualRegressor` names in `causes`.
+CAUSES = ("gravity", "kinematics", "wobble")
+FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, TOOL)
 # Kinds of columns: a small turn about an axis of a frame, a small shift along it, or a turn about
 # it in proportion to the torque about that axis of a load, or of a force on the probe.
 TURN, SHIFT, LOAD, PUSH = range(4)

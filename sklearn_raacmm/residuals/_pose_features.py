@@ -145,7 +145,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             infinity.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
-        self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1], stacklevel=6)
+        self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1])
         return self
 
     def transform(self, X):
@@ -171,7 +171,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
         # All rows at once: a unit cannot be told from some of them.
-        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=4)
+        angles = check_angles(X, self.arm_.n_joints, self.angle_unit)
         for rows in chunks(len(X), _BATCH_ROWS):
             for i, column in enumerate(self._columns(angles[rows], rows.start)):
                 features[rows, i] = column

@@ -1,4 +1,4 @@
-"""Errors of encoders, bearings and loads, found as a linear model through the arm's Jacobian."""
+"""The errors of an arm, cause by cause, as one estimator that knows how far it can be trusted."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,19 +6,24 @@
 from numbers import Integral, Real
 
 import numpy as np
-from sklearn.base import MultiOutputMixin, RegressorMixin
+from sklearn.base import MultiOutputMixin, RegressorMixin, clone
+from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model._checks import check_fit, check_poses, check_turns
+from sklearn_raacmm.error_model._columns import CAUSES, Terms
+from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit_checks import check_fit, check_turns
-from sklearn_raacmm.error_model._linear_fit import LinearOptions
-from sklearn_raacmm.error_model._moved_seats import warn_of_moved_seats
-from sklearn_raacmm.error_model._points_and_turns import fit_points_and_turns, predict_turns
-from sklearn_raacmm.error_model._poses import check_poses
+from sklearn_raacmm.error_model._fit import fit_linear_model
+from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._structures import offered_harmonics
+from sklearn_raacmm.residuals import CylindricalResidualTarget
 from sklearn_raacmm.utils import (
+    HasMethods,
     Interval,
     StrOptions,
     VersionedEstimator,
+    centred,
     check_flags,
     encode_groups,
     fit_context,
@@ -26,14 +31,8 @@ from sklearn_raacmm.utils import (
     whole_fit,
 )
 
-# Of a harmonic, in arc seconds: a thousandth of what an encoder resolves, and more than a turn.
-_PRIOR_BOUNDS = 1e-6, 2e6
-# For warnings: the line that calls `fit`, which three decorators wrap.
-_CALLER = 5
-
-
-class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
-    r"""Linear model of what the arm itself does to its probe, joint by joint.
+class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
+    r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
     An encoder's error is a periodic function of its own angle,
 
@@ -41,7 +40,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
     and reaches the probe through the arm's Jacobian: one pair of numbers serves x, y and z, at
     every pose. Which orders k are there (an eccentric disc gives 1 and 2, gears give others) is
-    found, not assumed. Beside the harmonics the model holds, each optional,
+    found, not assumed. Beside the harmonics the model holds the causes
 
     - gravity: every link and joint yields about its three axes in proportion to the torque of each
       load beyond it, from the arm's geometry;
@@ -49,7 +48,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
       it took the other errors for noise;
     - wobble: every axis tilts once and twice a turn about the two directions across it.
 
-    Subtract what `predict` returns from the measured point to correct it.
+    Subtract what `predict` returns from the measured point to correct it. The correction fades
+    where little is known, and is 0 where it did not help at positions that were left out.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     extra : list of str, default=()
         What the columns of `X` after the angles are, one name for each: other causes of errors that
         were written down with the angles. Each goes through the arm's geometry and is judged by the
-        evidence, as the other causes are.
+        evidence.
 
         - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
           and zero offsets drift in proportion to it.
@@ -74,37 +74,21 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
 
         Numbers count from their mean over the training data, in whatever unit they are in.
 
-    max_order : int, default=400
-        Highest order of the harmonics offered, for every joint: strain-wave gears show at multiples
-        of their ratio. Orders above 72 are taken only where they explain much, or where they are
-        multiples of others that do. A joint is offered no more orders than it shows different
-        angles. 0 offers none.
+    orders : int, array-like of int, or one array-like of int per joint, default=400
+        Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
+        at multiples of their ratio. The higher an order, the more it has to explain to be taken. A
+        joint is offered no more orders than it shows different angles. 0 offers none. A list offers
+        these orders only, for all joints or for each.
 
-    orders : array-like of int, or one array-like of int per joint, default=None
-        Offer these orders only, for all joints or for each, in place of those up to `max_order`.
-
-    gear_ratio : float or array-like of shape (n_joints,), default=None
-        Gear ratio of all joints or of each, where it is known; 0 where it is not. Its multiples up
-        to four are offered in addition, as orders that are as likely as low ones.
-
-    gravity, kinematics, wobble : bool, default=True
-        Which of the other causes are in the model.
-
-    prior_sd : float or "auto", default="auto"
-        Standard deviation that the cosine and sine of a harmonic have before any data are seen, in
-        arc seconds, from 1e-6 to 2e6. "auto" lets the data decide, as always for the other
-        causes.
+    causes : list of {"gravity", "kinematics", "wobble"}, default=("gravity", "kinematics", \
+            "wobble")
+        Which of these causes are in the model.
 
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
         are deviations from the position's own mean, as in a single-point test; it has not where
         `y` was measured against a tracker. "auto" finds out: the positions' mean residuals are
         zero, or not.
-
-    loss : {"tukey", "squared"}, default="tukey"
-        "tukey": where poses lie farther off than 5.5 standard deviations, all are weighed by
-        Tukey's biweight, which gives those none, and the model is fitted again. "squared": least
-        squares, which a slipped probe pulls along.
 
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
@@ -114,14 +98,17 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         positions left out widen s, up to 1. There t is twice the deviation that 99 % of the
         training poses stay below; elsewhere 0.
 
+    regressor : estimator, default=None
+        A second stage: fitted on joint angles in rad to what the linear model leaves, in the
+        cylindrical frame of the probe (see :class:`CylindricalResidualTarget`), such as
+        ``make_pipeline(PoseFeatures(arm), RBFNetRegressor())``. It fades with the linear model.
+        None: no second stage, which has been as good on every real arm tried.
+
     Attributes
     ----------
     linear_model_ : LinearModel
         The fitted numbers as one value: columns, coefficients and their covariance. The attributes
         below show what is in it.
-
-    orientation_model_ : LinearModel or None
-        That of points and orientations together, where orientations were given to `fit`.
 
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
@@ -154,11 +141,23 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     column_harmonics_ : ndarray of shape (n_chosen, 2)
         Joint from 1 and order of the harmonics in that order.
 
+    regressor_ : CylindricalResidualTarget or None
+        The fitted second stage.
+
     fading_ : Fading
         How corrections fade: `factor`, `size_mm` (r) and `known_mm` (t).
 
+    helps_ : bool
+        Whether the linear model helped at positions left out; `predict` returns 0 where it did not.
+        True where `groups` were not given.
+
+    judgement_ : Judgement or None
+        The numbers behind it: `mean_before_mm`, `mean_after_mm`, `gain_se_mm`, `n_positions`,
+        `helps`. None where nothing was left out.
+
     pose_weight_ : ndarray of shape (n_samples,)
-        What the loss left of the weight of each training pose: 0 for outliers.
+        What the robust weights left of each training pose: 0 for outliers, and for rows of weight
+        0.
 
     arm_ : Arm
         The arm in use.
@@ -172,37 +171,34 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     See Also
     --------
     RBFNetRegressor : For what is smooth in the pose and not in this model.
+    learn_correction : Calibrates an arm, fits this model, and judges both.
 
     Notes
     -----
     Coefficients have normal priors of mean zero, one variance a family, found with the noise by
     maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
     least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
-    the rise is more than the logarithm of the number of candidates. Where the data ask for it, all
-    orders up to 48 that are not chosen are there, too, with one small variance that falls with the
-    order (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its
-    angle, of which little is known where there are no poses. The model has no memory of the
-    number of poses but their normal equations.
+    the rise is more than the price of its order, ``2 log(order)`` nats. Where the data ask for it,
+    all orders up to 48 are there together, with one small variance that falls with the order
+    (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its angle,
+    of which little is known where there are no poses.
+
+    Where poses lie farther off than 5.5 standard deviations, all are weighed by Tukey's biweight
+    [1]_, which gives those none, and the model is fitted again.
 
     Offsets are exact fixed effects: means over the position are taken out of the columns, too. A
     common scale of all lengths then leaves no trace in the data, so that without known lengths the
     scale of the model is set to that of the calibrated arm: over the training positions, corrected
     distances are as long as uncorrected ones on the average (an inner constraint, as geodesists
-    have it in free networks). On nine simulated arms this took 63 % off the errors of 500 mm
-    gauges, where leaving the scale to the prior made them larger. With ``kinematics=False`` no
-    column takes up what calibration left, the other causes strain the volume in its place, and
-    holding the scale is no cure: `fit` warns. Known lengths are observations of their own, beside
-    the noise of the two mean points.
-
-    The scale of Tukey's biweight is the median distance; all poses count fully where none is far
-    off [1]_. On simulated arms with 4 % slipped poses it was as good as without them, and never
-    worse on clean ones, nor on two Pandas, one of which holds outliers.
+    have it in free networks). Without kinematics no column takes up what calibration left, the
+    other causes strain the volume in its place, and holding the scale is no cure: `fit` warns.
+    Known lengths are observations of their own, beside the noise of the two mean points.
 
     The posterior's standard deviations suppose that the model is complete. Of ten blocks of
-    neighbouring positions, left out in turn, the errors show how much larger they have to be: they
-    are compared with ``sqrt(a n^2 + b s^2)``, n the noise and s the posterior's deviation, as a
-    Student variable, and a, b and its degrees of freedom have the highest posterior. With fewer
-    than four positions there is nothing to compare with.
+    neighbouring positions, left out in turn, the errors show how much larger they have to be. The
+    same errors say whether the correction helps: if their mean over positions is less than without
+    correction by more than the standard error of the difference. With fewer than four positions
+    intervals stay as they are, and the correction has to help at each of them.
 
     The harmonic form is that of encoder eccentricity; the composition of the model is our own.
 
@@ -216,7 +212,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     An eccentric encoder at joint 2, 6 arc seconds, and gear teeth at joint 4, 17 to the turn:
 
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> theta = rng.uniform(-2, 2, (300, 6))
@@ -226,10 +222,10 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
     >>> error *= np.pi / 180 / 3600
     >>> y = np.einsum("nij,nj->ni", arm.jacobian(theta), error)
     >>> y += rng.normal(scale=0.003, size=y.shape)
-    >>> model = JointHarmonicRegressor(arm, gravity=False, kinematics=False, wobble=False)
-    >>> model.fit(theta, y).harmonics_[["joint", "order"]].tolist()
+    >>> model = ArmResidualRegressor(arm, causes=[]).fit(theta, y)
+    >>> model.harmonics_[["joint", "order"]][:2].tolist()
     [(2, 1), (4, 17)]
-    >>> model.harmonics_["amplitude_arcsec"].round(1).tolist()
+    >>> model.harmonics_["amplitude_arcsec"][:2].round(1).tolist()
     [6.1, 4.0]
     """
 
@@ -237,16 +233,11 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         "arm": [Arm, None],
         "angle_unit": [StrOptions({"rad", "deg"})],
         "extra": ["array-like"],
-        "max_order": [Interval(Integral, 0, 1000, closed="both")],
-        "orders": ["array-like", None],
-        "gear_ratio": [Interval(Real, 0, None, closed="left"), "array-like", None],
-        "gravity": ["boolean"],
-        "kinematics": ["boolean"],
-        "wobble": ["boolean"],
-        "prior_sd": [Interval(Real, *_PRIOR_BOUNDS, closed="both"), StrOptions({"auto"})],
+        "orders": [Interval(Integral, 0, 1000, closed="both"), "array-like"],
+        "causes": ["array-like"],
         "offsets": ["boolean", StrOptions({"auto"})],
-        "loss": [StrOptions({"squared", "tukey"})],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "regressor": [HasMethods(["fit", "predict"]), None],
     }
 
     def __init__(
@@ -255,30 +246,20 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         *,
         angle_unit="rad",
         extra=(),
-        max_order=400,
-        orders=None,
-        gear_ratio=None,
-        gravity=True,
-        kinematics=True,
-        wobble=True,
-        prior_sd="auto",
+        orders=400,
+        causes=CAUSES,
         offsets="auto",
-        loss="tukey",
         fade="auto",
+        regressor=None,
     ):
         self.arm = arm
         self.angle_unit = angle_unit
         self.extra = extra
-        self.max_order = max_order
         self.orders = orders
-        self.gear_ratio = gear_ratio
-        self.gravity = gravity
-        self.kinematics = kinematics
-        self.wobble = wobble
-        self.prior_sd = prior_sd
+        self.causes = causes
         self.offsets = offsets
-        self.loss = loss
         self.fade = fade
+        self.regressor = regressor
 
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
@@ -293,7 +274,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         lengths=(),
         orientation_residuals=None,
     ):
-        """Choose the harmonics and fit all coefficients.
+        """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
         Parameters
         ----------
@@ -304,10 +285,11 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
 
         sample_weight : array-like of shape (n_samples,), default=None
-            Weights; an integer weight is worth that many repeats of the row.
+            Weights; an integer weight is worth that many repeats of the row. Rows of weight 0
+            change nothing.
 
         groups : array-like of shape (n_samples,), default=None
-            Label of the position of each sample, for the offsets.
+            Label of the position of each sample: for the judgement, and for the offsets.
 
         lengths : iterable of (label, label, length, standard deviation), default=()
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
@@ -317,9 +299,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             How far the orientation that the arm shows is turned from the measured one: rotation
             vectors in rad, in the arm's base frame, as
             :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
-            probe and turn the last link: a second model is fitted to both, each weighed by the
-            noise that it shows. Points are predicted by it, too, if it is clearly better for them
-            at positions left out.
+            probe and turn the last link: they are three more rows of each pose, weighed by the
+            noise that they show beside that of the points.
 
         Returns
         -------
@@ -330,38 +311,60 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         ------
         ValueError
             If X has not one column per joint and extra name, or y not three, something is NaN or
-            infinite, a weight is negative or all are 0, the model has no columns at all, or
-            ``offsets=True`` comes without `groups`; if y are the probe's points, or half of them
-            longer than a twentieth of the arm's reach; if lengths name unknown positions, are not
-            positive, or come without offsets; if orientations come with offsets, or are no small
-            rotation vectors.
+            infinite, a weight is negative or all are 0, the model has no columns at all, a cause is
+            not known, or ``offsets=True`` comes without `groups`; if y are the probe's points, or
+            half of them longer than a twentieth of the arm's reach; if lengths name unknown
+            positions, are not positive, or come without offsets; if orientations come with offsets,
+            or are no small rotation vectors.
 
         Warns
         -----
         UserWarning
             If the angles are most likely in the other unit: larger than two turns in rad, or all
-            within one turn of radians in degrees; if ``kinematics=False`` and positions have
-            offsets, but no `lengths` are given; if ``offsets="auto"`` finds none although the
-            positions' means are smaller than chance makes them; if the weights add up to less than
-            a tenth or more than a hundred times the number of rows; if nearly all of `y` is one
-            motion of the base: the reference is then most likely in another frame; if what the
-            model leaves at a position with an offset steps in the order of its rows, as it does
-            where a socket has moved during the test (about 12 poses or more are needed to tell).
+            within one turn of radians in degrees; if positions have offsets but neither kinematics
+            nor `lengths` are given; if ``offsets="auto"`` finds none although the positions' means
+            are smaller than chance makes them; if the weights add up to less than a tenth or more
+            than a hundred times the number of rows; if nearly all of `y` is one motion of the base:
+            the reference is then most likely in another frame.
         """
-        arm, *data = check_fit(self, X, y, sample_weight, groups, lengths, linear=self)
-        X, y, weights, codes, _ = data
-        options = LinearOptions.of(self)
-        turns = check_turns(orientation_residuals, len(y), codes)
-        positions = np.arange(len(y)) if groups is None else encode_groups(groups)[1]
-        fitted, both = fit_points_and_turns(arm, data, options, positions, turns)
-        self.orientation_model_ = both
-        self.linear_model_, self.pose_weight_ = fitted.model, fitted.pose_weight
-        mean, std = fitted.model.predict(X, return_std=True)
-        if codes is not None:
-            noise = fitted.model.noise_variance
-            warn_of_moved_seats(y - mean, X[:, : arm.n_joints], weights, groups, noise, _CALLER)
-        used, widening = weights * self.pose_weight_, fitted.model.std_scale
-        self.fading_ = find_fading(y, std, used, codes, self.fade, widening=widening)
+        rows = check_fit(self, X, y, sample_weight, groups, lengths)
+        arm, used = rows.arm, rows.weights > 0
+        turns = check_turns(orientation_residuals, len(used), rows.codes)
+        positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
+        positions = np.unique(positions[used], return_inverse=True)[1].ravel()
+        rows = rows.at(used)
+        extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
+        offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
+        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
+        with_field = isinstance(self.orders, Integral)
+        fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
+        left_out = leave_out(fitted, terms, positions, rows.weights)
+        model = with_honest_intervals(
+            fitted.model, left_out, rows.weights, rows.codes, positions
+        )
+        mean, std = model.predict(rows.X, return_std=True)
+        robust = rows.weights * fitted.pose_weight
+        rest = robust, rows.codes
+        self.fading_ = find_fading(rows.y, std, *rest, self.fade, model.std_scale)
+        self.judgement_ = None
+        if groups is not None and left_out is not None:
+            self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
+        self.helps_ = self.judgement_ is None or self.judgement_.helps
+        self.linear_model_ = model
+        self.pose_weight_ = np.zeros(len(used))
+        self.pose_weight_[used] = fitted.pose_weight
+        self.regressor_ = None
+        if self.regressor is not None:
+            left = rows.y - centred(mean * self.helps_, rows.codes, robust)
+            self.regressor_ = self._fitted_second_stage(rows, left, robust)
+
+    def _fitted_second_stage(self, rows, left, weights):
+        """The second stage, fitted to what the linear model leaves of poses that are no outliers."""
+        arm, kept = rows.arm, weights > 0
+        stage = CylindricalResidualTarget(clone(self.regressor), azimuth=arm.azimuth)
+        takes_weights = has_fit_parameter(self.regressor, "sample_weight")
+        options = {"sample_weight": weights[kept]} if takes_weights else {}
+        return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -429,7 +432,8 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
             Standard deviations in mm, where asked for: 1.96 of them make an interval of 95 % at
             positions that were left out of the fit, as far as these could be tried. Far from the
             training poses they grow. Where positions have offsets they are those of what such a
-            test can show: a motion of the base is left out.
+            test can show: a motion of the base is left out. They are those of the linear model; a
+            second stage does not change them.
 
         Raises
         ------
@@ -450,11 +454,30 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         X = check_poses(self, X)
         fades = self.fading_.factor > 0
         mean, std = self.linear_model_.predict(X, return_std or fades)
+        mean = mean * self.helps_ + self.second_stage(X)
         if fades:
             share = self.fading_.share(std)
-            warn_where_unknown(share, stacklevel=2)
+            if self.helps_:
+                warn_where_unknown(share)
             mean = share[:, None] * mean
         return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+
+    def second_stage(self, angles):
+        """What the second stage adds, before it fades.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints + n_extra)
+            In rad, whatever `angle_unit` is.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3)
+            In mm; 0 where there is no second stage.
+        """
+        if self.regressor_ is None:
+            return np.zeros((len(angles), 3))
+        return self.regressor_.predict(angles[:, : self.arm_.n_joints])
 
     def predict_orientation(self, X, return_std=False, with_noise=False):
         """Predict how far the last link is turned from where the arm shows it.
@@ -475,7 +498,7 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         turns : ndarray of shape (n_samples, 3)
             Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
             times the orientation that the arm shows is the corrected one. Faded as the correction
-            of the points is.
+            of the points is, and 0 where that is.
 
         std : ndarray of shape (n_samples, 3)
             Standard deviations in rad, where asked for.
@@ -486,9 +509,19 @@ class JointHarmonicRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimato
         it. It does not know what no point shows, such as the zero angle of a last joint whose axis
         goes through the probe.
         """
-        mean, std, share = predict_turns(self, X, return_std, with_noise)
-        warn_where_unknown(share, stacklevel=2)
-        return (mean, std) if return_std else mean
+        check_flags(return_std=return_std, with_noise=with_noise)
+        X, model = check_poses(self, X), self.linear_model_
+        mean, std = model.predict_turn(X, return_std)
+        mean = mean * self.helps_
+        if self.fading_.factor > 0:
+            share = self.fading_.share(model.predict(X, return_std=True)[1])
+            if self.helps_:
+                warn_where_unknown(share)
+            mean = share[:, None] * mean
+        if not return_std:
+            return mean
+        noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
+        return mean, np.hypot(model.std_scale * std, noise)
 
     def fading(self, X):
         """Share of the correction that `predict` returns at each pose.

@@ -3,29 +3,31 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-
 import numpy as np
 
-from sklearn_raacmm.arm import arm_for, points_of, reach_mm
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
-from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
-from sklearn_raacmm.error_model._poses import in_rad
+from sklearn_raacmm.error_model._columns import CAUSES
+from sklearn_raacmm.error_model._extra import check_extra, check_tools, warn_of_constants
+from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.residuals import refuse_large, refuse_points, warn_of_another_frame
 from sklearn_raacmm.utils import (
     CENTRED,
     centred,
     check_data,
+    check_features,
     check_weights,
     encode_groups,
     floats,
     listed,
     refuse_huge,
     share_of_means,
+    show,
+    warn_user,
 )
 
-# For warnings: each check is called by `check_fit`, that by fit, which three decorators wrap.
-_CALLER = 7
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
 # those of weights that add up to 1 are too few, those of inverse variances too many.
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
@@ -38,41 +40,36 @@ _LARGEST_TURN = 0.5
 _BY_CHANCE = 1e-3
 
 
-def check_fit(estimator, X, y, sample_weight, groups, lengths, *, linear):
+def check_fit(estimator, X, y, sample_weight, groups, lengths):
     """All that `fit` is given.
 
     Parameters
     ----------
-    estimator : JointHarmonicRegressor or ArmResidualRegressor
+    estimator : ArmResidualRegressor
     X, y, sample_weight, groups, lengths
         As for its `fit`.
-    linear : JointHarmonicRegressor
-        Has the options of the linear model.
 
     Returns
     -------
-    arm : Arm
-    X : ndarray of shape (n, n_joints + n_extra)
-        In rad, then the extra columns.
-    y : ndarray of shape (n, 3)
-    weights : ndarray of shape (n,)
-    codes : ndarray of shape (n,) or None
-        Index of each row's position, where positions have offsets.
-    lengths : list of (int, int, float, float)
+    Rows
+        Those of weight 0 among them.
     """
-    linear._validate_params()  # of a first stage, scikit-learn checks only the type
     X, y = check_data(estimator, X, y)
-    extra = tuple(linear.extra)
-    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], _CALLER + 1, extra)
-    check_extra(linear.extra, arm.n_joints)
-    X = in_rad(X, arm.n_joints, estimator.angle_unit, _CALLER)
+    extra = check_extra(estimator.extra)
+    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
+    check_extra(extra, arm.n_joints)
+    unknown = [name for name in estimator.causes if name not in CAUSES]
+    if unknown:
+        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {show(unknown[0])}.")
+    X = _in_rad(X, arm.n_joints, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
-    warn_of_constants(extra, X[:, arm.n_joints :], weights, _CALLER)
-    codes = _check_offsets(linear.offsets, y, weights, groups)
+    warn_of_constants(extra, X[:, arm.n_joints :], weights)
+    codes = _check_offsets(estimator.offsets, y, weights, groups)
     points = points_of(arm, X[:, : arm.n_joints])
     _check_residuals(y, points, weights, codes, reach_mm(arm))
-    return arm, X, y, weights, codes, _check_lengths(lengths, codes, groups, linear.kinematics)
+    lengths = _check_lengths(lengths, codes, groups, "kinematics" in estimator.causes)
+    return Rows(arm, X, y, weights, codes, tuple(lengths))
 
 
 def _check_repeats(weights):
@@ -84,11 +81,9 @@ def _check_repeats(weights):
         )
     n = np.count_nonzero(weights)
     if not _LEAST_WORTH * n <= weights.sum() <= _LARGEST_WORTH * n:
-        warnings.warn(
+        warn_user(
             f"By their sample_weight the {n} rows are worth {weights.sum():.3g} rows: too little "
             "or too much will be learnt. A weight counts repeats: give weights of about 1.",
-            UserWarning,
-            stacklevel=_CALLER,
         )
     return weights
 
@@ -115,7 +110,7 @@ def _check_residuals(y, points, weights, codes, reach):
     refuse_points(y[used], points[used], reach)
     if codes is None:
         refuse_large(y[used], reach)
-        warn_of_another_frame(y[used], points[used], reach, stacklevel=_CALLER)
+        warn_of_another_frame(y[used], points[used], reach)
     else:  # offsets may be of any size
         refuse_large(centred(y, codes, weights)[used], reach)
 
@@ -125,12 +120,10 @@ def _check_lengths(lengths, codes, groups, kinematics):
     lengths = listed("lengths", lengths)
     if not lengths:
         if codes is not None and not kinematics:
-            warnings.warn(
-                "With kinematics=False and positions with offsets nothing holds the distances "
-                "between positions: they may come out worse than without correction. Keep "
-                "kinematics=True, give known lengths, or do not measure lengths with this model.",
-                UserWarning,
-                stacklevel=_CALLER,
+            warn_user(
+                "Without the cause kinematics nothing holds the distances between positions with "
+                "offsets: they may come out worse than without correction. Keep it among causes, "
+                "give known lengths, or do not measure lengths with this model.",
             )
         return []
     if codes is None:
@@ -153,20 +146,16 @@ def _check_offsets(offsets, y, weights, groups):
         share, of_most, by_chance = share_of_means(y, codes, weights)
         offsets = share < CENTRED
         if not offsets and by_chance < _BY_CHANCE:
-            warnings.warn(
+            warn_user(
                 f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those "
                 "of independent rows of this scatter: y may be deviations from the means of more "
                 "rows than these. No offsets are fitted; set offsets to True or False.",
-                UserWarning,
-                stacklevel=_CALLER,
             )
         elif not offsets and of_most < 0.1 * CENTRED:
-            warnings.warn(
+            warn_user(
                 "Most positions' mean residuals are zero, but not all: y looks like deviations "
                 "from means of other rows than these. No offsets are fitted; set offsets to True "
                 "or False.",
-                UserWarning,
-                stacklevel=_CALLER,
             )
     return codes if offsets else None
 
@@ -194,3 +183,40 @@ def check_turns(turns, n_rows, codes):
             "unknown offsets."
         )
     return turns
+
+
+def check_poses(model, X):
+    """Rows of X as a fitted `LinearModel` takes them.
+
+    Parameters
+    ----------
+    model : ArmResidualRegressor
+        Fitted.
+    X : array-like of shape (n, n_features_in_)
+        As for its `predict`.
+
+    Returns
+    -------
+    ndarray of shape (n, n_features_in_)
+        Angles in rad, then the extra columns.
+
+    Raises
+    ------
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+    ValueError
+        If X has another number of columns than in the fit, holds NaN or infinity, or has a tool
+        that the training data did not have.
+    """
+    check_is_fitted(model)
+    X = check_features(model, X, dtype=np.float64, reset=False)
+    linear = model.linear_model_
+    n_joints = linear.arm.n_joints
+    check_tools(linear.terms.extra, X[:, n_joints:])
+    return _in_rad(X, n_joints, model.angle_unit)
+
+
+def _in_rad(X, n_joints, angle_unit):
+    """The same rows with their first columns, the angles, in rad."""
+    angles = check_angles(X[:, :n_joints], n_joints, angle_unit)
+    return angles if n_joints == X.shape[1] else np.hstack([angles, X[:, n_joints:]])

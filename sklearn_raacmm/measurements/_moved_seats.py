@@ -3,13 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.utils import chunks, encode_groups
+from sklearn_raacmm.utils import chunks, encode_groups, warn_user
 
 # Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
 # beyond ten a slow change of the residuals counts as much as a step.
@@ -109,7 +108,7 @@ def find_steps(left, angles, codes, noise_variance=0.0):
     return found
 
 
-def warn_of_moved_seats(left, angles, weights, groups, noise_variance, stacklevel):
+def warn_of_moved_seats(left, angles, weights, groups, noise_variance):
     """Name positions that have moved during the test, in one warning.
 
     Parameters
@@ -120,8 +119,6 @@ def warn_of_moved_seats(left, angles, weights, groups, noise_variance, stackleve
         Rows without weight do not count.
     groups : array-like of shape (n,)
         Label of the position of each row.
-    stacklevel : int
-        1 names the line that calls this function.
     """
     labels, codes = encode_groups(groups)
     rows = np.flatnonzero(weights > 0)
@@ -140,12 +137,10 @@ def warn_of_moved_seats(left, angles, weights, groups, noise_variance, stackleve
         more = f" and {len(of) - _NAMED} more times" * (len(of) > _NAMED)
         named.append(f"position {labels[code].item()!r} by {', by '.join(parts)}{more}")
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
-    warnings.warn(
+    warn_user(
         f"{MOVED} {'; '.join(named)}{more} (rows counted from 0). No model of the arm can follow "
         "that: fasten the socket and the arm's base and measure again, or give the rows after each "
-        "step a label of their own.",
-        UserWarning,
-        stacklevel=stacklevel + 1,
+        "step a label of their own."
     )
 
 
