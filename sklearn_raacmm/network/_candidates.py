@@ -1,4 +1,4 @@
-"""Two representations of the candidates that `_forward_selection` chooses from.
+"""Two representations of the candidates that `_selection` chooses from.
 
 `WhitenedCandidates` holds coordinates in which the inner product of the selection is the Euclidean
 one: few where the kernel is smooth. `SymmetricCandidates` holds the kernel matrix itself.
@@ -11,8 +11,7 @@ import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
-from sklearn_raacmm.network._nested_fits import divide, stack_triangles, triangle_of_all
-from sklearn_raacmm.utils import chunks
+from sklearn_raacmm.network._least_squares import divide, stack_triangles, triangle_of_all
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
 # working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
@@ -21,19 +20,12 @@ DEPENDENT_RIDGED = 1e-13
 # Rank at which the factor of a rough kernel is cut where nothing else limits it: 240 MB for 10 000
 # rows, and a step costs as much memory traffic.
 MAX_RANK = 3000
-# Samples whose whole kernel matrix is held: 1.8 GB.
-MAX_SYMMETRIC = 15_000
+# Samples whose whole kernel matrix is held: 800 MB.
+MAX_SYMMETRIC = 10_000
 # Where a sample of the rows are candidates and the number of centres is given: the factor's rank,
 # in centres and at the least. With 2.5 the residual was up to 4 % larger than with an exact factor,
 # with 3.5 up to 2 % (three draws of candidates).
 RANK_PER_CENTER, MIN_RANK = 3.5, 256
-# Rows of the kernel matrix worked on together.
-PANEL = 512
-# Of these, rows that stay in the cache while they are computed or used twice.
-_IN_CACHE = 16
-# Distances, in widths, from which a kernel is below 1e-18: a thousand such entries beside one of 1
-# are less than its rounding.
-REACH = {"gaussian": 9.2, "matern32": 26.5, "matern52": 22.5}
 # A factor that leaves more than this of the diagonal does not ask for the last digits.
 COARSE = 1e-5
 
@@ -60,87 +52,14 @@ class WhitenedCandidates:
     def correlations(self):
         return self.coordinates @ self.target
 
-    def columns(self, indices):
-        """Candidates as rows, and the dual rows whose products with others are inner products."""
-        u = np.ascontiguousarray(self.coordinates[indices])
+    def column(self, j):
+        """A candidate, and its dual, whose products with others are inner products."""
+        u = self.coordinates[j].copy()
         return u, u
 
     def inner(self, v):
-        """Inner products (m, n_candidates) of all candidates with directions of dual rows v."""
-        return v @ self.coordinates.T
-
-    def products(self, v, indices):
-        """The same (m, len(indices)) of some candidates."""
-        return v @ self.coordinates[indices].T
-
-
-class HalfMatrix:
-    """Symmetric matrix that holds its lower triangle only: half the entries to compute and keep.
-
-    Parameters
-    ----------
-    entries : callable
-        From row indices and a slice of columns to entries.
-    n : int
-        Number of rows.
-    first : ndarray of shape (n,), optional
-        Column before which a row's entries are nothing; it must not fall from row to row.
-    """
-
-    def __init__(self, entries, n, first=None):
-        self.entries, self.n = entries, n
-        # Rows, the columns to the left of their block on the diagonal, and the entries of both.
-        self.panels = []
-        for part in chunks(n, PANEL):
-            begin = 0 if first is None else min(int(first[part.start]), part.start)
-            values = np.empty((part.stop - part.start, part.stop - begin))
-            for rows in chunks(len(values), _IN_CACHE):
-                some = slice(part.start + rows.start, part.start + rows.stop)
-                values[rows] = entries(some, slice(begin, part.stop))
-            self.panels.append((part, slice(begin, part.start), values))
-
-    def columns(self, indices):
-        """Whole columns, a row each (m, n), computed anew: to gather them takes longer."""
-        return self.entries(indices, slice(None))
-
-    def times(self, v):
-        """Products (m, n) of the matrix with the rows of v (m, n)."""
-        products = np.zeros((len(v), self.n))
-        for part, left, values in self.panels:
-            n_left = left.stop - left.start
-            products[:, part] += v[:, part] @ values[:, n_left:]
-            # Of a single row memory is the limit: entries are used twice while in the cache.
-            for rows in chunks(len(values), _IN_CACHE if len(v) == 1 else PANEL):
-                some = slice(part.start + rows.start, part.start + rows.stop)
-                panel = values[rows, :n_left]
-                products[:, some] += v[:, left] @ panel.T
-                products[:, left] += v[:, some] @ panel
-        return products
-
-    def squares(self, weights):
-        """Weighted sums (n,) of the squared entries of every column."""
-        sums = np.zeros(self.n)
-        for part, left, values in self.panels:
-            for rows in chunks(len(values), _IN_CACHE):
-                some = slice(part.start + rows.start, part.start + rows.stop)
-                squared = np.square(values[rows])
-                sums[left.start : part.stop] += weights[some] @ squared
-                sums[some] += squared[:, : left.stop - left.start] @ weights[left]
-        return sums
-
-
-def half_kernel(Z, kernel):
-    """Kernel matrix (n, n) of scaled rows as a `HalfMatrix`.
-
-    Rows that are sorted by their first feature may be too far apart in it for a kernel value that
-    any sum would notice.
-    """
-    reach, first = REACH.get(kernel), None
-    if reach is not None and np.all(np.diff(Z[:, 0]) >= 0):
-        first = np.searchsorted(Z[:, 0], Z[:, 0] - reach)
-    return HalfMatrix(
-        lambda rows, columns: kernel_matrix(Z[rows], Z[columns], kernel), len(Z), first
-    )
+        """Inner products (n_candidates,) of all candidates with a direction of the dual v."""
+        return self.coordinates @ v
 
 
 class SymmetricCandidates:
@@ -148,15 +67,17 @@ class SymmetricCandidates:
 
     Parameters
     ----------
-    K : HalfMatrix
-        Kernel matrix of n samples, whose diagonal is 1.
+    K : ndarray of shape (n, n), Fortran order
+        Kernel matrix of the samples.
     weights : ndarray of shape (n,)
     tail : ndarray of shape (n, n_tail)
-        Orthonormal basis of the weighted polynomial tail (rows times root weight).
+        Orthonormal basis of the weighted polynomial (rows times root weight).
     Y : ndarray of shape (n, n_outputs)
-        Targets with the tail projected out, times root weight.
+        Targets with the polynomial projected out, times root weight.
     alpha : float
     """
+
+    coordinates = None
 
     def __init__(self, K, weights, tail, Y, alpha):
         self.K, self.tail, self.alpha = K, tail, alpha
@@ -164,36 +85,27 @@ class SymmetricCandidates:
         self.resolution = 1e-6
         self.root = np.sqrt(weights)
         self.target = self.root[:, None] * Y
-        self.rank = K.n
-
-    def _weigh(self, u):
-        u = self.root * u
-        u -= (u @ self.tail) @ self.tail.T
-        u *= self.root
-        return u
+        self.rank = len(K)
 
     def squared_norms(self):
-        norms = self.alpha + self.K.squares(self.root**2)
-        along = self.K.times((self.root[:, None] * self.tail).T)
-        return norms - np.square(along).sum(axis=0)
+        norms = self.alpha + np.einsum("ij,ij,i->j", self.K, self.K, self.root**2)
+        along = self.K @ (self.root[:, None] * self.tail)
+        return norms - np.square(along).sum(axis=1)
 
     def correlations(self):
-        return self.K.times(self.target.T).T
+        return self.K @ self.target
 
-    def columns(self, indices):
-        u = self.K.columns(indices)
-        v = self._weigh(u)
-        v[np.arange(len(v)), indices] += self.alpha
+    def column(self, j):
+        u = self.K[:, j].copy()
+        v = self.root * u
+        v -= self.tail @ (v @ self.tail)
+        v *= self.root
+        v[j] += self.alpha
         return u, v
 
     def inner(self, v):
-        return self.K.times(v)
-
-    def products(self, v, indices):
-        if np.array_equal(indices, np.arange(self.rank)):
-            return self.K.times(v)
-        parts = chunks(len(indices), PANEL)
-        return np.hstack([v @ self.K.columns(indices[part]).T for part in parts])
+        # The product that reads one half of the matrix only.
+        return blas.dsymv(1.0, self.K, v, lower=1)
 
 
 class Features:
@@ -252,7 +164,7 @@ def _beside(block, features, view):
 
 def _projected_triangle(problem, features, view, rank):
     """R of the features with the tail projected out, and the targets in Q's coordinates."""
-    p = 0 if view.projection is None else len(view.projection)
+    p = len(view.projection)
     columns = partial(_beside, features=features, view=view)
     R = triangle_of_all(problem, columns, p + rank + len(view.outputs))
     if p and len(problem.basis_rows):
@@ -336,6 +248,14 @@ def whiten(problem, view, factor, features, members, alphas):
     return groups, degrees
 
 
+class RadialFunctions(NamedTuple):
+    """Kernel and widths that were chosen, and the middle of the rows."""
+
+    kernel: str
+    shift: np.ndarray  # (d,)
+    length_scale: np.ndarray  # (d,)
+
+
 class CandidateSet(NamedTuple):
     """Candidates as groups of outputs see them, and what their representation leaves out."""
 
@@ -345,18 +265,7 @@ class CandidateSet(NamedTuple):
 
 
 def candidate_groups(
-    problem,
-    view,
-    rows,
-    shift,
-    length_scale,
-    members,
-    kernel,
-    alphas,
-    n_select,
-    *,
-    max_rank=MAX_RANK,
-    whitened=False,
+    problem, view, rows, functions, members, alphas, n_select=None, *, max_rank=MAX_RANK
 ):
     """The representation of the candidates that makes a step of the selection cheapest.
 
@@ -366,39 +275,34 @@ def candidate_groups(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem or ChunkedProblem
     view : View
         How the targets are seen.
     rows : ndarray of shape (n_candidates,)
         Sorted indices of the candidates among the problem's rows.
-    shift, length_scale : ndarray of shape (d,)
-        By which rows are centred, and divided then.
+    functions : RadialFunctions
     members : list of ndarray
         Outputs of each group.
-    kernel : str
     alphas : list of float
         Ridge of each group.
-    n_select : int or None
+    n_select : int, optional
         Number of steps, where it is known.
     max_rank : int
         Rank at which the factor of a rough kernel is cut where nothing else limits it.
-    whitened : bool
-        Ask for `WhitenedCandidates`.
 
     Returns
     -------
     CandidateSet
     """
-    n = problem.n_rows
+    n, (kernel, shift, length_scale) = problem.n_rows, functions
     Z = (problem.X[rows] - shift) / length_scale
-    least = min(alphas)
+    least, every = min(alphas), len(rows) == n
     tol = 1e-6 if least == 0 else min(1e-3 * least, 1e-6)
-    every = len(rows) == n
-    may_be_symmetric = n_select is not None and not whitened and every and n <= MAX_SYMMETRIC
+    may_be_symmetric = n_select is not None and every and n <= MAX_SYMMETRIC
     may_be_symmetric = may_be_symmetric and problem.codes is None
     if may_be_symmetric:
         # From about this rank on a step on the matrix itself makes up for the factor's price.
-        max_rank = max(64, int(1.4 * np.sqrt(n * n_select)))
+        max_rank = max(64, int(np.sqrt(n * n_select)))
     elif n_select is not None and not every:
         # Candidates are a sample anyway, and every row is multiplied by the factor's square.
         max_rank = max(MIN_RANK, int(RANK_PER_CENTER * n_select))
@@ -406,10 +310,9 @@ def candidate_groups(
     limits = {"max_rank": max_rank, "all_or_nothing": may_be_symmetric}
     factor = pivoted_cholesky(Z, kernel, tol=tol, resolve=resolve, **limits)
     if may_be_symmetric and not factor.complete:
-        K = half_kernel(Z, kernel)
         block = problem.block(slice(None))
         basis, targets = view.of(block)
-        weights = block.root[:, 0] ** 2
+        K, weights = kernel_matrix(Z, Z, kernel).T, block.root[:, 0] ** 2
         pairs = zip(members, alphas, strict=True)
         groups = [SymmetricCandidates(K, weights, basis, targets[:, of], a) for of, a in pairs]
         return CandidateSet(groups, None, 0.0)

@@ -244,23 +244,13 @@ def largest(values, size):
 
 
 def _pivots_in_block(S, threshold, most):
-    """Pivoted Cholesky of the small matrix S while pivots exceed the threshold.
+    """Pivoted Cholesky of the small matrix S while pivots exceed the threshold, by LAPACK.
 
     Returns the chosen indices, at most `most`, and their lower triangular root.
     """
-    diagonal = S.diagonal().copy()
-    rows = np.zeros_like(S)
-    chosen = []
-    while len(chosen) < min(most, len(S)):
-        k, j = len(chosen), int(np.argmax(diagonal))
-        if k and diagonal[j] < threshold:
-            break
-        column = S[j] - rows[j, :k] @ rows[:, :k].T
-        rows[:, k] = column / np.sqrt(column[j])
-        diagonal -= rows[:, k] ** 2
-        diagonal[j] = -np.inf
-        chosen.append(j)
-    return np.array(chosen), np.tril(rows[chosen, : len(chosen)])
+    factor, pivots, rank, _ = lapack.dpstrf(S, tol=threshold, lower=1)
+    rank = min(rank, most)
+    return pivots[:rank] - 1, np.tril(factor[:rank, :rank])
 
 
 def psd_root(K):

@@ -8,7 +8,7 @@ References
 
 import numpy as np
 
-from sklearn_raacmm.network._large_data import is_dask
+from sklearn_raacmm.network._blocks import is_dask
 from sklearn_raacmm.utils import check_weights, encode_groups
 
 # Residual, in standard deviations, from which a row has no weight; while none is as far off, all
@@ -56,27 +56,28 @@ def biweights(residuals, weights, codes=None):
     return np.square(np.maximum(1 - np.square(far / CUT), 0.0))
 
 
-def reweigh(estimator, X, y, sample_weight, groups):
+def reweigh(estimator, X, y, sample_weight, groups, group_std):
     """Fit a fitted network again with weights by the residuals, until these have settled.
 
     Parameters
     ----------
     estimator : RBFNetRegressor
-    X, y, sample_weight, groups
+    X, y, sample_weight, groups, group_std
         As given to its `fit`.
     """
     if is_dask(X):
         X, y = X.compute(), np.asarray(y)
     given = check_weights(sample_weight, X)
     targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
-    factor = np.ones(len(given))
-    codes = encode_groups(groups)[1] if estimator.offsets_ else None
+    factor, labelled = np.ones(len(given)), bool(np.any(estimator.group_std_))
+    codes = encode_groups(groups)[1] if labelled else None
     for _ in range(MAX_FITS):
         residuals = targets - estimator.predict(X).reshape(targets.shape)
         last, factor = factor, biweights(residuals, given, codes)
         if np.mean(np.abs(factor - last)) < SETTLED:
             break
-        estimator._fit_weighted(X, y, given * factor, groups, estimator.offsets_)
+        estimator._fit_weighted(X, y, given * factor, groups, group_std, labelled)
     if np.any(factor < 1):
-        estimator.posterior_ = estimator.posterior_.with_noise(1 / NORMAL_SQUARE)
+        parts = (network.with_noise(1 / NORMAL_SQUARE) for network in estimator.networks_)
+        estimator.networks_ = tuple(parts)
     estimator.row_weight_ = factor

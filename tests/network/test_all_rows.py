@@ -5,19 +5,14 @@ import pickle
 import numpy as np
 import pytest
 from mpmath import mp, mpf
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import NetworkPosterior, ProcessPosterior, _all_rows, _center_choice
-from sklearn_raacmm.network._network_posterior import RadialFunctions
-from sklearn_raacmm.network._training_data import merge, prepare
-
-
-@pytest.fixture(autouse=True)
-def few_rows_are_enough(monkeypatch):
-    monkeypatch.setattr(_all_rows, "FEWEST_ROWS", 20)
+from sklearn_raacmm.network import Network, _fit
+from sklearn_raacmm.network._candidates import RadialFunctions
+from sklearn_raacmm.network._kernels import kernel_matrix
+from sklearn_raacmm.network._rows import merge, prepare
 
 
 def rough(n=120, d=3, seed=0):
@@ -35,7 +30,7 @@ T = np.random.default_rng(1).uniform(-1.5, 1.5, (15, 3))
 def test_posterior_is_that_of_the_gaussian_process():
     model = RBFNetRegressor(**GIVEN, degree=-1).fit(X, Y)
     assert model.stop_reason_ == "all rows"
-    assert isinstance(model.posterior_, ProcessPosterior)
+    assert model.networks_[0].all_rows
     np.testing.assert_array_equal(model.centers_, X[model.center_indices_])
     assert len(model.centers_) == model.n_iter_ == len(X)
     assert model.error_reduction_.shape == model.criterion_path_.shape == (0,)
@@ -66,9 +61,9 @@ def test_weights_repeats_outputs_and_tail_against_extended_precision():
     B += 0.1 * rng.standard_normal(B.shape)
     A, B = np.vstack([A, A[:2]]), np.vstack([B, B[:2] + 0.1])
     weights = rng.uniform(0.2, 3, len(A))
-    model = RBFNetRegressor(length_scale=[0.3, 0.4], kernel="gaussian", degree=1, random_state=0)
+    model = RBFNetRegressor(length_scale=[0.3, 0.4], kernel="gaussian", degree=1, shared=True)
     model.fit(A, B, sample_weight=weights)
-    posterior = model.posterior_
+    (posterior,) = model.networks_
     assert model.stop_reason_ == "all rows"
     assert posterior.tail_ridge > 0
     assert np.ptp(posterior.alpha) > 0
@@ -108,6 +103,7 @@ def test_it_is_the_network_with_all_centres(degree):
     y = np.column_stack([Y, Y**2])
     options = GIVEN | {"alpha": [0.02, 0.1], "degree": degree}
     weights = np.random.default_rng(3).uniform(0.5, 2, len(X))
+    options["shared"] = True
     process = RBFNetRegressor(**options).fit(X, y, sample_weight=weights)
     network = RBFNetRegressor(len(X), **options).fit(X, y, sample_weight=weights)
     assert (process.stop_reason_, network.stop_reason_) == ("all rows", "n_centers")
@@ -148,9 +144,7 @@ def test_a_repeated_row_is_one_of_double_weight():
     [
         {"n_centers": 120},
         {"max_centers": 500},
-        {"max_candidates": 500},
-        {"criterion": "gcv"},
-        {"refine": True, "max_centers": None},
+        {"n_centers": 0.05},
         {"alpha": 1e-10},
         {"length_scale": 3.0},
     ],
@@ -158,28 +152,52 @@ def test_a_repeated_row_is_one_of_double_weight():
 def test_centres_are_chosen_where_asked_for_or_where_few_do(asked):
     model = RBFNetRegressor(**(GIVEN | asked)).fit(X, Y)
     assert model.stop_reason_ != "all rows"
-    assert isinstance(model.posterior_, NetworkPosterior)
+    assert not model.networks_[0].all_rows
 
 
-def test_rows_too_few_too_many_or_with_offsets_have_a_network(monkeypatch):
-    groups = np.repeat(np.arange(30), 4)
-    deviations = Y - (np.bincount(groups, Y) / 4)[groups]
-    with_offsets = RBFNetRegressor(**GIVEN).fit(X, deviations, groups=groups)
-    assert with_offsets.offsets_
-    assert with_offsets.stop_reason_ != "all rows"
-    for name, number in (("FEWEST_ROWS", 121), ("MOST_ROWS", 119)):
-        with monkeypatch.context() as patch:
-            patch.setattr(_all_rows, name, number)
-            assert RBFNetRegressor(**GIVEN).fit(X, Y).stop_reason_ == "criterion"
+def test_of_too_many_rows_as_many_as_there_is_room_for_are_centres(monkeypatch):
+    monkeypatch.setattr(_fit, "MOST_ROWS", 100)
+    model = RBFNetRegressor(**GIVEN, random_state=0).fit(X, Y)
+    assert model.stop_reason_ == "all rows"
+    assert len(model.centers_) == 100
+    np.testing.assert_array_equal(X[model.center_indices_], model.centers_)
+    few = RBFNetRegressor(**GIVEN).fit(model.centers_, Y[model.center_indices_])
+    np.testing.assert_allclose(model.predict(T), few.predict(T), atol=1e-9)
+
+
+@pytest.mark.parametrize("rough", [True, False])
+def test_rows_with_constants_are_generalised_least_squares(rough):
+    """The same posterior from a covariance that has the groups' constants in it."""
+    rng = np.random.default_rng(0)
+    groups = np.arange(120) % 12
+    weights = rng.uniform(0.5, 2, 120)
+    y = Y + 0.5 * rng.standard_normal(12)[groups]
+    given = GIVEN | {"kernel": "matern52", "n_centers": "auto" if rough else 120}
+    model = RBFNetRegressor(**given)
+    model.fit(X, y, sample_weight=weights, groups=groups, group_std=0.5)
+    (network,) = model.networks_
+    assert network.all_rows == rough
+    assert model.group_std_ == pytest.approx(0.5, rel=0.2)
+    Z = X / GIVEN["length_scale"]
+    noise = np.diag(network.weight_unit / weights) + network.ratio * np.equal.outer(groups, groups)
+    C = kernel_matrix(Z, Z, "matern52") + network.alpha[0] * noise
+    one = np.ones(120)
+    constant = one @ np.linalg.solve(C, y) / (one @ np.linalg.solve(C, one))
+    across = kernel_matrix(T / GIVEN["length_scale"], Z, "matern52")
+    gain = np.linalg.solve(C, across.T).T
+    mean, covariance = model.predict(T, return_cov=True, with_noise=False)
+    np.testing.assert_allclose(mean, constant + gain @ (y - constant), atol=1e-8)
+    left = kernel_matrix(*[T / GIVEN["length_scale"]] * 2, "matern52") - gain @ across.T
+    unknown = 1 - gain.sum(axis=1)
+    left += np.outer(unknown, unknown) / (one @ np.linalg.solve(C, one))
+    np.testing.assert_allclose(covariance, model.signal_variance_ * left, atol=1e-8)
 
 
 def test_a_limit_of_centres_out_of_reach_takes_all_rows(monkeypatch):
     smooth = {"length_scale": 1.5, "alpha": 0.02}
     assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "criterion"
-    monkeypatch.setitem(_center_choice._MAX_CENTERS, "posterior", 10)
+    monkeypatch.setattr(_fit, "MAX_CENTERS", 10)
     assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "all rows"
-    with pytest.warns(ConvergenceWarning, match="default limit of 10"):
-        RBFNetRegressor(**smooth, refine=True).fit(X, Y)
 
 
 def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
@@ -187,16 +205,16 @@ def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
     weights = np.random.default_rng(0).uniform(0.5, 2, 600)
     problem = prepare(merge(A, y[:, None], weights), 0)
     functions = RadialFunctions("matern32", np.zeros(3), np.array([0.5, 1.0, 2.0]))
-    share = _all_rows.share_of_parameters(problem, 0.1, functions)
+    share = _fit.share_of_parameters(problem, 0.1, functions, 600)
     Z = problem.X / functions.length_scale
     d = np.sqrt(3) * np.linalg.norm(Z[:, None] - Z, axis=2)
     values = np.linalg.eigvalsh(problem.root * (1 + d) * np.exp(-d) * problem.root.T)
     assert share == pytest.approx(np.mean(values / (values + 0.1)), rel=1e-9)
     # From samples of 100 and 200 rows: a little too large, and an upper bound once it is small.
-    monkeypatch.setattr(_all_rows, "_FIRST_SAMPLE", 100)
-    monkeypatch.setattr(_all_rows, "_LARGEST_SAMPLE", 200)
-    assert share < _all_rows.share_of_parameters(problem, 0.1, functions) < 1.3 * share
-    assert _all_rows.share_of_parameters(problem, 0.1, functions, 0.999) < 0.999
+    monkeypatch.setattr(_fit, "FIRST_SAMPLE", 100)
+    monkeypatch.setattr(_fit, "LARGEST_SAMPLE", 200)
+    assert share < _fit.share_of_parameters(problem, 0.1, functions, 600) < 1.3 * share
+    assert _fit.share_of_parameters(problem, 0.1, functions, 600, 0.999) < 0.999
 
 
 def test_a_kept_model_is_small_and_the_same():
@@ -206,18 +224,10 @@ def test_a_kept_model_is_small_and_the_same():
     assert len(pickle.dumps(model)) == size
     assert size < 8 * len(X) ** 2 / 2
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(model)).predict(T, True), expected)
-    state = model.posterior_.__getstate__()
+    state = model.networks_[0].__getstate__()
     state["weights"] = state["weights"][:-1]
-    with pytest.raises(ValueError, match="weights of ProcessPosterior has shape"):
-        ProcessPosterior.__new__(ProcessPosterior).__setstate__(state)
-
-
-def test_a_warm_start_goes_from_all_rows_to_few_and_back():
-    model = RBFNetRegressor(warm_start=True, **GIVEN).fit(X, Y)
-    first = model.predict(T)
-    assert model.set_params(length_scale=3.0).fit(X, Y).stop_reason_ == "criterion"
-    assert model.set_params(length_scale=GIVEN["length_scale"]).fit(X, Y).stop_reason_ == "all rows"
-    np.testing.assert_array_equal(model.predict(T), first)
+    with pytest.raises(ValueError, match="weights of Network has shape"):
+        Network.__new__(Network).__setstate__(state)
 
 
 def test_outliers_are_left_out():
@@ -227,7 +237,7 @@ def test_outliers_are_left_out():
     assert model.stop_reason_ == "all rows"
     assert np.all(model.row_weight_[::15] == 0)
     # The noise that is known to be too small counts in the uncertainty of the function, too.
-    posterior = model.posterior_
+    (posterior,) = model.networks_
     ratio = posterior.noise_variance / posterior.signal_variance
     np.testing.assert_allclose(ratio, posterior.alpha, rtol=1e-12)
     wider = posterior.with_noise(2.0).predict(T, return_std=True)[1]

@@ -7,7 +7,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _candidates, _center_choice
+from sklearn_raacmm.network import _candidates, _fit
 
 
 def rough(n=500, d=4, seed=0):
@@ -25,32 +25,31 @@ def test_a_cut_factor_does_not_end_the_choice(monkeypatch):
     # What the factor leaves out says nothing of the candidates within its span: with a rank of 200
     # of 500 the choice used to end after a few dozen, as if the others depended on them.
     X, y, _ = rough()
-    monkeypatch.setattr(_center_choice, "MAX_RANK", 200)
+    monkeypatch.setattr(_fit, "MAX_RANK", 200)
     with pytest.warns(ConvergenceWarning, match="lies outside the 200 dimensions"):
         model = RBFNetRegressor(**GIVEN, max_centers=130).fit(X, y)
     assert model.stop_reason_ == "max_centers"
     assert len(model.centers_) == 130
     with pytest.warns(ConvergenceWarning):
-        more = RBFNetRegressor(**GIVEN, max_centers=133, tol=1e-9).fit(X, y)
+        more = RBFNetRegressor(**GIVEN, max_centers=133).fit(X, y)
     assert len(more.centers_) == 133
 
 
 def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
     X, y, _ = rough(300)
-    monkeypatch.setattr(_center_choice, "MAX_RANK", 100)
-    monkeypatch.setattr(_center_choice, "_RANK_PER_CENTER", 0.1)
+    monkeypatch.setattr(_fit, "MAX_RANK", 100)
+    monkeypatch.setattr(_fit, "RANK_PER_CENTER", 0.1)
     with pytest.warns(ConvergenceWarning, match="of the prior variance at the candidates"):
-        RBFNetRegressor(**GIVEN, tol=0).fit(X, y)
-    # This criterion has no goal that rounding might reach one centre earlier.
-    model = RBFNetRegressor(**GIVEN, criterion="mse", tol=0).fit(X, y)
+        model = RBFNetRegressor(1e-6, **GIVEN).fit(X, y)
     assert model.stop_reason_ == "rank"
     assert len(model.centers_) == 100
 
 
 def test_share_outside_the_factor_is_that_of_the_whole_matrix(monkeypatch):
+    monkeypatch.setattr(_fit, "takes_all_rows", lambda *args: False)
     X, y, _ = rough(300)
-    monkeypatch.setattr(_center_choice, "MAX_RANK", 100)
-    monkeypatch.setattr(_center_choice, "_RANK_PER_CENTER", 0.1)
+    monkeypatch.setattr(_fit, "MAX_RANK", 100)
+    monkeypatch.setattr(_fit, "RANK_PER_CENTER", 0.1)
     seen = []
     whiten = _candidates.whiten
 
@@ -66,8 +65,9 @@ def test_share_outside_the_factor_is_that_of_the_whole_matrix(monkeypatch):
 
 def test_more_centres_on_demand_raise_the_rank(monkeypatch):
     X, y, _ = rough(500)
-    monkeypatch.setattr(_center_choice, "MAX_RANK", 100)
-    monkeypatch.setitem(_center_choice._MAX_CENTERS, "posterior", 60)
+    monkeypatch.setattr(_fit, "MAX_RANK", 100)
+    monkeypatch.setattr(_fit, "MAX_CENTERS", 60)
+    monkeypatch.setattr(_fit, "takes_all_rows", lambda *args: False)
     T, _, truth = rough(400, seed=1)
     with pytest.warns(ConvergenceWarning) as record:
         few = RBFNetRegressor(**GIVEN).fit(X, y)

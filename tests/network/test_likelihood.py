@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
+from scipy.stats import multivariate_normal
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
@@ -12,7 +13,6 @@ from sklearn_raacmm.network._likelihood import (
     exact_likelihood,
     leave_one_out,
     noise_likelihood,
-    projected_likelihood,
 )
 
 
@@ -24,12 +24,6 @@ def some_data(n=40, q=2, seed=0):
 
 
 THETA = np.array([0.1, 0.4, -0.2, -1.0, -3.0])
-
-
-def forms(data, kernel):
-    Z = np.random.default_rng(1).standard_normal((12, 3))
-    yield lambda t: exact_likelihood(data, kernel, t[:3], t[3:])
-    yield lambda t: projected_likelihood(data, Z, kernel, t[:3], t[3:])
 
 
 def test_gradient_by_ridge_where_the_triangle_is_inverted_by_halves():
@@ -49,31 +43,82 @@ def test_gradient_by_ridge_where_the_triangle_is_inverted_by_halves():
 
 
 @pytest.mark.parametrize("small", [False, True])
+@pytest.mark.parametrize("constants", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS))
-def test_gradients_against_finite_differences(name, small):
+def test_gradients_against_finite_differences(name, constants, small):
     # Small ridges go another way, by eigenvectors.
-    theta = THETA - [0, 0, 0, 15, 8] if small else THETA
-    for function in forms(some_data(), name):
-        found = function(theta)
-        for i in (None, 0, 1):
+    theta = np.append(THETA - ([0, 0, 0, 15, 8] if small else 0.0), -1.0)
+    data = some_data()
+    data = data._replace(codes=np.sort(np.arange(40) % 7)) if constants else data
 
-            def part(t, f=function, i=i):
-                return f(t).value if i is None else f(t).signal[i]
+    def function(t):
+        return exact_likelihood(data, name, t[:3], t[3:5], np.exp(t[5]) if constants else 0.0)
 
-            numeric = approx_fprime(theta, part, 1e-7)
-            gradient = found.gradient if i is None else found.signal_gradient[i]
-            np.testing.assert_allclose(gradient, numeric, atol=2e-5 * np.abs(numeric).max())
+    found = function(theta)
+    for i in (None, 0, 1):
+
+        def part(t, i=i):
+            return function(t).value if i is None else function(t).signal[i]
+
+        numeric = approx_fprime(theta, part, 1e-7)
+        gradient = found.gradient if i is None else found.signal_gradient[i]
+        np.testing.assert_allclose(gradient, numeric, atol=2e-5 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize("q", [1, 2, 9])
-def test_exact_and_projected_agree_where_every_row_induces(q):
-    data = some_data(q=2)
+def covariance_of(data, alpha, ratio, kernel="matern52"):
+    """Of the targets over the signal variance, with a constant of each group."""
+    same = np.equal.outer(data.codes, data.codes)
+    noise = np.diag(1 / data.weights) + ratio * same
+    return kernel_matrix(data.X, data.X, kernel) + alpha * noise
+
+
+def test_value_with_constants_is_the_density_of_a_normal_variable():
+    data = some_data(q=1)._replace(codes=np.sort(np.arange(40) % 6), within=np.zeros(1))
+    values, densities = [], []
+    for ratio in (0.0, 0.01, 1.0, 50.0):
+        C = covariance_of(data, 0.3, ratio)
+        found = exact_likelihood(data, "matern52", np.zeros(3), np.log([0.3]), ratio)
+        # The variance is that of as many observations as the weights say.
+        signal = data.Y[:, 0] @ np.linalg.solve(C, data.Y[:, 0]) / data.n_total
+        assert found.signal[0] == pytest.approx(signal, rel=1e-9)
+        values.append(found.value)
+        extra = 0.5 * (len(C) - data.n_total) * np.log(signal)
+        density = multivariate_normal.logpdf(data.Y[:, 0], cov=signal * C)
+        densities.append(-density - extra)
+    # Neither constants of 2 pi and the weights nor the quadratic form, which is n.
+    np.testing.assert_allclose(np.diff(values), np.diff(densities), rtol=1e-9)
+
+
+def test_leave_one_out_with_constants_by_leaving_one_out():
+    data = some_data(25, q=1)._replace(codes=np.sort(np.arange(25) % 4), within=np.zeros(1))
+    C, y, error = covariance_of(data, 0.2, 3.0), data.Y[:, 0], 0.0
+    for row in range(25):
+        keep = np.arange(25) != row
+        gain = np.linalg.solve(C[np.ix_(keep, keep)], C[keep, row])
+        error += data.weights[row] * (y[row] - gain @ y[keep]) ** 2
+    found = leave_one_out(data, "matern52", np.zeros(3), np.log([0.2]), 3.0)
+    assert found.squared_error == pytest.approx(error, rel=1e-8)
+
+
+def test_linear_noise_and_constants_have_one_likelihood():
+    data = some_data(q=2)._replace(codes=np.sort(np.arange(40) % 6))
+    large = exact_likelihood(data, "gaussian", np.zeros(3), np.full(2, np.log(1e9)), 0.7)
+    assert large.value == pytest.approx(noise_likelihood(data, 0.7), abs=1e-5)
+
+
+def test_many_outputs_are_as_likely_as_each_alone():
+    data, q = some_data(q=2), 9
     data = data._replace(Y=np.resize(data.Y.T, (q, 40)).T, within=np.resize(data.within, q))
     theta = np.append(THETA[:3], np.linspace(-1, -3, q))
-    one = exact_likelihood(data, "matern52", theta[:3], theta[3:])
-    two = projected_likelihood(data, data.X, "matern52", theta[:3], theta[3:])
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-7)
+    together = exact_likelihood(data, "matern52", theta[:3], theta[3:])
+    alone = []
+    for i in range(q):
+        own = data._replace(Y=data.Y[:, [i]], within=data.within[[i]])
+        alone.append(exact_likelihood(own, "matern52", theta[:3], theta[3 + i : 4 + i]))
+    assert together.value == pytest.approx(sum(one.value for one in alone), rel=1e-9)
+    np.testing.assert_allclose(together.signal, [one.signal[0] for one in alone], rtol=1e-8)
+    widths = sum(one.gradient[:3] for one in alone)
+    np.testing.assert_allclose(together.gradient[:3], widths, rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -106,12 +151,9 @@ def test_weights_and_repeats_have_one_likelihood():
     once = Data(X, Y, counts.astype(float), np.zeros(1))
     often = Data(X[R], Y[R], np.ones(len(R)), np.zeros(1))
     theta = "matern52", np.zeros(2), np.array([-2.0])
-    for one, two in (
-        (exact_likelihood(once, *theta), exact_likelihood(often, *theta)),
-        (projected_likelihood(once, X[:8], *theta), projected_likelihood(often, X[:8], *theta)),
-    ):
-        assert one.value == pytest.approx(two.value, rel=1e-10)
-        np.testing.assert_allclose(one.gradient, two.gradient, rtol=1e-7)
+    one, two = exact_likelihood(once, *theta), exact_likelihood(often, *theta)
+    assert one.value == pytest.approx(two.value, rel=1e-10)
+    np.testing.assert_allclose(one.gradient, two.gradient, rtol=1e-7)
 
 
 def test_a_large_ridge_is_noise_alone():

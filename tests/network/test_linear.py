@@ -10,15 +10,10 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._candidates import _projected_triangle
 from sklearn_raacmm.network._kernels import kernel_matrix
-from sklearn_raacmm.network._large_data import ArrayChunks, chunked_problem
-from sklearn_raacmm.network._likelihood import Data
-from sklearn_raacmm.network._polynomial_tail import (
-    TAIL_RIDGES,
-    linear_left_out,
-    linear_process,
-    linear_ridge,
-)
-from sklearn_raacmm.network._training_data import merge, prepare, view_of
+from sklearn_raacmm.network._blocks import ArrayChunks, chunked_problem
+from sklearn_raacmm.network._likelihood import Data, left_out, log_likelihood
+from sklearn_raacmm.network._linear import RIDGES, linear_evidence
+from sklearn_raacmm.network._rows import merge, prepare, view_of
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -26,6 +21,10 @@ def linear(n, d, noise, seed=0, q=1):
     X = rng.standard_normal((n, d)) * rng.uniform(0.1, 10, d) + 5
     Y = X / X.std(axis=0) @ rng.standard_normal((d, q)) + 3
     return X, Y + noise * rng.standard_normal((n, q))
+
+
+def linear_ridge(columns, targets, within, n):
+    return linear_evidence(columns, targets, within, n, n).ridge
 
 
 @pytest.mark.parametrize("noise", [0.1, 3.0])
@@ -41,7 +40,7 @@ def test_ridge_makes_the_targets_most_probable(noise):
             total += multivariate_normal.logpdf(y, cov=variance * covariance)
         return total
 
-    expected = max(TAIL_RIDGES[20:61], key=probability)
+    expected = max(RIDGES[20:61], key=probability)
     assert linear_ridge(Z, about, np.zeros(2), 30) == expected
     assert 0.01 < expected / (8 * noise**2 / 8) < 100
 
@@ -51,7 +50,8 @@ def test_full_network_is_the_posterior_with_linear_functions():
     X, Y = linear(150, 3, 0.5, q=2)
     Y += np.sin(3 * X[:, :1] / X[:, 0].std())
     width = 0.3 * X.std(axis=0)
-    model = RBFNetRegressor(130, kernel="gaussian", length_scale=width, degree=1).fit(X, Y)
+    model = RBFNetRegressor(130, kernel="gaussian", length_scale=width, degree=1, shared=True)
+    model.fit(X, Y)
 
     def columns(T):
         radial = kernel_matrix(T / width, model.centers_ / width, "gaussian")
@@ -62,7 +62,7 @@ def test_full_network_is_the_posterior_with_linear_functions():
         columns(X)[:, 1:4], Y - Y.mean(axis=0), np.zeros(2), 150
     )
     gram, T = columns(X).T @ columns(X), X[:20] + 0.1
-    rows = model.posterior_.design_triangle()
+    rows = model.networks_[0].design_triangle()
     np.testing.assert_allclose(rows.T @ rows, gram + penalty, atol=1e-9 * gram.max())
     mean = model.predict(T)
     for i, alpha in enumerate(model.alpha_):
@@ -131,14 +131,14 @@ def test_features_beside_a_tail_with_a_ridge():
     X, Y = linear(60, 4, 2.0, q=2)
     problem = prepare(merge(X, Y, np.ones(60)), 1, True)
     assert len(problem.basis_rows) == 4
-    view, raw = view_of(problem), view_of(problem, centred=False)
+    view = view_of(problem)
 
     def features(block):
         return np.sin(block.X[:, :3])
 
     blocks = []
     problem.reduce(
-        lambda b: blocks.append((view.of(b)[0], raw.of(b)[1], features(b))), lambda *_: None, 8
+        lambda b: blocks.append((view.of(b)[0], b.targets, features(b))), lambda *_: None, 8
     )
     Q, y, F = (np.vstack(parts) for parts in zip(*blocks, strict=True))
     Q = np.vstack([Q, problem.basis_rows])
@@ -154,15 +154,15 @@ def test_evidence_of_a_linear_model_is_the_density_of_a_normal_variable():
     X, Y = linear(30, 8, 1.0, q=2)
     weights = np.random.default_rng(2).uniform(0.5, 2, 30)
     Y -= np.average(Y, axis=0, weights=weights)
-    found = linear_process(Data(X, Y, weights, np.zeros(2)))
     center = np.average(X, axis=0, weights=weights)
     Z = (X - center) / np.sqrt(np.average((X - center) ** 2, axis=0, weights=weights))
+    data, root, n = Data(X, Y, weights, np.zeros(2)), np.sqrt(weights)[:, None], weights.sum()
+    found = linear_evidence(root * Z, data.targets, np.zeros(2), n - 1, n)
     C = Z @ Z.T / found.ridge + np.diag(1 / weights)
-    density, left_out = 0.0, 0.0
+    density, alone = 0.0, 0.0
     for y in Y.T:
         # The variance at its optimum of as many observations as the weights say.
         variance = y @ np.linalg.solve(C, y) / weights.sum()
-        n = weights.sum()
         quadratic = y @ np.linalg.solve(C, y) / variance
         density -= 0.5 * (n * np.log(2 * np.pi * variance) + np.linalg.slogdet(C)[1] + quadratic)
         for i in range(30):
@@ -170,10 +170,11 @@ def test_evidence_of_a_linear_model_is_the_density_of_a_normal_variable():
             gain = np.linalg.solve(C[np.ix_(others, others)], C[others, i])
             error = (y[i] - gain @ y[others]) ** 2 * weights[i]
             spread = variance * (C[i, i] - gain @ C[others, i]) * weights[i]
-            left_out += 0.5 * (error / spread + np.log(spread))
-    assert found.log_likelihood == pytest.approx(density, rel=1e-9)
-    one = linear_left_out(Data(X, Y, weights, np.zeros(2)), found.ridge)
-    assert one.negative_log_density == pytest.approx(left_out, rel=1e-8)
+            alone += 0.5 * (error / spread + np.log(spread))
+    assert log_likelihood(data, found.value) == pytest.approx(density, rel=1e-9)
+    K = root * (Z @ Z.T) * root.T / found.ridge
+    one = left_out(data, K, np.ones(2))
+    assert one.negative_log_density == pytest.approx(alone, rel=1e-8)
 
 
 def test_as_many_features_as_rows_have_a_ridge():
@@ -224,7 +225,6 @@ def test_value_of_a_linear_model_does_not_depend_on_the_unit_of_y():
         {},
         {"alpha": 0.1},
         {"length_scale": 2.0},
-        {"selection": "newrb", "n_centers": 5},
     ],
 )
 def test_default_is_a_constant_and_radial_functions_elsewhere(settings):
@@ -246,10 +246,11 @@ def test_no_linear_function_in_noise():
     assert found <= 2
 
 
-def test_rows_in_blocks_keep_the_constant(monkeypatch):
-    monkeypatch.setattr("sklearn_raacmm.network._read_data.IN_MEMORY_ROWS", 100)
-    monkeypatch.setattr("sklearn_raacmm.network._read_data.SAMPLE_ROWS", 150)
-    X, Y = linear(400, 2, 0.3)
-    models = (RBFNetRegressor(degree=d, max_candidates=150, random_state=0) for d in ("auto", 0))
-    found, constant = (model.fit(X, Y).predict(X) for model in models)
-    np.testing.assert_array_equal(found, constant)
+def test_rows_in_blocks_may_be_linear_too(monkeypatch):
+    monkeypatch.setattr("sklearn_raacmm.network._read.IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr("sklearn_raacmm.network._read.HELD_ROWS", 150)
+    X, Y = linear(400, 2, 0.3, q=2)
+    found = RBFNetRegressor(random_state=0).fit(X, Y)
+    assert np.all(np.any(found.linear_coef_, axis=1))
+    expected = LinearRegression().fit(X, Y)
+    np.testing.assert_allclose(found.predict(X), expected.predict(X), atol=0.02 * Y.std())

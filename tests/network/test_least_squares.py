@@ -5,7 +5,7 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from sklearn_raacmm.network._nested_fits import (
+from sklearn_raacmm.network._least_squares import (
     divide,
     stack_triangles,
     triangle_of_all,

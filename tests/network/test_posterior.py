@@ -44,7 +44,8 @@ def test_covariance_and_draws_are_those_of_the_gaussian_process():
 
 @pytest.mark.parametrize("degree", [-1, 0, 1])
 def test_covariance_has_the_standard_deviation_on_its_diagonal(degree):
-    model = RBFNetRegressor(7, length_scale=[0.7, 60], alpha=0.1, degree=degree).fit(X, Y)
+    model = RBFNetRegressor(7, length_scale=[0.7, 60], alpha=0.1, degree=degree, shared=True)
+    model.fit(X, Y)
     for with_noise in (True, False):
         _, std = model.predict(T, return_std=True, with_noise=with_noise)
         _, covariance = model.predict(T, return_cov=True, with_noise=with_noise)

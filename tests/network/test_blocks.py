@@ -7,14 +7,15 @@ import pytest
 from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _read_data
-from sklearn_raacmm.network._large_data import ArrayChunks, _summarise, chunked_problem
-from sklearn_raacmm.network._training_data import merge, prepare
+from sklearn_raacmm.network import _read
+from sklearn_raacmm.network._blocks import ArrayChunks, _summarise, chunked_problem
+from sklearn_raacmm.network._rows import merge, prepare
 
 
 @pytest.fixture
 def few_in_memory(monkeypatch):
-    monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_read, "HELD_ROWS", 600)
+    monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
 
 
 def data(n=12_000, seed=0):
@@ -30,8 +31,7 @@ SETTINGS = {
     "defaults": {},
     "linear tail": {"degree": 1},
     "no tail, plain": {"degree": -1, "n_centers": 20, "length_scale": 0.5, "alpha": 0.0},
-    "cross-validation": {"criterion": "gcv", "max_centers": 40},
-    "newrb": {"selection": "newrb", "n_centers": 10, "length_scale": 0.5, "alpha": 0.0},
+    "shared, a share": {"n_centers": 0.1, "shared": True},
 }
 
 
@@ -39,7 +39,7 @@ SETTINGS = {
 def test_neither_order_nor_splits_matter(name, few_in_memory):
     da = pytest.importorskip("dask.array")
     X, Y, weights = data()
-    model = RBFNetRegressor(random_state=0, max_candidates=300).set_params(**SETTINGS[name])
+    model = RBFNetRegressor(random_state=0, max_centers=300).set_params(**SETTINGS[name])
     expected = model.fit(X, Y, sample_weight=weights).predict(X)
     np.testing.assert_array_equal(X[model.center_indices_], model.centers_)
     order = np.random.default_rng(1).permutation(len(X))
@@ -55,11 +55,11 @@ def test_neither_order_nor_splits_matter(name, few_in_memory):
 def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, monkeypatch):
     X, Y, weights = data(4000)
     settings = {"n_centers": 30, "length_scale": 0.7, "alpha": 1e-3, "degree": degree}
-    settings["random_state"] = 0
+    settings |= {"random_state": 0, "shared": True}
     whole = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     # All rows are candidates here too, but seen through sums over blocks.
-    monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 1000)
-    monkeypatch.setattr("sklearn_raacmm.network._center_choice.MAX_CANDIDATES", 3949)
+    monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_read, "HELD_ROWS", 3949)
     blocks = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     np.testing.assert_array_equal(blocks.center_indices_, whole.center_indices_)
     np.testing.assert_allclose(blocks.predict(X), whole.predict(X), atol=1e-9)
@@ -69,7 +69,7 @@ def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, mon
 
 def test_centres_chosen_by_a_coarse_factor_leave_hardly_more(few_in_memory):
     X, Y, _ = data()
-    settings = {"n_centers": 40, "length_scale": 0.8, "alpha": 0.0, "max_candidates": 1500}
+    settings = {"n_centers": 40, "length_scale": 0.8, "alpha": 0.0, "shared": True}
     coarse = RBFNetRegressor(**settings, random_state=0).fit(X, Y)
     # The exact choice among as many candidates, on a quarter of the rows.
     exact = RBFNetRegressor(**settings, random_state=0).fit(X[:1000], Y[:1000])
@@ -88,7 +88,7 @@ def test_moments_of_blocks_are_those_of_all_rows(degree, monkeypatch):
     X, Y, weights = data(5000)
     X = np.column_stack([X + 1e3, X[:, 0] - X[:, 1], np.full(len(X), 7.0)])
     Y = np.column_stack([Y, np.full(len(Y), -2.0)])
-    monkeypatch.setattr("sklearn_raacmm.network._large_data.CHUNK_ROWS", 700)
+    monkeypatch.setattr("sklearn_raacmm.network._blocks.CHUNK_ROWS", 700)
     blocks = chunked_problem(ArrayChunks(X, Y, weights), 5, degree, 200, 1)
     whole = prepare(merge(X, Y, weights), degree)
     assert (blocks.n_total, blocks.unit) == pytest.approx((whole.n_total, whole.unit))
@@ -117,8 +117,8 @@ def test_rows_that_repeat_are_merged_where_they_all_fit(few_in_memory):
 def test_rows_of_a_file_are_not_read_into_memory(tmp_path, monkeypatch):
     n = 200_000
     # Blocks as small beside this file as the usual ones are beside one that is worth a file.
-    monkeypatch.setattr("sklearn_raacmm.network._training_data.SMALL_BLOCK", 2**16)
-    monkeypatch.setattr("sklearn_raacmm.network._large_data.CHUNK_ROWS", 2**12)
+    monkeypatch.setattr("sklearn_raacmm.network._rows.SMALL_BLOCK", 2**16)
+    monkeypatch.setattr("sklearn_raacmm.network._blocks.CHUNK_ROWS", 2**12)
     rng = np.random.default_rng(0)
     X = np.memmap(tmp_path / "X", dtype=np.float64, mode="w+", shape=(n, 12))
     X[:] = rng.uniform(-1, 1, X.shape)
@@ -129,7 +129,8 @@ def test_rows_of_a_file_are_not_read_into_memory(tmp_path, monkeypatch):
     X, y = (np.memmap(f.filename, dtype=np.float64, mode="r", shape=f.shape) for f in (X, y))
     width = np.full(12, 1e3)
     width[0] = 0.7
-    model = RBFNetRegressor(8, length_scale=width, alpha=1e-3, max_candidates=100, random_state=0)
+    monkeypatch.setattr(_read, "HELD_ROWS", 100)
+    model = RBFNetRegressor(8, length_scale=width, alpha=1e-3, random_state=0)
     tracemalloc.start()
     model.fit(X, y)
     peak = tracemalloc.get_traced_memory()[1]

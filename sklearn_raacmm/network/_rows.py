@@ -1,8 +1,15 @@
-"""Weighted data as the network's numerics want them: distinct rows, the tail projected out.
+"""Weighted data as the network's numerics want them: distinct rows, the polynomial projected out.
 
 All that the numerics need of the rows is a sum over them, or a triangular factor, which blocks of
 rows contribute to one after another. So they ask a problem to `reduce` a function over blocks, and
-do not know whether the rows are in memory (`Problem`) or elsewhere (`_large_data.ChunkedProblem`).
+do not know whether the rows are in memory (`Problem`) or elsewhere (`_blocks.ChunkedProblem`).
+
+Where targets are known up to a constant of each group of rows, these are random: their variance is
+`ratio` times that of the noise. With the weights w of the rows and the sum w_g of those of a group
+the noise has the covariance ``W^-1 + ratio G``, where G is 1 within a group. Rows less
+``1 - 1 / sqrt(1 + ratio w_g)`` times their group's weighted mean, times the root of their weights,
+have independent noise of unit variance: that is done to all columns and targets alike. A ratio of 0
+is no constants, an infinite one takes the whole mean out.
 """
 
 from functools import reduce
@@ -11,9 +18,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
-from sklearn_raacmm.network._group_noise import whiteners
-from sklearn_raacmm.network._polynomial_tail import linear_ridge, ridge_rows, tail_columns
-from sklearn_raacmm.utils import centred, chunk_size, chunks
+from sklearn_raacmm.network._linear import (
+    linear_evidence,
+    ridge_rows,
+    tail_columns,
+    without_constants,
+)
+from sklearn_raacmm.utils import chunk_size, chunks
 
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
@@ -31,69 +42,59 @@ class Block(NamedTuple):
 
     X: np.ndarray  # (m, d) rows as given
     root: np.ndarray  # (m, 1) root of their weights
-    tail: np.ndarray  # (m, p) polynomial tail times root
+    tail: np.ndarray  # (m, p) polynomial times root
     basis: np.ndarray  # (m, p) the same, orthonormal over all rows
     targets: np.ndarray  # (m, q) targets times root
     part: slice  # which of the problem's rows, where it holds them
-    codes: np.ndarray | None = None  # (m,) group of each row, where groups have offsets
-    whiteners: list | None = None  # matrix of each of these groups, see `with_group_noise`
+    codes: np.ndarray | None = None  # (m,) group of each row, where groups have constants
+    ratio: float = 0.0
 
     def weigh(self, columns):
-        """Columns at these rows, less the offsets of groups, times root; may overwrite them."""
-        if self.whiteners is not None:
-            return _whitened(self.whiteners, columns)
-        columns = centred(columns, self.codes, self.root[:, 0] ** 2)
+        """Columns at these rows, less groups' constants, times root; may overwrite them."""
+        columns = without_constants(columns, self.codes, self.root[:, 0] ** 2, self.ratio)
         columns *= self.root
         return columns
 
 
 class View(NamedTuple):
-    """Targets as a selection wants to see them."""
+    """Targets as a selection wants to see them: about the polynomial, in units of their spread."""
 
     outputs: np.ndarray  # those that vary
-    projection: np.ndarray | None  # (p, q) to project the tail out; None to leave it where it is
+    projection: np.ndarray  # (p, q) to project the polynomial out
     scale: np.ndarray  # (q,) by which they are divided
     within: np.ndarray  # (q,) sum of squares in these units that no model can explain
     total: np.ndarray  # (q,) sum of squares in these units, without the former
 
     def of(self, block):
-        """Orthonormal basis of the tail, and targets."""
+        """Orthonormal basis of the polynomial, and targets."""
         targets = block.targets[:, self.outputs]
-        if self.projection is None:
-            return block.basis[:, :0], targets / self.scale
         return block.basis, (targets - block.basis @ self.projection) / self.scale
 
 
-def view_of(problem, centred=True):
-    """Targets that vary, about the tail and in units of their spread; or as they are."""
+def view_of(problem):
+    """Targets that vary, about the polynomial and in units of their spread."""
     outputs = np.flatnonzero(problem.spread > 0)
-    scale = problem.spread[outputs] if centred else np.ones(len(outputs))
+    scale = problem.spread[outputs]
     within = problem.within[outputs] / scale**2
-    total = problem.n_total * (problem.spread[outputs] / scale) ** 2 - within
-    projection = problem.projection[:, outputs]
-    if not centred:
-        total += np.square(projection).sum(axis=0)
-    return View(outputs, projection if centred else None, scale, within, total)
+    total = problem.n_total - within
+    return View(outputs, problem.projection[:, outputs], scale, within, total)
 
 
 class Problem(NamedTuple):
-    """Distinct rows in sorted order, with everything multiplied by the root of its weight.
-
-    Where groups of rows have unknown offsets, everything is taken less its weighted mean over the
-    group, before it is multiplied: for a linear model this is the same as to fit an offset to each
-    (the theorem of Frisch and Waugh).
-    """
+    """Distinct rows in sorted order, with everything multiplied by the root of its weight."""
 
     X: np.ndarray  # (n, d) rows as given
+    Y: np.ndarray  # (n, q) mean targets
     first: np.ndarray  # (n,) where each was first seen
     root: np.ndarray  # (n, 1) root of the weights, in units of `unit`
     unit: float  # mean weight of an observation
-    n_total: float  # number of observations, the sum of the weights in these units, less offsets
-    targets: np.ndarray  # (n, q) mean targets times root
+    n_total: float  # number of observations, the sum of the weights in these units
     within: np.ndarray  # (q,) sum of squares lost by taking means
-    codes: np.ndarray | None  # (n,) group of each row, sorted, where groups have offsets
+    codes: np.ndarray | None  # (n,) group of each row, sorted, where groups have constants
+    ratio: float = 0.0  # variance of these over that of an observation's noise
     # What `with_tail` adds.
-    tail: np.ndarray = None  # (n, p) polynomial tail times root
+    targets: np.ndarray = None  # (n, q) targets times root
+    tail: np.ndarray = None  # (n, p) polynomial times root
     basis: np.ndarray = None  # (n, p) orthonormal basis of it, together with `basis_rows`
     tail_map: np.ndarray = None  # (p, d + 1) its coefficients to those of (1, x)
     projection: np.ndarray = None  # (p, q) targets along the basis
@@ -101,8 +102,6 @@ class Problem(NamedTuple):
     tail_ridge: float = 0.0  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray = None  # (p - 1, p) the ridge as further rows of the basis, if any
     tail_dof: float = 0.0  # effective number of the tail's columns
-    # What `with_group_noise` adds: a matrix of each group, in place of centring and root.
-    whiteners: list | None = None
 
     view = view_of
 
@@ -111,13 +110,13 @@ class Problem(NamedTuple):
         return len(self.X)
 
     @property
-    def tail_rows(self):
-        """The ridge as further rows of the tail."""
-        return ridge_rows(self.n_tail, self.tail_ridge, self.codes is None)
-
-    @property
     def n_tail(self):
         return self.tail.shape[1]
+
+    @property
+    def tail_rows(self):
+        """The ridge as further rows of the polynomial."""
+        return ridge_rows(self.n_tail, self.tail_ridge)
 
     @property
     def sample(self):
@@ -127,20 +126,81 @@ class Problem(NamedTuple):
     def of_outputs(self, outputs):
         """The same rows with some of the outputs."""
         own = {name: getattr(self, name)[..., outputs] for name in ("within", "spread")}
-        wide = {name: getattr(self, name)[:, outputs] for name in ("targets", "projection")}
+        wide = ("Y", "targets", "projection")
         # In the order that they have where these outputs are all there are.
-        return self._replace(**own, **{k: np.ascontiguousarray(v) for k, v in wide.items()})
+        own |= {name: np.ascontiguousarray(getattr(self, name)[:, outputs]) for name in wide}
+        return self._replace(**own)
+
+    def with_tail(self, degree, ridged=False, ratio=None):
+        """The same rows with a polynomial, in place of the one they have.
+
+        Parameters
+        ----------
+        degree : {-1, 0, 1}
+        ridged : bool
+            Whether the linear part has a ridge, found by the likelihood.
+        ratio : float, optional
+            Variance of groups' constants over that of the noise, in place of the one it has.
+
+        Returns
+        -------
+        Problem
+        """
+        ratio = self.ratio if ratio is None else ratio
+        X, root, n_total = self.X, self.root, self.n_total
+        weights = root[:, 0] ** 2
+        tail, tail_map = tail_columns(X, weights, degree, ridged)
+
+        def weigh(columns):
+            return root * without_constants(columns, self.codes, weights, ratio)
+
+        tail, targets, ridge = weigh(tail), weigh(self.Y), 0.0
+        if ridged and degree == 1:
+            about = weigh(self.Y - np.average(self.Y, axis=0, weights=weights))
+            ridge = linear_evidence(tail[:, 1:], about, self.within, n_total - 1, n_total).ridge
+            if not ridge:
+                return self.with_tail(degree, ratio=ratio)
+        basis = basis_rows = tail
+        if tail.size:
+            stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
+            basis = qr(stacked, mode="economic", check_finite=False)[0]
+            basis, basis_rows = basis[: len(tail)], basis[len(tail) :]
+        projection = basis.T @ targets
+        left = np.square(targets - basis @ projection).sum(axis=0)
+        if ridge:
+            left += np.square(basis_rows @ projection).sum(axis=0)
+        spread = np.sqrt((left + self.within) / n_total)
+        # What is left of a constant by rounding is not variation.
+        spread[spread <= 1e-13 * np.abs(self.Y).max(axis=0)] = 0.0
+        return self._replace(
+            ratio=ratio,
+            targets=targets,
+            tail=tail,
+            basis=basis,
+            tail_map=tail_map,
+            projection=projection,
+            spread=spread,
+            tail_ridge=ridge,
+            basis_rows=basis_rows,
+            tail_dof=float(np.square(basis).sum()) if ridge else tail.shape[1],
+        )
+
+    def some(self, rows):
+        """The problem of some rows, of which those left out say nothing."""
+        names = ("X", "Y", "first", "root")
+        arrays = {name: getattr(self, name)[rows] for name in names}
+        n_total = np.square(arrays["root"]).sum()
+        codes = None if self.codes is None else np.unique(self.codes[rows], return_inverse=True)[1]
+        share = n_total / self.n_total
+        bare = self._replace(**arrays, n_total=n_total, within=share * self.within, codes=codes)
+        degree = -1 if not self.n_tail else int(self.tail_map[:, 1:].any())
+        return bare.with_tail(degree, bool(self.tail_ridge))
 
     def block(self, part):
-        """Some rows."""
+        """Some rows, of whole groups."""
         arrays = self.X, self.root, self.tail, self.basis, self.targets
-        codes, whiteners = self.codes, self.whiteners
-        if codes is not None:
-            codes = codes[part]
-            if whiteners is not None:
-                whiteners = whiteners[codes[0] : codes[-1] + 1]
-            codes = codes - codes[0]
-        return Block(*(a[part] for a in arrays), part, codes, whiteners)
+        codes = None if self.codes is None else self.codes[part] - self.codes[part][0]
+        return Block(*(a[part] for a in arrays), part, codes, self.ratio)
 
     def reduce(self, function, combine, width):
         """Combine the function of every block of rows, one after another.
@@ -158,13 +218,6 @@ class Problem(NamedTuple):
         if self.codes is not None:
             parts = _whole_groups(parts, self.codes)
         return reduce(combine, (function(self.block(part)) for part in parts))
-
-
-def _whitened(whiteners, columns):
-    """The rows of each group multiplied by its matrix."""
-    borders = np.cumsum([len(T) for T in whiteners])[:-1]
-    parts = zip(whiteners, np.split(columns, borders), strict=True)
-    return np.vstack([T @ rows for T, rows in parts])
 
 
 def _whole_groups(parts, codes):
@@ -244,7 +297,7 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
 
 
 def prepare(merged, degree, ridged=False):
-    """Set up the polynomial tail.
+    """Set up the polynomial.
 
     Parameters
     ----------
@@ -259,99 +312,7 @@ def prepare(merged, degree, ridged=False):
     """
     X, first, weights, Y, within, count, codes = merged
     unit = weights.sum() / count.sum()
-    n_total = count.sum() - (0 if codes is None else codes.max() + 1)
     weights, within = weights / unit, within.sum(axis=0) / unit
     root = np.sqrt(weights)[:, None]
-    targets = root * centred(Y, codes, weights)
-    bare = Problem(X, first, root, unit, n_total, targets, within, codes)
-    return with_tail(bare, degree, ridged)
-
-
-def with_tail(problem, degree, ridged=False):
-    """The same rows with a polynomial tail, in place of the one they have.
-
-    Parameters
-    ----------
-    problem : Problem
-    degree : {-1, 0, 1}
-    ridged : bool or float
-        Whether the linear part has a ridge, found by the likelihood; or this ridge, in units of an
-        observation.
-
-    Returns
-    -------
-    Problem
-    """
-    X, root, targets, within, codes = (
-        getattr(problem, name) for name in ("X", "root", "targets", "within", "codes")
-    )
-    weights, Y, n_total = root[:, 0] ** 2, targets / root, problem.n_total
-    tail, tail_map = tail_columns(X, weights, degree, codes, bool(ridged))
-    tail = root * tail
-    ridge = 0.0 if isinstance(ridged, bool) else ridged
-    if ridged is True and degree == 1:
-        constant = int(codes is None)
-        about = targets - root * np.average(Y, axis=0, weights=weights)
-        ridge = linear_ridge(tail[:, constant:], about, within, n_total - constant)
-        if not ridge:
-            return with_tail(problem, degree)
-    return _projected(problem._replace(tail=tail, tail_map=tail_map, tail_ridge=ridge))
-
-
-def _projected(problem):
-    """The problem with what follows from its tail and targets: a basis, and the spread about it."""
-    tail, targets, ridge = problem.tail, problem.targets, problem.tail_ridge
-    basis = basis_rows = tail
-    if tail.size:
-        stacked = np.vstack([tail, problem.tail_rows])
-        basis = qr(stacked, mode="economic", check_finite=False)[0]
-        basis, basis_rows = basis[: len(tail)], basis[len(tail) :]
-    projection = basis.T @ targets
-    about = targets - basis @ projection
-    left = np.square(about).sum(axis=0)
-    if ridge:
-        left += np.square(basis_rows @ projection).sum(axis=0)
-    spread = np.sqrt((left + problem.within) / problem.n_total)
-    # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * np.abs(targets / problem.root).max(axis=0)] = 0.0
-    return problem._replace(
-        basis=basis,
-        projection=projection,
-        spread=spread,
-        basis_rows=basis_rows,
-        tail_dof=float(np.square(basis).sum()) if ridge else tail.shape[1],
-    )
-
-
-def with_group_noise(problem, alpha, functions, share):
-    """The problem where a share of the noise is a smooth function of each group's own.
-
-    Its rows are multiplied by matrices that make the noise of a group independent, so that the
-    ordinary least squares of all that follows are generalised ones.
-
-    Parameters
-    ----------
-    problem : Problem
-        Where groups have offsets.
-    alpha : ndarray of shape (q,)
-        Ridges of all noise of an observation.
-    functions : RadialFunctions
-    share : float
-        Below 1.
-
-    Returns
-    -------
-    problem : Problem
-    alpha : ndarray of shape (q,)
-        Ridges of the noise of a deviation: the constant of a group's own function is no noise.
-    """
-    kernel, shift, length_scale = functions
-    Z, weights = (problem.X - shift) / length_scale, problem.root[:, 0] ** 2
-    matrices, variance = whiteners(Z, kernel, weights, problem.codes, share)
-    problem = problem._replace(
-        targets=_whitened(matrices, problem.targets / problem.root),
-        tail=_whitened(matrices, problem.tail / problem.root),
-        within=problem.within * variance / (1 - share),
-        whiteners=matrices,
-    )
-    return _projected(problem), alpha * variance
+    bare = Problem(X, Y, first, root, unit, count.sum(), within, codes)
+    return bare.with_tail(degree, ridged)

@@ -13,12 +13,8 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from sklearn.utils import check_array
 
-from sklearn_raacmm.network._polynomial_tail import (
-    independent_features,
-    ridge_rows,
-    tail_coefficients,
-)
-from sklearn_raacmm.network._training_data import (
+from sklearn_raacmm.network._linear import independent_features, ridge_rows, tail_coefficients
+from sklearn_raacmm.network._rows import (
     Block,
     Merged,
     Problem,
@@ -226,17 +222,19 @@ def _join(one, other, seed, size):
 
 
 class _Tail(NamedTuple):
-    """Polynomial tail of any rows."""
+    """Polynomial of any rows, and the targets that a problem has."""
 
-    used: np.ndarray | None  # features of the linear part; None for no tail at all
+    used: np.ndarray | None  # features of the linear part; None for no polynomial at all
     center: np.ndarray
     scale: np.ndarray
-    root: np.ndarray  # (p, p) triangular factor of the tail on all rows
+    root: np.ndarray  # (p, p) triangular factor of the polynomial on all rows
     unit: float  # of weights
+    outputs: np.ndarray
 
     def block(self, X, Y, weights):
         kept = weights > 0
-        X, Y, root = X[kept] + 0.0, Y[kept], np.sqrt(weights[kept] / self.unit)[:, None]
+        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
+        Y = Y[kept][:, self.outputs]
         if self.used is None:
             tail = np.empty((len(X), 0))
         else:
@@ -255,13 +253,10 @@ def _on_block(X, Y, weights, start, function, tail):
 class ChunkedProblem(NamedTuple):
     """Rows that are not held. Its fields are those of `Problem`, if not said otherwise."""
 
-    X: np.ndarray  # (m, d) distinct rows, a sample
-    first: np.ndarray
-    sample: Problem  # the same rows by themselves
+    sample: Problem  # distinct rows, a part of all
     n_rows: int  # more than the sample has
     unit: float
     n_total: float
-    within: np.ndarray  # nothing: repeated rows are not merged
     tail_map: np.ndarray
     projection: np.ndarray
     spread: np.ndarray
@@ -270,15 +265,45 @@ class ChunkedProblem(NamedTuple):
     tail_dof: float
     chunks: ArrayChunks | DaskChunks
     tail: _Tail
+    summary: _Summary
 
-    codes = None  # groups with offsets are for rows in memory
+    # Groups with constants are for rows in memory.
+    codes, ratio = None, 0.0
 
     view = view_of
     tail_rows = Problem.tail_rows
 
     @property
+    def X(self):  # noqa: N802
+        """Rows of the sample, of which some may become centres."""
+        return self.sample.X
+
+    @property
+    def first(self):
+        return self.sample.first
+
+    @property
+    def within(self):
+        """Nothing: repeated rows are not merged."""
+        return np.zeros(len(self.spread))
+
+    @property
     def n_tail(self):
         return len(self.tail_map)
+
+    def of_outputs(self, outputs):
+        """The same rows with some of the outputs."""
+        return self._replace(
+            sample=self.sample.of_outputs(outputs),
+            projection=self.projection[:, outputs],
+            spread=self.spread[outputs],
+            tail=self.tail._replace(outputs=self.tail.outputs[outputs]),
+        )
+
+    def with_tail(self, degree, ridged, ratio=None):
+        """The same rows with another polynomial; see `Problem.with_tail`."""
+        sample = self.sample.with_tail(degree, ridged)
+        return _problem_of(self.chunks, self.summary, sample, degree, self.tail.outputs)
 
     def reduce(self, function, combine, width):
         """As `Problem.reduce`."""
@@ -300,7 +325,7 @@ def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
     seed : int
         Of the sample.
     ridged : bool
-        Whether the linear part of the tail has a ridge: that of the sample.
+        Whether the linear part of the polynomial has a ridge: that of the sample.
 
     Returns
     -------
@@ -317,19 +342,27 @@ def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
     summary = chunks.reduce(partial(_summarise, **options), partial(_join, **options), width)
     if not summary.n_rows:
         raise ValueError("Sample weights must contain at least one non-zero number.")
-    d, q = n_features, len(summary.mean) - n_features
     sample = prepare(summary.sample, degree, ridged)
     if summary.complete:
         return sample
-    weight, mean, unit = summary.n_rows, summary.mean, summary.weight / summary.n_rows
-    scatter = summary.scatter / unit
+    outputs = np.arange(len(summary.mean) - n_features)
+    return _problem_of(chunks, summary, sample, degree, outputs)
+
+
+def _problem_of(chunks, summary, sample, degree, outputs):
+    """The problem of some outputs, of which a sample has its polynomial already."""
+    d, weight, unit = sample.X.shape[1], summary.n_rows, summary.weight / summary.n_rows
+    at = np.append(np.arange(d), d + outputs)
+    mean, largest = summary.mean[at], summary.largest[at]
+    scatter = summary.scatter[np.ix_(at, at)] / unit
     center, scale = mean[:d], np.sqrt(scatter.diagonal()[:d] / weight)
     tail_map, used, root = np.empty((0, d + 1)), None, np.empty((0, 0))
-    projection, total = np.empty((0, q)), scatter.diagonal()[d:] + weight * mean[d:] ** 2
+    projection = np.empty((0, len(outputs)))
+    total = scatter.diagonal()[d:] + weight * mean[d:] ** 2
     if degree >= 0:
         used = np.empty(0, dtype=int)
         if degree == 1:
-            used = independent_features(summary.sample.X, center, scale, summary.largest[:d])
+            used = independent_features(sample.X, center, scale, largest[:d])
         tail_map = tail_coefficients(d, used, center, scale)
         root = np.zeros((1 + len(used),) * 2)
         root[0, 0] = np.sqrt(weight)
@@ -343,18 +376,14 @@ def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
         total = scatter.diagonal()[d:] - np.square(along).sum(axis=0)
     spread = np.sqrt(np.maximum(total, 0.0) / weight)
     # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * summary.largest[d:]] = 0.0
-    tail = _Tail(used, center, scale, root, unit)
+    spread[spread <= 1e-13 * largest[d:]] = 0.0
     basis_rows = ridge_rows(len(root), sample.tail_ridge)
     basis_rows = solve_triangular(root, basis_rows.T, trans="T").T if len(root) else basis_rows
     return ChunkedProblem(
-        sample.X,
-        sample.first,
         sample,
         summary.n_rows,
         unit,
         weight,
-        np.zeros(q),
         tail_map,
         projection,
         spread,
@@ -362,5 +391,6 @@ def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
         basis_rows,
         len(root) - np.square(basis_rows).sum(),
         chunks,
-        tail,
+        _Tail(used, center, scale, root, unit, outputs),
+        summary,
     )

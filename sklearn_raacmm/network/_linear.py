@@ -1,0 +1,131 @@
+"""What of a network is linear: groups' constants, the polynomial, and the evidence for it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import qr
+
+from sklearn_raacmm.utils import group_means
+
+# Ridges that are tried: powers of 2, whose choice no rounding changes.
+RIDGES = 2.0 ** np.arange(-40, 41)
+# The prior of the noise variance: below this share of an output's variance each power of e costs so
+# many nats, as much as two observations say.
+SILENT, DOUBT = 0.05, 1.0
+
+
+def independent_features(X, center, scale, largest):
+    """Features that vary and are not combinations of others, which add nothing to the span."""
+    used = np.flatnonzero(scale > 1e-13 * largest)
+    R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
+    size = np.abs(R.diagonal())
+    return np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
+
+
+def tail_coefficients(d, used, center, scale):
+    """From coefficients of (1, (x - center) / scale) to those of (1, x), (1 + used, d + 1)."""
+    tail_map = np.zeros((1 + len(used), d + 1))
+    tail_map[0, 0] = 1.0
+    tail_map[1:, 0] = -center[used] / scale[used]
+    tail_map[np.arange(1, 1 + len(used)), 1 + used] = 1 / scale[used]
+    return tail_map
+
+
+def tail_columns(X, weights, degree, ridged=False):
+    """Columns of the polynomial, in features centred and scaled so that they are well conditioned.
+
+    With fewer rows than features some are combinations of others by chance: `ridged` keeps them,
+    because a ridge tells them apart.
+
+    Returns
+    -------
+    columns : ndarray of shape (n, p)
+    tail_map : ndarray of shape (p, d + 1)
+        Their coefficients to those of (1, x).
+    """
+    n, d = X.shape
+    if degree < 0:
+        return np.empty((n, 0)), np.empty((0, d + 1))
+    center, used = np.average(X, axis=0, weights=weights), np.empty(0, dtype=int)
+    scale = np.sqrt(np.average(np.square(X - center), axis=0, weights=weights))
+    largest = np.abs(X).max(axis=0)
+    if degree and ridged and n <= d:
+        used = np.flatnonzero(scale > 1e-13 * largest)
+    elif degree:
+        used = independent_features(X, center, scale, largest)
+    columns = np.column_stack([np.ones(n), (X[:, used] - center[used]) / scale[used]])
+    return columns, tail_coefficients(d, used, center, scale)
+
+
+def ridge_rows(n_tail, ridge):
+    """Rows that, below those of the polynomial, give its linear part a ridge; the constant none."""
+    return np.sqrt(ridge) * np.eye(n_tail)[1:] if ridge else np.empty((0, n_tail))
+
+
+def without_constants(columns, codes, weights, ratio):
+    """Columns less that share of their groups' means which makes the noise independent."""
+    if codes is None or not ratio:
+        return columns
+    share = 1 - 1 / np.sqrt(1 + ratio * np.bincount(codes, weights))
+    return columns - (share[:, None] * group_means(columns, codes, weights))[codes]
+
+
+class LinearEvidence(NamedTuple):
+    """Evidence of a linear model whose coefficients have a ridge."""
+
+    ridge: float  # in units of an observation; 0 where there is nothing to be found
+    objective: float  # as `_objective` has it, without the price of features
+    value: float  # negative log likelihood, as `_likelihood` has it
+
+
+def linear_evidence(columns, targets, within, n_free, n_total):
+    """Ridge of a linear model, the same for all features and outputs, by its likelihood.
+
+    The coefficients of an output have independent normal priors of one variance, the noise variance
+    over the ridge; the noise variance is at its optimum for every output [1]_, and has the prior
+    that it has beside radial functions.
+
+    Parameters
+    ----------
+    columns : ndarray of shape (n, d)
+        Features, centred, in units of their spread, times the root of the weights.
+    targets : ndarray of shape (n, q)
+        About their mean, times the root of the weights.
+    within : ndarray of shape (q,)
+        Sum of squares that merging repeated rows took out of them.
+    n_free : float
+        Number of observations by which the ridge is found, less one where the mean was taken out:
+        as many features as rows would otherwise have no ridge, whatever the noise.
+    n_total : float
+        Number of observations.
+
+    Returns
+    -------
+    LinearEvidence
+
+    References
+    ----------
+    .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447.
+    """
+    nothing = LinearEvidence(0.0, np.inf, np.inf)
+    if not columns.size:
+        return nothing
+    U, d, _ = np.linalg.svd(columns, full_matrices=False)
+    along = U.T @ targets
+    left = np.square(targets - U @ along).sum(axis=0) + within
+    along, d2 = np.square(along), np.square(d)
+    total = left + along.sum(axis=0)
+    varying = total > 0
+    if not np.any(varying):
+        return nothing
+    left, along, share = left[varying], along[:, varying], SILENT * total[varying] / n_total
+
+    def likelihood(ridge, n):
+        misfit = np.maximum(left + (ridge / (d2 + ridge)) @ along, np.finfo(float).tiny)
+        log_det = varying.sum() * np.log1p(d2 / ridge).sum()
+        doubt = np.log1p(share / (misfit / n_total)).sum()
+        return 0.5 * (n * np.log(misfit).sum() + log_det), DOUBT * doubt
+
+    ridge = min(RIDGES, key=lambda ridge: sum(likelihood(ridge, n_free)))
+    value, doubt = likelihood(ridge, n_total)
+    return LinearEvidence(ridge, value + doubt, value)

@@ -1,0 +1,230 @@
+r"""What kernel, widths and ridge are found by: the marginal likelihood less the price of features.
+
+With few or noisy rows the likelihood alone finds narrow widths in features that do not matter. So
+every feature pays for being used, the more the more of them there are. With
+:math:`\rho` the inverse width in units of the feature's spread, :math:`s^2` the signal variance and
+n the number of observations, the penalty is
+
+.. math:: A\, q / (q + \kappa^2 / n) + \log(1 + (\rho / 0.3)^2), \qquad q = s^2 \rho^2,
+
+where :math:`A = 0.9 \log(1 + d)` for d features and q is the variance of the function's slope. A
+slope whose square is far above :math:`\kappa^2 / n`, its error from n observations, costs A,
+however steep it is; one that cannot be told from 0 costs nothing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError
+from scipy.optimize import minimize
+
+from sklearn_raacmm.network._likelihood import Data, exact_likelihood
+from sklearn_raacmm.network._linear import DOUBT, SILENT
+
+ALPHA_BOUNDS = (1e-12, 1e6)
+# In spreads of a feature: below, every sample is alone; above, a function is as good as linear.
+WIDTH_BOUNDS = (1e-2, 1e3)
+# Variance of groups' constants over that of an observation's noise: below, they are none; above,
+# nothing is left of a group's mean. Where the search for it starts.
+RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
+# Relative error of a standard deviation of the constants that is given.
+GIVEN_TO = 0.05
+# The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
+# inverse width at which further narrowness is penalised. The likelihood weighs the size of the data
+# by itself; what it does not know is from how many features one was picked. With A of 0.45
+# (log(n) / 2 + log(d) + 1) the weak interaction of noise twice the signal, 6 features and 300 rows
+# was given up (0.66 of the deviation was left, now 0.51); noise in 5, 20 and 50 features and weak
+# signals in 20 are told apart as before (benchmarks/bench_noise.py, two or three draws each).
+PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 0.3
+# Parameters up to which their curvatures are looked at, on the rows of the first stage: each costs
+# an evaluation there, a fifteenth of one on 1000 rows. The step of the difference, a logarithm; and
+# the least curvature, as a share of the largest.
+CURVATURES, CURVATURE_STEP, LEAST_CURVATURE = 30, 0.05, 1e-3
+
+
+class Task(NamedTuple):
+    """What is searched for: the parameters theta that are free, and what is given.
+
+    Theta are the logarithms of the free widths, in units of the features' spread, of the free
+    ridges, and of the ratio of groups' constants to the noise.
+    """
+
+    spread: np.ndarray  # (d,) unit of every width
+    used: np.ndarray  # (d,) mask of the features; the width of the others is infinite
+    n_outputs: int
+    isotropic: bool = False  # one width, in units of each feature's spread
+    length_scale: np.ndarray | None = None  # (d,) given widths
+    alpha: np.ndarray | None = None  # (q,) given ridges
+    constants: bool = False  # whether groups have constants
+    constant_std: np.ndarray | None = None  # (q,) their standard deviation, where it is given
+
+    @property
+    def n_widths(self):
+        """Number of free widths."""
+        if self.length_scale is not None:
+            return 0
+        return 1 if self.isotropic else int(self.used.sum())
+
+    @property
+    def n_alphas(self):
+        """Number of free ridges."""
+        return self.n_outputs if self.alpha is None else 0
+
+    @property
+    def bounds(self):
+        """Of theta, (n, 2)."""
+        bounds = [WIDTH_BOUNDS] * self.n_widths + [ALPHA_BOUNDS] * self.n_alphas
+        return np.log(np.reshape(bounds + [RATIO_BOUNDS] * self.constants, (-1, 2)))
+
+    def start(self, width, alpha):
+        """Theta of one width, in units of sqrt(d) spreads, and one ridge for all."""
+        log_width = np.log(width * np.sqrt(self.used.sum()))
+        theta = np.append(np.full(self.n_widths, log_width), np.full(self.n_alphas, np.log(alpha)))
+        return np.append(theta, [np.log(START_RATIO)] * self.constants)
+
+    def unpack(self, theta):
+        """Logarithms of all widths (d,) and ridges (q,), and the ratio."""
+        if self.length_scale is None:
+            log_width = np.full(len(self.spread), np.inf)
+            log_width[self.used] = np.log(self.spread[self.used]) + theta[: self.n_widths]
+        else:
+            log_width = np.log(self.length_scale)
+        ratio = float(np.exp(theta[-1])) if self.constants else 0.0
+        if self.n_alphas:
+            return log_width, theta[self.n_widths :][: self.n_alphas], ratio
+        return log_width, np.log(np.maximum(self.alpha, ALPHA_BOUNDS[0])), ratio
+
+    def reduce(self, gradient):
+        """From derivatives by all widths, ridges and the ratio to those by theta."""
+        d = len(self.spread)
+        by_width = gradient[:d][self.used]
+        if self.isotropic:
+            by_width = [by_width.sum()]
+        by_alpha, by_ratio = gradient[d:][: self.n_alphas], gradient[-1:][: int(self.constants)]
+        return np.concatenate([by_width[: self.n_widths], by_alpha, by_ratio])
+
+
+class End(NamedTuple):
+    """Where a search has ended."""
+
+    kernel: str
+    task: Task
+    theta: np.ndarray
+    value: float  # objective, nats
+
+
+def objective(task, theta, data, kernel, kappa=KAPPA):
+    """Negative log likelihood with the penalty, in nats, and its gradient.
+
+    Parameters
+    ----------
+    task : Task
+    theta : ndarray of shape (n_parameters,)
+    data : Data
+    kernel : str
+    kappa : float, default=KAPPA
+
+    Returns
+    -------
+    float, ndarray of shape (n_parameters,)
+    """
+    log_width, log_alpha, ratio = task.unpack(theta)
+    try:
+        found = exact_likelihood(data, kernel, log_width, log_alpha, ratio)
+    except LinAlgError:
+        return np.inf, np.zeros(len(theta))
+    gradient = task.reduce(found.gradient)
+    of_signal = np.array([task.reduce(row) for row in found.signal_gradient])
+    # The signal variance in units of an output's variance, on average over outputs.
+    signal, widths = found.signal.mean(), theta[: task.n_widths]
+    penalty, of_penalty = _penalty(widths, signal, of_signal.mean(axis=0), data.n_total, kappa)
+    value, alphas = found.value + penalty, slice(task.n_widths, task.n_widths + task.n_alphas)
+    gradient += of_penalty
+    noise = found.signal * np.exp(log_alpha)
+    of_log_noise = of_signal / found.signal[:, None]
+    of_log_noise[:, alphas] += np.eye(len(noise))[:, : task.n_alphas]
+    if task.n_alphas:
+        # Noise below a part of the targets' variance has to be shown.
+        value += DOUBT * np.log1p(SILENT / noise).sum()
+        gradient -= DOUBT * (SILENT / (SILENT + noise)) @ of_log_noise
+    if task.constant_std is not None:
+        # The variance of the constants is given, and so is its ratio to that of the noise.
+        off = 0.5 * np.log(ratio * noise / task.constant_std**2) / GIVEN_TO
+        of_log_noise[:, -1] += 1.0
+        value += 0.5 * np.square(off).sum()
+        gradient += 0.5 * (off / GIVEN_TO) @ of_log_noise
+    return value, gradient
+
+
+def _penalty(log_width, signal, of_signal, n_total, kappa):
+    rho2 = np.exp(-2 * log_width)
+    price = PRICE * np.log1p(len(log_width))
+    floor = kappa**2 / n_total
+    slope = signal * rho2
+    used = slope / (slope + floor)  # of every feature, between 0 and 1
+    narrow = rho2 / NARROW**2
+    value = price * used.sum() + np.log1p(narrow).sum()
+    by_slope = price * floor / (slope + floor) ** 2
+    gradient = (by_slope @ rho2) * of_signal
+    gradient[: len(log_width)] -= 2 * by_slope * slope + 2 * narrow / (1 + narrow)
+    return value, gradient
+
+
+def used_share(end, data):
+    """How far every free width is paid for, between 0 (no slope) and 1, (n_widths,)."""
+    signal = exact_likelihood(data, end.kernel, *end.task.unpack(end.theta)).signal
+    slope = signal.mean() * np.exp(-2 * end.theta[: end.task.n_widths])
+    return slope / (slope + KAPPA**2 / data.n_total)
+
+
+def step_units(end, data):
+    """Unit of a step along each parameter: the root of the objective's curvature, inverted.
+
+    Found on a few rows. In these units a search on more rows takes a half to three quarters of
+    the evaluations.
+    """
+    task, theta, n = end.task, end.theta, len(end.theta)
+    if not 0 < n <= CURVATURES:
+        return np.ones(n)
+    here = objective(task, theta, data, end.kernel)[1]
+    up = theta + CURVATURE_STEP < task.bounds[:, 1]
+    steps = np.where(up, CURVATURE_STEP, -CURVATURE_STEP)
+    there = [objective(task, theta + row, data, end.kernel)[1] for row in np.diag(steps)]
+    curvature = np.abs((np.reshape(there, (n, n)) - here).diagonal() / steps)
+    if not 0 < curvature.max() < np.inf:
+        return np.ones(n)
+    # Relative to the steepest: the search itself finds the scale of all.
+    return np.sqrt(1 / np.maximum(curvature / curvature.max(), LEAST_CURVATURE))
+
+
+def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units=1.0):
+    """Search from a start, with steps in some units.
+
+    Returns
+    -------
+    End
+        Never worse than the start.
+    """
+    unit = data.n_total * data.Y.shape[1]
+    # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
+    # cost of a step allows.
+    nats = np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
+    values = []
+
+    def scaled(steps):
+        value, gradient = objective(task, steps * units, data, kernel, kappa)
+        values.append(value)
+        return value / unit, gradient * units / unit
+
+    theta = np.clip(theta, *task.bounds.T)
+    units = np.broadcast_to(units, len(theta))
+    if not len(theta):
+        return End(kernel, task, theta, scaled(theta)[0] * unit)
+    options = {"maxiter": steps, "ftol": nats / unit}
+    bounds = task.bounds / units[:, None]
+    found = minimize(
+        scaled, theta / units, method="L-BFGS-B", jac=True, bounds=bounds, options=options
+    )
+    if not found.fun * unit < values[0]:
+        return End(kernel, task, theta, values[0])
+    return End(kernel, task, found.x * units, found.fun * unit)

@@ -1,0 +1,396 @@
+"""The fitted network as a value: its radial functions, weights and their posterior."""
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import LinAlgError, lapack
+
+from sklearn_raacmm.network._kernels import (
+    KERNELS,
+    kernel_matrix,
+    psd_inverse_root,
+    psd_root,
+    squared_distances,
+)
+from sklearn_raacmm.network._least_squares import penalise, triangular_factor
+from sklearn_raacmm.network._linear import ridge_rows, without_constants
+from sklearn_raacmm.utils import check_shapes, chunks, invert_triangle
+
+# Kernel values held at a time while predicting: they stay in a core's cache. For the standard
+# deviation of thousands of centres a hundred points at once are 1.7 times as fast as 26.
+_CHUNK, _CHUNK_OF_STD = 2**18, 2**20
+_SHAPES = {
+    "outputs": ("q",),
+    "centers": ("k", "d"),
+    "length_scale": ("d",),
+    "coef": ("k", "q"),
+    "polynomial": ("d1", "q"),
+    "tail_map": ("p", "d1"),
+    **dict.fromkeys(("alpha", "noise_variance", "signal_variance"), ("q",)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    r"""Radial functions of k centres that q outputs share, and the posterior of their weights.
+
+    `RBFNetRegressor` holds one for each output, exporters read it, and files keep it. It does not
+    change; ``dataclasses.replace`` makes another one. With the functions k(x), the polynomial's
+    columns :math:`t(x) = \mathrm{tail\_map}\,(1, x)` and the matrices A and B of `roots` an
+    output's mean and variance at x are
+
+    .. math:: m = \mathrm{polynomial}^\top (1, x) + \mathrm{coef}^\top k(x), \qquad
+       v = \mathrm{signal} \max(0, 1 - |A k|^2) + \mathrm{noise}\,(1 + |B (t, k)|^2).
+
+    Attributes
+    ----------
+    outputs : ndarray of shape (q,)
+        Which of the targets' columns.
+
+    kernel : str
+        Radial function.
+
+    length_scale : ndarray of shape (d,)
+        Widths, in the units of X; infinite for a feature that is ignored.
+
+    centers : ndarray of shape (k, d)
+        In the units of X.
+
+    coef : ndarray of shape (k, q)
+        Posterior mean of the weights.
+
+    polynomial : ndarray of shape (1 + d, q)
+        Constant and linear term.
+
+    alpha : ndarray of shape (q,)
+        Ridge, in units of an observation.
+
+    weight_unit : float
+        Weight of an observation.
+
+    noise_variance, signal_variance : ndarray of shape (q,)
+        In squared units of y.
+
+    tail_map : ndarray of shape (p, 1 + d)
+        From the coefficients of the polynomial's p columns in the fit to those of (1, x).
+
+    ratio : float
+        Variance of groups' constants over that of the noise.
+
+    triangle : ndarray of one dimension or None
+        Triangular factor of the columns at the training rows, polynomial first, packed by rows.
+        Trapezoidal where there were fewer rows than columns. None where all rows are centres: their
+        own factor follows from what is below.
+
+    weights : ndarray of shape (k,) or None
+        Of the centres as training rows, in units of an observation, where there is no triangle.
+
+    codes : ndarray of shape (k,) or None
+        Group of each of these, where groups have constants.
+
+    tail_ridge : float
+        Ridge of the polynomial's linear part, in units of an observation.
+    """
+
+    outputs: np.ndarray
+    kernel: str
+    length_scale: np.ndarray
+    centers: np.ndarray
+    coef: np.ndarray
+    polynomial: np.ndarray
+    alpha: np.ndarray
+    weight_unit: float
+    noise_variance: np.ndarray
+    signal_variance: np.ndarray
+    tail_map: np.ndarray
+    ratio: float = 0.0
+    triangle: np.ndarray | None = None
+    weights: np.ndarray | None = None
+    codes: np.ndarray | None = None
+    tail_ridge: float = 0.0
+
+    def __getstate__(self):
+        # Without what `_roots` keeps from one call to the next.
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __setstate__(self, state):
+        vars(self).update(state)
+        shapes = dict(_SHAPES)
+        shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
+        shapes |= {} if self.codes is None else {"codes": ("k",)}
+        check_shapes("Network", state, shapes, {}, ("length_scale", "noise_variance"))
+        if len(self.polynomial) != 1 + len(self.length_scale):
+            raise ValueError(
+                f"The file is damaged: polynomial of Network has {len(self.polynomial)} "
+                f"rows, where {1 + len(self.length_scale)} would fit the other arrays."
+            )
+
+    @property
+    def all_rows(self):
+        """Whether every training row is a centre."""
+        return self.triangle is None
+
+    @cached_property
+    def _scaled_centers(self):
+        """Middle of the centres, and the centres about it in units of the widths."""
+        shift = self.centers.mean(axis=0) if len(self.centers) else 0.0
+        return shift, (self.centers - shift) / self.length_scale
+
+    def with_noise(self, factor):
+        """The same with a larger variance of the noise, for one that was estimated too small.
+
+        Where all rows are centres, what the noise makes of the weights is a part of the prior's
+        variance, whose ratio to that of the noise is the ridge: both grow.
+        """
+        other = replace(self, noise_variance=factor * self.noise_variance)
+        if self.all_rows:
+            other = replace(other, signal_variance=factor * self.signal_variance)
+        return other
+
+    def scaled(self, X):
+        """Rows as the radial functions see them, (n, d)."""
+        return (X - self._scaled_centers[0]) / self.length_scale
+
+    def radial(self, X):
+        """Values of the radial functions, (n, k)."""
+        return kernel_matrix(self.scaled(X), self._scaled_centers[1], self.kernel)
+
+    def tail(self, X):
+        """Columns of the polynomial in the fit, (n, p)."""
+        return np.column_stack([np.ones(len(X)), X]) @ self.tail_map.T
+
+    def weigh(self, columns):
+        """Columns at all training rows, which are the centres, as the fit sees them."""
+        root = np.sqrt(self.weights)[:, None]
+        return root * without_constants(columns, self.codes, self.weights, self.ratio)
+
+    @cached_property
+    def prior_root(self):
+        """W such that ``|W k(x)|^2`` is the part of the prior variance in the centres' span."""
+        centers = self._scaled_centers[1]
+        return psd_inverse_root(kernel_matrix(centers, centers, self.kernel))
+
+    def design_triangle(self):
+        """Triangular factor of the columns at the training rows, polynomial first."""
+        p = len(self.tail_map)
+        n = p + len(self.centers)
+        if self.all_rows:
+            rows = self.weigh(np.hstack([self.tail(self.centers), self.radial(self.centers)]))
+            below = np.pad(ridge_rows(p, self.tail_ridge), ((0, 0), (0, len(self.centers))))
+            return triangular_factor(np.vstack([rows, below]))
+        size = next(m for m in range(n + 1) if m * n - m * (m - 1) // 2 == len(self.triangle))
+        rows = np.zeros((size, n))
+        rows[np.triu_indices(size, m=n)] = self.triangle
+        return rows
+
+    @cached_property
+    def _roots(self):
+        """A and B of every ridge."""
+        find = self._roots_of_process if self.all_rows else self._roots_of_centers
+        return {alpha: find(alpha) for alpha in np.unique(self.alpha)}
+
+    def _roots_of_centers(self, alpha):
+        centers, p = self._scaled_centers[1], len(self.tail_map)
+        root = psd_root(kernel_matrix(centers, centers, self.kernel))
+        R = penalise(self.design_triangle(), p, root, alpha)[1]
+        return self.prior_root, lapack.dtrtri(R)[0].T if R.size else R.T
+
+    def _roots_of_process(self, alpha):
+        root, p = np.sqrt(self.weights)[:, None], len(self.tail_map)
+        factor = covariance_factor(
+            self._scaled_centers[1], self.kernel, self.weights, alpha, self.codes, self.ratio
+        )
+        invert_triangle(factor)
+        # The matrix that whitens rows times their root is symmetric.
+        A = factor * root.T if self.codes is None else (root * self.weigh(factor.T / root)).T
+        along = A @ self.tail(self.centers)
+        rows = [np.sqrt(alpha) * along, ridge_rows(p, self.tail_ridge)]
+        inverse = np.linalg.inv(triangular_factor(np.vstack(rows))).T
+        return A, inverse @ np.hstack([np.eye(p), -along.T @ A])
+
+    def roots(self, output):
+        """Matrices A (r, k) and B (s, p + k) of an output's variance, see above."""
+        return self._roots[self.alpha[output]]
+
+    def _seen(self, X, K):
+        """Outputs of one ridge, its A and B, and A k and B (t, k) at some rows."""
+        columns = np.hstack([self.tail(X), K])
+        for alpha, (A, B) in self._roots.items():
+            yield np.flatnonzero(self.alpha == alpha), A, B, K @ A.T, columns @ B.T
+
+    def predict(self, X, return_std=False, with_noise=True):
+        """Mean and standard deviation.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n, d)
+
+        return_std : bool, default=False
+
+        with_noise : bool, default=True
+            Whether the deviation is that of an observation.
+
+        Returns
+        -------
+        mean : ndarray of shape (n, q)
+
+        std : ndarray of shape (n, q) or None
+        """
+        n, k = len(X), len(self.centers)
+        mean = np.tile(self.polynomial[0], (n, 1))
+        if np.any(self.polynomial[1:]):
+            mean += X @ self.polynomial[1:]
+        variance = np.empty_like(mean) if return_std else None
+        size = _CHUNK_OF_STD if return_std and self.all_rows else _CHUNK
+        for part in chunks(n, size // max(k, 1)):
+            K = self.radial(X[part])
+            mean[part] += K @ self.coef
+            for of, _, _, inside, solved in self._seen(X[part], K) if return_std else ():
+                outside = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
+                of_weights = np.square(solved).sum(axis=1) + float(with_noise)
+                variance[part, of] = np.outer(outside, self.signal_variance[of])
+                variance[part, of] += np.outer(of_weights, self.noise_variance[of])
+        return mean, np.sqrt(variance) if return_std else None
+
+    def covariance(self, X, with_noise=True):
+        """Covariance of predictions at some rows.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n, d)
+
+        with_noise : bool, default=True
+            Whether the noise of the observations is on the diagonal.
+
+        Returns
+        -------
+        ndarray of shape (n, n, q)
+        """
+        n, Z = len(X), self.scaled(X)
+        found = np.empty((n, n, len(self.alpha)))
+        prior, diagonal = kernel_matrix(Z, Z, self.kernel), np.diag_indices(n)
+        for of, _, _, inside, solved in self._seen(X, self.radial(X)):
+            outside = prior - inside @ inside.T
+            outside[diagonal] = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
+            of_weights = solved @ solved.T
+            of_weights[diagonal] += float(with_noise)
+            for i in of:
+                found[:, :, i] = self.signal_variance[i] * outside
+                found[:, :, i] += self.noise_variance[i] * of_weights
+        return found
+
+    def sample(self, X, n_samples, rng, with_noise=True):
+        """Draws from the posterior at some rows, (n, q, n_samples).
+
+        Raises
+        ------
+        ValueError
+            If the noise variance is infinite.
+        """
+        if not np.all(np.isfinite(self.noise_variance)):
+            raise ValueError("The noise variance is infinite: there is nothing to draw from.")
+        covariance = self.covariance(X, with_noise=False)
+        mean = self.predict(X)[0]
+        draws = np.empty((*mean.shape, n_samples))
+        for i in range(mean.shape[1]):
+            values, vectors = np.linalg.eigh(covariance[:, :, i])
+            half = vectors * np.sqrt(np.maximum(values, 0.0))
+            draws[:, i] = mean[:, i, None] + half @ rng.standard_normal((len(X), n_samples))
+            if with_noise:
+                noise = np.sqrt(self.noise_variance[i])
+                draws[:, i] += noise * rng.standard_normal((len(X), n_samples))
+        return draws
+
+    def gradient(self, X, of_variance=False):
+        """Derivatives of the mean, and of the variance, by the features.
+
+        Returns
+        -------
+        of_mean : ndarray of shape (n, q, d)
+
+        of_variance : ndarray of shape (n, q, d) or None
+
+        Raises
+        ------
+        ValueError
+            If that of the variance is asked for and the noise variance is infinite.
+        """
+        if of_variance and not np.all(np.isfinite(self.noise_variance)):
+            raise ValueError("The noise variance is infinite: it has no derivatives.")
+        n, (q, k) = len(X), self.coef.T.shape
+        of_mean = np.empty((n, q, len(self.length_scale)))
+        found = np.empty_like(of_mean) if of_variance else None
+        for part in chunks(n, _CHUNK // max(k, 1)):
+            Z = self.scaled(X[part])
+            K, slope = KERNELS[self.kernel].with_slope(
+                squared_distances(Z, self._scaled_centers[1])
+            )
+            for i in range(q):
+                of_mean[part, i] = self.polynomial[1:, i] + self._along(Z, slope * self.coef[:, i])
+            if of_variance:
+                found[part] = self._variance_gradient(X[part], Z, K, slope)
+        return of_mean, found
+
+    def _along(self, Z, G):
+        """Sum over centres j of G_ij d s_ij / d x_i, s the squared distance, (n, d)."""
+        along = Z * G.sum(axis=1, keepdims=True) - G @ self._scaled_centers[1]
+        return 2 * along / self.length_scale
+
+    def _variance_gradient(self, X, Z, K, slope):
+        """Derivatives of the variance, whose noise does not depend on x, (n, q, d)."""
+        p, found = len(self.tail_map), np.empty((len(X), len(self.alpha), X.shape[1]))
+        for of, A, B, inside, solved in self._seen(X, K):
+            # Where the span explains all of the prior variance its part is rounding, held at 0.
+            positive = np.square(inside).sum(axis=1) < 1
+            of_inside, of_solved = (inside @ A) * positive[:, None], solved @ B
+            for i in of:
+                by_columns = 2 * self.noise_variance[i] * of_solved
+                by_kernel = by_columns[:, p:] - 2 * self.signal_variance[i] * of_inside
+                found[:, i] = self._along(Z, by_kernel * slope)
+                found[:, i] += by_columns[:, :p] @ self.tail_map[:, 1:]
+        return found
+
+
+def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):
+    """Cholesky factor of a weighted kernel matrix with a ridge, in the memory of one matrix.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (n, d)
+        Rows divided by the length scales.
+    kernel : str
+    weights : ndarray of shape (n,)
+        Of the rows.
+    alpha : float
+    codes : ndarray of shape (n,), optional
+        Group of each row, where these have constants.
+    ratio : float
+        Their variance over that of the noise.
+
+    Returns
+    -------
+    ndarray of shape (n, n), Fortran order
+        Lower triangular.
+
+    Raises
+    ------
+    LinAlgError
+        If the matrix is not positive definite to working precision.
+    """
+    n, root = len(Z), np.sqrt(weights)
+    C = np.empty((n, n), order="F")
+    for part in chunks(n, _CHUNK_OF_STD // max(n, 1)):
+        below = slice(part.start if codes is None else 0, n)
+        C[below, part] = kernel_matrix(Z[part], Z[below], kernel).T
+    if codes is not None:
+        C = without_constants(without_constants(C, codes, weights, ratio).T, codes, weights, ratio)
+        C = np.asfortranarray(C)
+    if np.any(root != 1.0):
+        C *= root[:, None]
+        C *= root
+    C[np.diag_indices(n)] += alpha
+    factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
+    if failed:
+        raise LinAlgError("kernel matrix is not positive definite to working precision")
+    return factor

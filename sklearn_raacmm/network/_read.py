@@ -1,0 +1,172 @@
+"""What the user gives, checked: parameters, and the data as a problem in memory or in blocks."""
+
+import numpy as np
+
+from sklearn_raacmm.network._blocks import ArrayChunks, chunked_problem, dask_chunks, is_dask
+from sklearn_raacmm.network._kernels import KERNELS
+from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.utils import (
+    CENTRED,
+    LARGEST,
+    check_data,
+    check_weights,
+    encode_groups,
+    floats,
+    share_of_means,
+    show,
+)
+
+# Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.
+IN_MEMORY_ROWS, HELD_ROWS = 100_000, 10_000
+# Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
+_MAX_RANGE = 1e6
+# The same in units of a feature's spread, where the width is to be found: off by 2e-3. From 1e7 on
+# there were kernel matrices of simulated tables without a Cholesky factor.
+_MAX_SPREADS = 3e6
+# Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
+_MAX_WIDTH = 1e7
+
+
+def read_problem(estimator, X, y, sample_weight, groups, labelled, rng):
+    """The data, checked: in memory, or in blocks where they are many or elsewhere.
+
+    Notes on the estimator the number of features, and as `_flat` whether y has one dimension.
+
+    Parameters
+    ----------
+    estimator : RBFNetRegressor
+    X, y, sample_weight, groups
+        As given to its `fit`.
+    labelled : bool or None
+        Whether groups have constants. None: where their mean targets are small.
+    rng : numpy.random.RandomState
+        Draws the rows that may become centres where there are more.
+
+    Returns
+    -------
+    Problem or ChunkedProblem
+    """
+    # A linear part that the data have to ask for is added once they have.
+    degree = 0 if estimator.degree == "auto" else estimator.degree
+    ridged = isinstance(estimator.alpha, str)
+
+    def in_blocks(chunks, n_features):
+        if groups is not None:
+            raise ValueError(
+                f"groups are for at most {IN_MEMORY_ROWS} rows, which are held in memory; there "
+                f"are {len(chunks)}."
+            )
+        return chunked_problem(chunks, n_features, degree, HELD_ROWS, rng.randint(2**31), ridged)
+
+    if is_dask(X):
+        chunks = dask_chunks(X, y, sample_weight)
+        if len(chunks) > IN_MEMORY_ROWS:
+            estimator.n_features_in_ = X.shape[1]
+            estimator._flat = y.ndim == 1
+            return in_blocks(chunks, X.shape[1])
+        X, y = X.compute(), np.asarray(y)
+        sample_weight = None if sample_weight is None else np.asarray(sample_weight)
+    X, y = check_data(estimator, X, y)
+    _refuse_tiny("X", X)
+    _refuse_tiny("y", y)
+    weights = check_weights(sample_weight, X)
+    estimator._flat = y.ndim == 1
+    Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
+    if len(X) > IN_MEMORY_ROWS:
+        return in_blocks(ArrayChunks(X, Y, weights), X.shape[1])
+    codes = None if groups is None else encode_groups(groups, len(X))[1]
+    if labelled is None and codes is not None:
+        labelled = share_of_means(Y, codes, weights)[0] < CENTRED
+    return prepare(merge(X, Y, weights, codes=codes if labelled else None), degree, ridged)
+
+
+def _refuse_tiny(name, array):
+    """Refuse columns of numbers so small that their squares underflow."""
+    if not array.size:
+        return
+    size = np.maximum(array.max(axis=0), -array.min(axis=0))
+    tiny = (size > 0) & (size < 1 / LARGEST**2)
+    if np.any(tiny):
+        raise ValueError(
+            f"{name} holds a column of numbers no larger than {np.min(size[tiny]):g}: numbers "
+            f"below {1 / LARGEST**2:g} are refused, as their squares underflow. Use a smaller unit."
+        )
+
+
+def refuse_far(X, spread):
+    """Refuse numbers so far from the others that the distances of these are lost in rounding."""
+    low, high = X.min(axis=0), X.max(axis=0)
+    found = np.flatnonzero((spread > 0) & (high - low > _MAX_SPREADS * spread))
+    if len(found):
+        i = found[0]
+        raise ValueError(
+            f"Feature {i} has numbers from {low[i]:g} to {high[i]:g}, but most lie within a "
+            f"spread of {spread[i]:g}: beyond {_MAX_SPREADS:g} spreads distances between the "
+            "other rows are lost in rounding. If these are codes of missing values, leave their "
+            "rows out; else clip the feature or give its logarithm."
+        )
+
+
+def check_kernel(kernel, length_scale, n_outputs):
+    """Kernel of every output as a list, which given widths have to go with."""
+    if isinstance(kernel, str):
+        return [kernel] * n_outputs
+    names = np.asarray(kernel)
+    if names.shape != (n_outputs,) or not all(name in KERNELS for name in names.tolist()):
+        raise ValueError(
+            f"kernel must be a name, or one of {', '.join(KERNELS)} for each of the {n_outputs} "
+            f"outputs; got {show(kernel)}."
+        )
+    if np.ndim(length_scale) != 2:
+        raise ValueError(
+            "A kernel for each output needs length_scale of shape (n_outputs, n_features), too."
+        )
+    return names.tolist()
+
+
+def check_length_scale(length_scale, X, n_outputs, alpha, shared):
+    """Widths of every feature, (d,), or of every output (q, d); None where they are to be found."""
+    if isinstance(length_scale, str):
+        return None
+    width, d = floats("length_scale", length_scale), X.shape[1]
+    if width.shape not in ((), (d,), (n_outputs, d)):
+        raise ValueError(
+            f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
+            f"of the {d} features, or such a row for each of the {n_outputs} outputs."
+        )
+    if shared and width.ndim == 2:
+        raise ValueError("length_scale has a row for each output, which shared=True rules out.")
+    if not np.all(width >= 1 / LARGEST):
+        raise ValueError(
+            f"length_scale must be positive, at least {1 / LARGEST:g}; got {show(length_scale)}."
+        )
+    width = width if width.ndim == 2 else np.broadcast_to(width, d).copy()
+    ranges = np.ptp(X, axis=0)
+    for row in np.atleast_2d(width) if len(X) else ():
+        i = int(np.argmax(ranges / row))
+        if ranges[i] > _MAX_RANGE * row[i]:
+            raise ValueError(
+                f"length_scale is {row[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
+                f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
+            )
+        if alpha is not None and alpha.min() == 0 and 0 < ranges[i] * _MAX_WIDTH < row[i]:
+            raise ValueError(
+                f"length_scale is more than {_MAX_WIDTH:g} times the range of every feature: with "
+                "alpha=0 double precision does not tell the radial functions from a constant."
+            )
+    return width
+
+
+def of_each_output(name, given, n_outputs):
+    """A number that may be given, not negative, as an array of one for each output; or None."""
+    if given is None or isinstance(given, str):
+        return None
+    values = floats(name, given)
+    if values.ndim > 1 or (values.ndim == 1 and len(values) != n_outputs):
+        raise ValueError(
+            f"{name} has shape {values.shape}; it must be a number or have one entry for each of "
+            f"the {n_outputs} outputs."
+        )
+    if not np.all((values >= 0) & np.isfinite(values)):
+        raise ValueError(f"{name} must be finite and not negative; got {show(given)}.")
+    return np.broadcast_to(values, n_outputs).copy()

@@ -1,0 +1,251 @@
+"""Each output's own network, and one hidden layer for all, against networks of each alone."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+from sklearn_raacmm import RBFNetRegressor
+
+ALONG = np.array([0.9, -0.4])
+
+
+def waves(X):
+    """Slow outputs 0 and 3, a constant, and outputs 2 and 4 that are three times as fast."""
+    slow, fast = 1.2 * X @ ALONG, 3.6 * X @ ALONG
+    return np.column_stack(
+        [np.sin(slow), np.ones(len(X)), np.sin(fast), np.cos(slow), np.cos(fast)]
+    )
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(3)
+    X = rng.uniform(-3, 3, (120, 2))
+    noise = 0.1 * rng.standard_normal((120, 5))
+    return X, waves(X) + noise * [1, 0, 1, 1, 1], rng.uniform(-3, 3, (300, 2))
+
+
+@pytest.fixture(scope="module")
+def model(data):
+    return RBFNetRegressor(random_state=0).fit(*data[:2])
+
+
+@pytest.fixture(scope="module")
+def given():
+    """Data, and a network of which kernel and widths of every output are given."""
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (90, 2))
+    Y = np.column_stack([np.sin(k * X[:, 0]) + X[:, 1] for k in (1, 3, 2)])
+    params = {
+        "kernel": ["gaussian", "matern52", "matern32"],
+        "length_scale": [[1, 2], [0.4, np.inf], [0.7, 0.9]],
+        "alpha": [0.02, 0.04, 0.06],
+    }
+    Y += 0.05 * rng.standard_normal(Y.shape)
+    return X, Y, rng.uniform(-2.5, 2.5, (40, 2)), RBFNetRegressor(**params, degree=1).fit(X, Y)
+
+
+def test_each_output_has_the_network_that_it_would_have_alone(given):
+    X, Y, T, model = given
+    mean, std = model.predict(T, return_std=True)
+    _, covariance = model.predict(T, return_cov=True, with_noise=False)
+    slope, variance_slope = model.predict_gradient(T, return_variance=True)
+    start = 0
+    for i in range(3):
+        own = clone(model).set_params(
+            kernel=model.kernel[i], length_scale=model.length_scale[i], alpha=model.alpha[i]
+        )
+        own.fit(X, Y[:, i])
+        own_mean, own_std = own.predict(T, return_std=True)
+        np.testing.assert_allclose(mean[:, i], own_mean, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(std[:, i], own_std, rtol=1e-12)
+        own_covariance = own.predict(T, return_cov=True, with_noise=False)[1]
+        np.testing.assert_allclose(covariance[..., i], own_covariance, rtol=0, atol=1e-12)
+        for ours, alone in zip(
+            (slope, variance_slope), own.predict_gradient(T, return_variance=True), strict=True
+        ):
+            np.testing.assert_allclose(ours[:, i], alone, rtol=0, atol=1e-11)
+        for name in ("alpha_", "noise_variance_", "signal_variance_", "intercept_", "linear_coef_"):
+            np.testing.assert_allclose(getattr(model, name)[i], getattr(own, name), rtol=1e-12)
+        np.testing.assert_array_equal(model.length_scale_[i], own.length_scale_)
+        assert model.kernel_[i] == own.kernel_
+        centers = slice(start, start + len(own.centers_))
+        np.testing.assert_array_equal(model.centers_[centers], own.centers_)
+        np.testing.assert_array_equal(model.center_indices_[centers], own.center_indices_)
+        np.testing.assert_allclose(model.coef_[i, centers], own.coef_, rtol=1e-12)
+        start += len(own.centers_)
+    assert start == len(model.centers_)
+    np.testing.assert_array_equal(X[model.center_indices_], model.centers_)
+    # A weight for each centre of an output, and none for the others.
+    assert np.count_nonzero(model.coef_) == start
+    np.testing.assert_allclose(
+        model.predict(T), radial_sum(model, T) + model.intercept_ + T @ model.linear_coef_.T
+    )
+
+
+def radial_sum(model, T):
+    """The radial functions of several networks, summed by hand."""
+    total, start = np.zeros((len(T), 3)), 0
+    for i, network in enumerate(model.networks_):
+        stop = start + len(network.centers)
+        gap = (T[:, None] - model.centers_[start:stop]) / model.length_scale_[i]
+        r = np.linalg.norm(gap, axis=2)
+        phi = {
+            "gaussian": np.exp(-0.5 * r**2),
+            "matern52": (1 + np.sqrt(5) * r + 5 / 3 * r**2) * np.exp(-np.sqrt(5) * r),
+            "matern32": (1 + np.sqrt(3) * r) * np.exp(-np.sqrt(3) * r),
+        }
+        total[:, i] = phi[model.kernel_[i]] @ model.coef_[i, start:stop]
+        start = stop
+    return total
+
+
+def test_variances_are_those_of_the_matrices_that_exporters_read(given):
+    *_, T, model = given
+    for network in model.networks_:
+        A, B = network.roots(0)
+        K = network.radial(T)
+        columns = np.hstack([np.column_stack([np.ones(len(T)), T]) @ network.tail_map.T, K])
+        outside = np.maximum(1 - np.square(K @ A.T).sum(axis=1), 0)
+        variance = network.signal_variance * outside
+        variance += network.noise_variance * (1 + np.square(columns @ B.T).sum(axis=1))
+        _, std = network.predict(T, return_std=True)
+        np.testing.assert_allclose(std[:, 0] ** 2, variance, rtol=1e-12)
+
+
+def test_draws_have_the_mean_and_the_covariance_that_are_said(given):
+    *_, T, model = given
+    mean, covariance = model.predict(T[:3], return_cov=True)
+    draws = model.sample_y(T[:3], 20_000, random_state=0)
+    for i in range(3):
+        sd = np.sqrt(covariance[..., i].diagonal())
+        np.testing.assert_allclose(draws[:, i].mean(axis=1), mean[:, i], atol=5 * sd.max() / 140)
+        np.testing.assert_allclose(
+            np.cov(draws[:, i]), covariance[..., i], atol=0.05 * sd.max() ** 2
+        )
+
+
+def test_widths_are_found_for_each_output(data, model):
+    X, Y, T = data
+    error = np.std(model.predict(T) - waves(T), axis=0)
+    assert error[[0, 3]].max() < 0.06
+    assert error[[2, 4]].max() < 0.25
+    assert error[1] < 1e-12  # the constant
+    assert np.all(model.length_scale_[0] > 2 * model.length_scale_[2])
+    for i in range(5):  # on the same draws: to the last digit
+        own = RBFNetRegressor(random_state=0).fit(X, Y[:, i])
+        np.testing.assert_array_equal(model.predict(T)[:, i], own.predict(T))
+    # Widths that all share give up one of the two kinds, or follow the noise of the other.
+    shared = RBFNetRegressor(shared=True, random_state=0).fit(X, Y)
+    assert len(shared.networks_) == 1
+    assert np.max(np.std(shared.predict(T) - waves(T), axis=0) / np.fmax(error, 1e-3)) > 1.3
+
+
+def test_sums_over_outputs(data, model):
+    X, Y, _ = data
+    parts = [RBFNetRegressor(random_state=0).fit(X, y) for y in Y.T]
+    assert model.n_iter_ == sum(part.n_iter_ for part in parts)
+    value = sum(part.log_marginal_likelihood_value_ for part in parts)
+    assert model.log_marginal_likelihood_value_ == pytest.approx(value, rel=1e-12)
+    assert model.stop_reason_ == ", ".join(part.stop_reason_ for part in parts)
+    assert model.relevance_.sum() == pytest.approx(1)
+    assert np.argmax(model.relevance_) == 0
+
+
+def test_one_hidden_layer_is_the_trace_of_the_error_reduction(data):
+    """Chen's choice for several outputs: the largest sum of the shares of all outputs."""
+    X, Y, _ = data
+    Y = Y[:, [0, 2, 3]]
+    model = RBFNetRegressor(6, length_scale=1.0, alpha=0, shared=True).fit(X, Y * [1, 1e3, 1e-3])
+    assert model.coef_.shape == (3, 6)
+    gap = np.square(X[:, None] - X).sum(axis=2)
+    columns, targets = np.exp(-0.5 * gap), Y - Y.mean(axis=0)
+    columns, targets = columns - columns.mean(axis=0), targets / targets.std(axis=0)
+    chosen = []
+    for _ in range(6):
+        left = []
+        for j in range(len(X)):
+            A = columns[:, [*chosen, j]]
+            rest = targets - A @ np.linalg.lstsq(A, targets, rcond=None)[0]
+            left.append(np.inf if j in chosen else np.sum(rest**2))
+        chosen.append(int(np.argmin(left)))
+    np.testing.assert_array_equal(model.center_indices_, chosen)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_the_order_of_outputs_does_not_matter(data, shared):
+    X, Y, T = data
+    order = np.array([4, 1, 3, 0, 2])
+    one = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y)
+    other = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y[:, order])
+    atol = 2e-3 if shared else 1e-12
+    np.testing.assert_allclose(other.predict(T), one.predict(T)[:, order], rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_what_has_been_found_can_be_given(data, shared):
+    X, Y, T = data
+    model = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y)
+    again = clone(model).set_params(
+        kernel=model.kernel_, length_scale=model.length_scale_, alpha=model.alpha_
+    )
+    again = clone(again).fit(X, Y)
+    np.testing.assert_allclose(again.predict(T), model.predict(T), rtol=0, atol=1e-8)
+    assert not hasattr(again, "log_marginal_likelihood_value_")
+
+
+def test_outliers_in_one_of_the_outputs():
+    rng = np.random.default_rng(0)
+    X = np.sort(rng.uniform(-2, 2, (120, 1)), axis=0)
+    truth = np.column_stack([np.sin(X[:, 0]), np.sin(8 * X[:, 0])])
+    Y, rows = truth + 0.1 * rng.standard_normal(truth.shape), rng.permutation(120)[:5]
+    Y[rows, 0] += 10
+    robust = RBFNetRegressor(loss="tukey", random_state=0).fit(X, Y)
+    assert np.all(robust.row_weight_[rows] == 0)
+    assert np.std(robust.predict(X) - truth, axis=0).max() < 0.06
+
+
+@pytest.mark.parametrize(
+    ("params", "sentence"),
+    [
+        ({"length_scale": np.ones((3, 2))}, r"shape \(3, 2\).*2 features.*each of the 2 outputs"),
+        ({"kernel": ["gaussian", "matern52"]}, "needs length_scale of shape"),
+        ({"kernel": ["gaussian"], "length_scale": np.ones((2, 2))}, "for each of the 2 outputs"),
+        (
+            {"kernel": ["auto", "gaussian"], "length_scale": np.ones((2, 2))},
+            "kernel must be a name",
+        ),
+        ({"length_scale": [[1.0, 1.0], [1.0, 0.0]]}, "length_scale must be positive"),
+        ({"length_scale": [[1.0, 1.0], [1.0, 1e-9]]}, "does not resolve"),
+        ({"length_scale": np.ones((2, 2)), "shared": True}, "which shared=True rules out"),
+    ],
+)
+def test_odd_parameters(params, sentence):
+    X = np.random.default_rng(0).uniform(size=(20, 2))
+    with pytest.raises(ValueError, match=sentence):
+        RBFNetRegressor(**params).fit(X, X)
+
+
+def test_one_output_of_one_column(given):
+    X, Y, T, _ = given
+    rows = RBFNetRegressor(length_scale=[[1.0, 2.0]], kernel=["gaussian"], alpha=0.1)
+    plain = RBFNetRegressor(length_scale=[1.0, 2.0], kernel="gaussian", alpha=0.1).fit(X, Y[:, 0])
+    np.testing.assert_array_equal(rows.fit(X, Y[:, 0]).predict(T), plain.predict(T))
+
+
+def test_files(given):
+    *_, T, model = given
+    again = pickle.loads(pickle.dumps(model))
+    np.testing.assert_array_equal(again.predict(T), model.predict(T))
+    for sentence, changes in {
+        r"its networks predict the outputs \[1, 2\]": {"networks_": model.networks_[1:]},
+        "networks_ holds something else": {"networks_": (1, 2, 3)},
+        "center_indices_ of RBFNetRegressor": {"center_indices_": model.center_indices_[:-1]},
+    }.items():
+        lost = copy.deepcopy(model)
+        vars(lost).update(changes)
+        with pytest.raises(ValueError, match=sentence):
+            pickle.loads(pickle.dumps(lost))
