@@ -10,8 +10,7 @@ import numpy as np
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
+from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, LinearModel, Terms
 from sklearn_raacmm.export import _onnx, _reader
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files
@@ -22,13 +21,7 @@ from sklearn_raacmm.export._model_card import card_of
 from sklearn_raacmm.export._models import check_fitted, program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, test_rows
-from sklearn_raacmm.network import (
-    FeaturePowers,
-    GroupedPosterior,
-    NetworkPosterior,
-    ProcessPosterior,
-    RBFNetRegressor,
-)
+from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_path, show, write_whole
 
@@ -40,17 +33,13 @@ TRUSTED_TYPES = [
         Arm,
         Arm.azimuth,
         ArmResidualRegressor,
+        CylindricalResidualTarget,
         Fading,
-        FeaturePowers,
-        GroupedPosterior,
-        JointHarmonicRegressor,
         LinearModel,
+        Network,
         PoseFeatures,
-        NetworkPosterior,
-        ProcessPosterior,
         RBFNetRegressor,
         Terms,
-        CylindricalResidualTarget,
     )
 ]
 

@@ -18,26 +18,25 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm
-from sklearn_raacmm.correction import ArmResidualRegressor
 from sklearn_raacmm.error_model import (
     LOAD,
     PUSH,
     SHIFT,
-    JointHarmonicRegressor,
+    ArmResidualRegressor,
     column_table,
     force_on_probe,
     given_factors,
 )
 from sklearn_raacmm.export._program import Builder
-from sklearn_raacmm.network import RBFNetRegressor, networks_of
+from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show
 
 _SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 _LINEAR = (LinearRegression, Ridge)
-_OF_ARM = (JointHarmonicRegressor, ArmResidualRegressor)
-_KNOWN = (PoseFeatures, *_SCALERS, CylindricalResidualTarget, RBFNetRegressor, *_LINEAR, *_OF_ARM)
-OWN = (PoseFeatures, CylindricalResidualTarget, RBFNetRegressor, *_OF_ARM)
+OWN = (PoseFeatures, CylindricalResidualTarget, RBFNetRegressor, ArmResidualRegressor)
+_REGRESSORS = (RBFNetRegressor, ArmResidualRegressor, *_LINEAR)
+_KNOWN = (PoseFeatures, *_SCALERS, CylindricalResidualTarget, *_REGRESSORS)
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
 MOST_CENTERS = 2000
 # In place of a length that is nothing.
@@ -135,7 +134,7 @@ def arm_of(model):
 def extra_of(model):
     """Name and reference of each column after the angles, as `Terms` has them."""
     for _, step in leaves(model):
-        if isinstance(step, _OF_ARM):
+        if isinstance(step, ArmResidualRegressor):
             return step.linear_model_.terms.extra
     return ()
 
@@ -143,7 +142,7 @@ def extra_of(model):
 def is_flat(model):
     """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
     last = list(leaves(model))[-1].estimator
-    if isinstance(last, _OF_ARM):
+    if isinstance(last, ArmResidualRegressor):
         return False
     # A linear model without intercept has a scalar for it in either case.
     return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
@@ -153,16 +152,19 @@ def described(step):
     """What a step is, in a few words for people."""
     name = type(step).__name__
     if isinstance(step, RBFNetRegressor):
-        parts = [(part.outputs, part.kernel, len(part.centers)) for part in _networks(step)]
-        texts = [f"{kernel}, {k} centres" for _, kernel, k in parts]
+        parts = step.networks_
+        texts = [f"{part.kernel}, {len(part.centers)} centres" for part in parts]
         if len(parts) > 1:
-            named = [", ".join(map(str, outputs)) for outputs, _, _ in parts]
+            named = [", ".join(map(str, part.outputs)) for part in parts]
             texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]
         return f"{name}: {'; '.join(texts)}"
     if isinstance(step, PoseFeatures):
         return f"{name}: {', '.join(step._names())}"
-    if isinstance(step, _OF_ARM):
-        return f"{name}: {len(step.linear_model_.coef)} terms, {getattr(step, 'use_', 'harmonics')}"
+    if isinstance(step, ArmResidualRegressor):
+        inside = (
+            [described(inner) for _, inner in leaves(step.regressor_)] if step.regressor_ else []
+        )
+        return ", then ".join([f"{name}: {len(step.linear_model_.coef)} terms", *inside])
     return name
 
 
@@ -170,19 +172,18 @@ def described(step):
 
 
 class _Chain:
-    """A program that grows along a chain, and the arm that the angles belong to."""
+    """A chain that adds its operations to a program, and the arm that its angles belong to."""
 
-    def __init__(self, model, std):
-        first = next(leaves(model))
-        self.model, self.std = model, std
+    def __init__(self, model, p, std, x=None, unit=None):
+        self.p, self.std, self.x = p, std, p.x if x is None else x
         self.arm, self.unit = arm_of(model)
-        self.p = Builder(int(first.estimator.n_features_in_))
+        self.unit = self.unit if unit is None else unit
         self.trust = None
 
     def angles(self):
         """Joint angles in rad."""
         n = self.arm.n_joints
-        angles = self.p.x if self.p.size(self.p.x) == n else self.p.take(self.p.x, np.arange(n))
+        angles = self.x if self.p.size(self.x) == n else self.p.take(self.x, np.arange(n))
         return angles if self.unit == "rad" else self.p("mul", angles, np.pi / 180)
 
     def frames(self):
@@ -209,6 +210,10 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
+def _n_inputs(model):
+    return int(next(leaves(model)).estimator.n_features_in_)
+
+
 def program_of(model, std=False):
     """The program of a fitted model.
 
@@ -233,18 +238,18 @@ def program_of(model, std=False):
         If the model is not fitted.
     """
     check_fitted(model)
-    chain = _Chain(model, std)
-    p = chain.p
-    steps = list(leaves(model))
+    p = Builder(_n_inputs(model))
+    chain, steps = _Chain(model, p, std), list(leaves(model))
     y, v = _read(chain, steps, p.x)
-    outputs = {"y": p("finite", y, p.x)}
+    y = p("finite", y, p("join", p.x, y))
+    outputs = {"y": y}
     corrects = chain.arm is not None and p.size(y) == 3
     if corrects:
-        outputs["point"] = p("sub", chain.probe(), outputs["y"])
+        outputs["point"] = p("sub", chain.probe(), y)
     if chain.trust is not None:
-        outputs["trust"] = p("finite", chain.trust, outputs["y"])
+        outputs["trust"] = p("finite", chain.trust, y)
     if std:
-        outputs["std"] = p("finite", p("sqrt", v), outputs["y"])
+        outputs["std"] = p("finite", p("sqrt", v), y)
     about = {"steps": [described(step) for _, step in steps], "corrects": corrects}
     if chain.arm is not None:
         label = f" {chain.arm.name}" if chain.arm.name else ""
@@ -266,7 +271,7 @@ def _read(chain, steps, x):
             x = pose_features(chain, step)
         elif isinstance(step, _SCALERS):
             x = scaler(chain.p, step, x)
-        elif isinstance(step, (RBFNetRegressor, *_LINEAR, *_OF_ARM)):
+        elif isinstance(step, _REGRESSORS):
             if rest:
                 raise ValueError(
                     f"{rest[0].path} comes after the regressor, which cannot be exported."
@@ -278,12 +283,12 @@ def _read(chain, steps, x):
                 f"{', '.join(kind.__name__ for kind in _KNOWN)} and pipelines of these can. "
                 "to_onnx also takes what skl2onnx knows."
             )
-    names = ", ".join(kind.__name__ for kind in (RBFNetRegressor, *_LINEAR, *_OF_ARM))
+    names = ", ".join(kind.__name__ for kind in _REGRESSORS)
     raise ValueError(f"The model has no regressor at its end: none of {names}.")
 
 
 def _needs_angles(chain, path, x):
-    if x != chain.p.x:
+    if x != chain.x:
         raise ValueError(
             f"{path} comes after another transformer, which cannot be exported: it has to see the "
             "joint angles."
@@ -293,7 +298,7 @@ def _needs_angles(chain, path, x):
 def _regressor(chain, path, step, x):
     if isinstance(step, RBFNetRegressor):
         return network(chain.p, step, x, chain.std, with_noise=True)
-    if isinstance(step, _OF_ARM):
+    if isinstance(step, ArmResidualRegressor):
         _needs_angles(chain, path, x)
         return arm_model(chain, step)
     if chain.std:
@@ -315,7 +320,7 @@ def _cylindrical(chain, path, step, rest, x):
         n = step.n_features_in_ - 2
         direction, x = given_direction(p, p.take(x, [n, n + 1])), p.take(x, np.arange(n))
     elif step._rotates:
-        if x != p.x:
+        if x != chain.x:
             raise ValueError(
                 f"{path} takes its azimuth from the joint angles but comes after a transformer, "
                 "which cannot be exported."
@@ -354,22 +359,23 @@ def to_cartesian(p, direction, y, v=None):
 
 def step_program(step):
     """The program of one step by itself, transformer or regressor."""
-    chain = _Chain(step, False)
+    p = Builder(_n_inputs(step))
+    chain = _Chain(step, p, False)
     if isinstance(step, PoseFeatures):
         y = pose_features(chain, step)
     else:
-        y = _read(chain, list(leaves(step)), chain.p.x)[0]
-    return chain.p.program({"y": chain.p("finite", y, chain.p.x)}, {})
+        y = _read(chain, list(leaves(step)), p.x)[0]
+    return p.program({"y": p("finite", y, p.x)}, {})
 
 
 def direction_program(step):
     """Cosine and sine of the azimuth that a `CylindricalResidualTarget` turns by."""
-    chain = _Chain(step, False)
-    p, n = chain.p, step.n_features_in_
+    n = step.n_features_in_
+    p = Builder(n)
     if step._drops_direction:
         direction = given_direction(p, p.take(p.x, [n - 2, n - 1]))
     else:
-        direction = chain.direction()[0]
+        direction = _Chain(step, p, False).direction()[0]
     return p.program({"y": p("finite", direction, p.x)}, {})
 
 
@@ -393,7 +399,7 @@ def pose_features(chain, step):
         n = p.size(columns)
         both = p("join", p("cos", columns), p("sin", columns))
         columns = p.take(both, np.arange(2 * n).reshape(2, n).T.ravel())
-    columns = p("finite", columns, p.x)
+    columns = p("finite", columns, chain.x)
     if not step.append_azimuth:
         return columns
     direction, radius = chain.direction()
@@ -434,68 +440,14 @@ def scaler(p, step, x):
 # -- networks -------------------------------------------------------------------------------------
 
 
-class _Network(NamedTuple):
-    """One of the networks of an `RBFNetRegressor`: of outputs that share centres."""
-
-    outputs: np.ndarray
-    kernel: str
-    centers: np.ndarray
-    length_scale: np.ndarray
-    coef: np.ndarray  # (k, m)
-    polynomial: np.ndarray  # (1 + d, m)
-    alpha: np.ndarray
-    noise_variance: np.ndarray
-    signal_variance: np.ndarray
-    posterior: object
-
-
-def _networks(step):
-    """The networks of an `RBFNetRegressor`."""
-    return [
-        _Network(
-            np.asarray(outputs), part.posterior_.kernel, part.posterior_.centers,
-            part.posterior_.length_scale, np.atleast_2d(part.coef_).T,
-            np.vstack([np.atleast_1d(part.intercept_), np.atleast_2d(part.linear_coef_).T]),
-            part.posterior_.alpha, np.atleast_1d(part.noise_variance_),
-            np.atleast_1d(part.signal_variance_), part.posterior_,
-        )
-        for outputs, part in networks_of(step)
-    ]  # fmt: skip
-
-
 def network(p, step, x, std, with_noise):
     """Prediction and variance (or None) of an `RBFNetRegressor`."""
-    x, found, order = _powers(p, step, x), [], []
-    for part in _networks(step):
-        order += list(part.outputs)
-        found.append(_one_network(p, part, x, std, with_noise))
+    found = [_one_network(p, part, x, std, with_noise) for part in step.networks_]
     if len(found) == 1:
         return found[0]
-    place = np.argsort(order)
-    y, v = (p("join", *parts) if parts[0] is not None else None for parts in zip(*found))
-    return p.take(y, place), None if v is None else p.take(v, place)
-
-
-def _powers(p, step, x):
-    """Features as an `RBFNetRegressor` sees them, see `FeaturePowers`."""
-    powers = step.powers_
-    which = powers.changed
-    if not len(which):
-        return x
-    exponent, unit, start, low = (
-        getattr(powers, name)[which] for name in ("lambdas", "unit", "start", "low")
-    )
-    value = p.take(x, which)
-    at = p("max", value, low)
-    u = p("log", p("add", p("div", at, unit), start))
-    power = p("sub", p("exp", p("mul", u, exponent)), 1.0)
-    power = p("div", power, np.where(exponent == 0, 1.0, exponent))
-    power = p("add", power, p("mul", u, (exponent == 0).astype(float)))
-    slope = p("mul", p("exp", p("mul", u, exponent - 1)), p("sub", value, at))
-    power = p("add", p("mul", p("add", power, 1.0 - start), unit), slope)
-    place = np.arange(p.size(x))
-    place[which] = p.size(x) + np.arange(len(which))
-    return p.take(p("join", x, power), place)
+    place = np.argsort(np.concatenate([part.outputs for part in step.networks_]))
+    y = p.take(p("join", *(y for y, _ in found)), place)
+    return y, p.take(p("join", *(v for _, v in found)), place) if std else None
 
 
 def _one_network(p, net, x, std, with_noise):
@@ -535,6 +487,11 @@ def _network_variance(p, net, x, phi, with_noise):
     rounding, which ``1 - |g|^2`` alone has multiplied by a signal much larger than the noise.
     """
     noise, signal, k = net.noise_variance, net.signal_variance, len(net.centers)
+    if np.any(noise < 0) or np.any(signal < 0):
+        raise ValueError(
+            f"The network's variances of noise and signal must not be negative, got {noise} and "
+            f"{signal}: it cannot be exported."
+        )
     found = p.constant(noise * float(with_noise))
     turn, spectrum, across, left, tail_map = _spectrum(net)
     known = np.maximum(spectrum + net.alpha[:, None], np.finfo(float).tiny)
@@ -591,18 +548,18 @@ def _spectrum(net):
         Its corner.
     tail_map : ndarray of shape (p, 1 + d)
     """
-    posterior, k = net.posterior, len(net.centers)
+    k = len(net.centers)
     if k > MOST_CENTERS:
         raise ValueError(
             f"The standard deviation of a network of {k} centres would need a table of "
             f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
             f"max_centers={MOST_CENTERS}."
         )
-    tail_map, rows = posterior.tail_map, posterior.design_triangle()
+    tail_map, rows = net.tail_map, net.design_triangle()
     p = len(tail_map)
     if not k:
         return np.empty((0, 0)), np.empty(0), np.empty((p, 0)), rows, tail_map
-    whiten = posterior.prior_root
+    whiten = net.prior_root
     _, singular, turn = np.linalg.svd(rows[:, p:] @ whiten.T)
     spectrum = np.zeros(len(whiten))
     spectrum[: len(singular)] = np.square(singular)
@@ -613,50 +570,29 @@ def _spectrum(net):
 
 
 def arm_model(chain, step):
-    """Correction and variance (or None) of one of the arm's estimators: its stages, faded."""
-    p, linear = chain.p, step.linear_model_
-    use = getattr(step, "use_", "harmonics")
-    fadings = step.fadings_ if hasattr(step, "fadings_") else [step.fading_]
-    total, variances = p("mul", p.take(p.x, [0, 0, 0]), 0.0), []
-    if use != "none":
-        y, v, doubt = linear_model(chain, linear, fadings[0])
-        total = _faded(chain, y, doubt, fadings[0])
-        variances.append(v)
-    if use == "harmonics+network":
-        fades = fadings[1].factor > 0
-        x = pose_of(chain) if step.joints == "pose" else chain.angles()
-        y, v = network(p, step.network_, x, chain.std or fades, with_noise=False)
-        y, v = to_cartesian(p, chain.direction()[0], y, v)
-        doubt = None
-        if fades:
-            doubt = p("sub", p("dots", v, np.ones(3)), fadings[1].known_mm ** 2)
-            doubt = p("max", doubt, 0.0)
-        total = p("add", total, _faded(chain, y, doubt, fadings[1]))
-        variances.append(v)
-    total = _known_tools(chain, linear.terms.extra, total)
-    cap = getattr(step, "cap_mm_", np.inf)
-    if np.isfinite(cap):
-        length = p("max", p.length(total), _TINY)
-        total = p("mul", total, p("min", p("div", cap, length), 1.0))
-    if not chain.std:
-        return total, None
-    v = p.constant(np.zeros(3))
-    for variance in variances:
-        v = p("add", v, variance)
-    return total, p("mul", v, linear.std_scale**2)
-
-
-def _faded(chain, y, doubt, fading):
-    """A stage times the share of it that `Fading` leaves; the smallest share is the trust."""
-    if not fading.factor > 0:
-        return y
-    p = chain.p
-    share = p.constant(1.0)
-    if fading.size_mm > 0:
-        size = fading.size_mm**2
-        share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
-    chain.trust = share if chain.trust is None else p("min", chain.trust, share)
-    return p("mul", y, share)
+    """Correction and variance (or None) of an `ArmResidualRegressor`: both stages, faded."""
+    p, linear, fading = chain.p, step.linear_model_, step.fading_
+    for name in ("size_mm", "factor", "known_mm"):
+        value = getattr(fading, name)
+        if not 0 <= value < np.inf:
+            raise ValueError(
+                f"{name} of Fading must be a finite number of at least 0, got {value}."
+            )
+    y, v, doubt = linear_model(chain, linear, fading)
+    if not step.helps_:
+        y = p.constant(np.zeros(3))
+    if step.regressor_ is not None:
+        steps = list(leaves(step.regressor_))
+        second = _Chain(step.regressor_, p, False, chain.angles(), "rad")
+        y = p("add", y, _read(second, steps, second.x)[0])
+    if doubt is not None:
+        share = p.constant(1.0)
+        if fading.size_mm > 0:
+            size = fading.size_mm**2
+            share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
+        chain.trust, y = share, p("mul", y, share)
+    y = _known_tools(chain, linear.terms.extra, y)
+    return y, p("mul", v, linear.std_scale**2) if chain.std else None
 
 
 def _known_tools(chain, extra, y):
@@ -664,7 +600,7 @@ def _known_tools(chain, extra, y):
     p = chain.p
     for i, (name, known) in enumerate(extra):
         if name == "tool":
-            off = p("sub", p.take(p.x, [chain.arm.n_joints + i]), np.array(known))
+            off = p("sub", p.take(chain.x, [chain.arm.n_joints + i]), np.array(known))
             off = p("max", off, p("mul", off, -1.0))
             least = p.take(off, [0])
             for tool in range(1, len(known)):
@@ -679,8 +615,7 @@ def linear_model(chain, linear, fading):
     table = column_table(arm, linear.terms)
     m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
     if not m:
-        nothing = p("mul", p.take(p.x, [0, 0, 0]), 0.0)
-        return nothing, nothing, p.take(nothing, [0])
+        return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
     # Columns that share a vector stand together.
     vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
     order = np.argsort(vector, kind="stable")
@@ -745,7 +680,7 @@ def _sizes(chain, linear, table, vectors):
         sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
     if not extra:
         return sizes
-    values = p.take(p.x, arm.n_joints + np.arange(len(extra)))
+    values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
     pushed = np.flatnonzero(table.kind == PUSH)
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
@@ -796,7 +731,7 @@ def typical_rows(model, n, seed=0):
     """
     rng = np.random.default_rng(seed)
     arm, unit = arm_of(model)
-    n_inputs = int(next(leaves(model)).estimator.n_features_in_)
+    n_inputs = _n_inputs(model)
     if arm is not None and n_inputs >= arm.n_joints:
         turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
         extra = [rng.choice(known, n) for _, known in extra_of(model)]
@@ -806,8 +741,8 @@ def typical_rows(model, n, seed=0):
         if isinstance(step, _SCALERS):
             back.append(step)
         if isinstance(step, RBFNetRegressor):
-            centers = np.concatenate([part.centers for part in _networks(step)])
-            if len(centers) and not len(step.powers_.changed):
+            centers = np.concatenate([part.centers for part in step.networks_])
+            if len(centers):
                 pairs = rng.integers(0, len(centers), (2, n))
                 inside = centers[pairs].mean(axis=0)
                 rows[:, : inside.shape[1]] = inside
