@@ -268,31 +268,22 @@ class _Writer:
             self.put(*(f"    {line}" for line in lines))
             self.put(*([f"    v{number}[i] += {self._init(shift)};"] if np.any(shift) else []), "}")
         else:
-            n, packed = _packed(matrix.T)
-            table = self.tables("packed" if packed.ndim == 1 else "columns", packed)
+            n, packed, length = _packed(matrix.T)
+            table = self.tables("columns", packed.ravel())
             self.declare(number, " = {0}", padded=True)
             if np.any(shift):
                 self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift)};")
-            self.put(*self._product(f"v{number}", table, columns, n, packed.ndim == 1, f"{x}[c]"))
+            lines = ["for (int i = 0; i < n; ++i)", f"    v{number}[i] += row[i] * {x}[c];"]
+            self.put(
+                "{", f"    const {self.real} *row = {table};",
+                f"    for (int c = 0; c < {columns}; ++c) {{", f"        {length}",
+                *(f"        {line}" for line in lines), "        row += n;", "    }", "}",
+            )  # fmt: skip
 
     def _init(self, shift, i="i"):
         if len(shift) == 1:
             return self.numbers.literal(shift[0])
         return f"{self.tables('shift', np.asarray(shift, dtype=float))}[{i}]"
-
-    def _product(self, name, table, columns, n, is_packed, factor):
-        """Lines that add columns of a matrix times numbers; a triangle has them one by one."""
-        if not is_packed:
-            return [
-                f"for (int c = 0; c < {columns}; ++c)", f"    for (int i = 0; i < {n}; ++i)",
-                f"        {name}[i] += {table}[c][i] * {factor};",
-            ]  # fmt: skip
-        return [
-            "{", f"    const {self.real} *row = {table}; /* a triangle */",
-            f"    for (int c = 0; c < {columns}; ++c) {{", f"        {_LENGTH.format(n=n)}",
-            "        for (int i = 0; i < n; ++i)",
-            f"            {name}[i] += row[i] * {factor};", "        row += n;", "    }", "}",
-        ]  # fmt: skip
 
     def _sparse(self, number, matrix, shift, x):
         row, column = np.nonzero(matrix)
@@ -371,13 +362,12 @@ class _Writer:
 
     def _variances(self, number, op):
         root = op.given["root"]
-        n, packed = _packed(root)
+        n, packed, length = _packed(root)
         text = _VARIANCES.format(
             real=self.real, v=f"v{number}", m=len(root), r=n, axes=self.ops[op.inputs[0]].size // 3,
-            vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),
+            vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]), length=length,
             vector=self.tables("vector", op.given["vector"], "of each column"),
             root=self.tables("root", packed.ravel(), "of the coefficients' covariance, row by row"),
-            length=_LENGTH.format(n=n) if packed.ndim == 1 else f"const int n = {n};",
         )  # fmt: skip
         self.declare(number)
         self.put(*text.splitlines())
@@ -423,23 +413,24 @@ def function(program, tables, name, faded_below):
     return f"/* 0: fine, 1: faded, 2: not finite. */\n{head}\n{{\n{body}\n}}\n"
 
 
-# Of a triangle: entries of a row, up to the diagonal and to the end of a vector.
-_LENGTH = (
-    f"const int whole = c / {_VECTOR} * {_VECTOR} + {_VECTOR}, n = whole < {{n}} ? whole : {{n}};"
-)
+def _packed(rows):
+    """Numbers in a row, the rows of a triangle one by one, and how many numbers row c has, in C.
 
-
-def _packed(root):
-    """Numbers in a row, and the rows one by one, of a triangle without what is above its diagonal.
-
-    Rows are filled up with zeros to whole vectors.
+    Rows are filled up with zeros to whole vectors. What is no triangle stays a matrix.
     """
-    n = _whole(root.shape[1])
-    full = np.pad(root, ((0, 0), (0, n - root.shape[1])))
-    if np.any(np.triu(root, 1)):
-        return n, full
-    lengths = np.minimum(np.arange(len(root)) // _VECTOR * _VECTOR + _VECTOR, n)
-    return n, np.concatenate([row[:length] for row, length in zip(full, lengths, strict=True)])
+    n, last = _whole(rows.shape[1]), len(rows) - 1
+    full, c = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.arange(len(rows))
+    for at, text in ((c, "c"), (last - c, f"({last} - c)")):
+        if not np.any(full[at[:, None] < np.arange(n)]):
+            lengths = np.minimum(at // _VECTOR * _VECTOR + _VECTOR, n)
+            parts = [row[:length] for row, length in zip(full, lengths, strict=True)]
+            whole = f"{text} / {_VECTOR} * {_VECTOR} + {_VECTOR}"
+            return (
+                n,
+                np.concatenate(parts),
+                f"const int whole = {whole}, n = whole < {n} ? whole : {n};",
+            )
+    return n, full, f"const int n = {n};"
 
 
 def _chain(joint, order):

@@ -473,97 +473,50 @@ def _one_network(p, net, x, std, with_noise):
 
 
 def _network_variance(p, net, x, phi, with_noise):
-    r"""Variances of a network's outputs, without the difference of two large numbers.
+    """Variances of a network's outputs, as `Network` has them, by the same two matrices.
 
-    The weights have the prior signal K^-1, and what the training rows say of them and of the
-    polynomial's coefficients is a triangle. With g the radial functions at a point in coordinates
-    in which prior and data are diagonal, 1 and s_i, and t the polynomial's terms there, the
-    variance of an output is (conditioning on the weights first, then on the polynomial)
-
-        signal (1 - sum_i g_i^2) + noise (sum_i g_i^2 / (s_i + alpha) + |R (t - J g)|^2 + noise?).
-
-    The two sums are one, of ``g_i^2 (1 - (noise / signal) / (s_i + alpha))``, where noise / signal
-    is as a rule alpha: directions of which the data say nothing drop out, and with them their
-    rounding, which ``1 - |g|^2`` alone has multiplied by a signal much larger than the noise.
+    The first of them has rows of very different sizes where data have little noise. It must not be
+    multiplied by another: what is left of the prior's variance is small beside it, and 8 of its
+    digits would be lost (they were, with one matrix in place of two, at noise of 1e-4).
     """
-    noise, signal, k = net.noise_variance, net.signal_variance, len(net.centers)
-    if np.any(noise < 0) or np.any(signal < 0):
+    k, parts = len(net.centers), []
+    if np.any(net.noise_variance < 0) or np.any(net.signal_variance < 0):
         raise ValueError(
-            f"The network's variances of noise and signal must not be negative, got {noise} and "
-            f"{signal}: it cannot be exported."
+            f"The network's variances must not be negative, got {net.noise_variance} of the noise "
+            f"and {net.signal_variance} of the signal: it cannot be exported."
         )
-    found = p.constant(noise * float(with_noise))
-    turn, spectrum, across, left, tail_map = _spectrum(net)
-    known = np.maximum(spectrum + net.alpha[:, None], np.finfo(float).tiny)
-    if len(tail_map):
-        groups = [_tail_variance(p, x, phi, turn, across, left, tail_map, row) for row in known]
-        found = p("add", found, p("mul", p("join", *groups), noise))
-    if not k:
-        return p("add", found, signal)
-    weights = 1 - (noise / np.maximum(signal, np.finfo(float).tiny))[:, None] / known
-    distinct, which = np.unique(weights, axis=0, return_inverse=True)
-    if len(distinct) > 2 or np.any(distinct < 0):
-        g = p("affine", phi, matrix=turn, shift=np.zeros(len(turn)))
-        squares = p("mul", g, g)
-        inside = p("affine", squares, matrix=weights, shift=np.zeros(len(weights)))
-    else:
-        lengths = []
-        for row in distinct:
-            root = _triangle(np.sqrt(row)[:, None] * turn)
-            g = p("affine", phi, matrix=root, shift=np.zeros(len(root)))
-            lengths.append(p("dots", g, g))
-        inside = p.take(p("join", *lengths), which.ravel())
-    outside = p("max", p("sub", 1.0, inside), 0.0)
-    return p("add", found, p("mul", outside, signal))
-
-
-def _tail_variance(p, x, phi, turn, across, left, tail_map, known):
-    """Squared length of R (t - J g): the polynomial's part of a variance, over the noise."""
-    matrix = np.eye(len(left)) - (across / known) @ across.T
-    root = np.linalg.cholesky(left.T @ matrix @ left)
-    u = np.linalg.solve(root, tail_map)
-    u = p("affine", x, matrix=u[:, 1:], shift=u[:, 0])
-    if phi is not None:
-        seen = np.linalg.solve(root, left.T @ (across / known) @ turn)
-        u = p("sub", u, p("affine", phi, matrix=seen, shift=np.zeros(len(seen))))
-    return p("dots", u, u)
-
-
-def _triangle(root):
-    """A triangle that makes the same lengths as a root."""
-    return np.linalg.qr(root, mode="r")
-
-
-def _spectrum(net):
-    """Prior and data of a network's weights in coordinates in which both are diagonal.
-
-    Returns
-    -------
-    turn : ndarray of shape (rank, k)
-        From radial functions to g.
-    spectrum : ndarray of shape (rank,)
-    across : ndarray of shape (p, rank)
-        The data's triangle: the tail's rows in these coordinates.
-    left : ndarray of shape (p, p)
-        Its corner.
-    tail_map : ndarray of shape (p, 1 + d)
-    """
-    k = len(net.centers)
     if k > MOST_CENTERS:
         raise ValueError(
             f"The standard deviation of a network of {k} centres would need a table of "
             f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
             f"max_centers={MOST_CENTERS}."
         )
-    tail_map, rows = net.tail_map, net.design_triangle()
-    p = len(tail_map)
-    if not k:
-        return np.empty((0, 0)), np.empty(0), np.empty((p, 0)), rows, tail_map
-    whiten = net.prior_root
-    _, singular, turn = np.linalg.svd(rows[:, p:] @ whiten.T)
-    spectrum = np.zeros(len(whiten))
-    spectrum[: len(singular)] = np.square(singular)
-    return turn @ whiten, spectrum, rows[:p, p:] @ whiten.T @ turn.T, rows[:p, :p], tail_map
+    columns = [phi] if k else []
+    if len(net.tail_map):
+        slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
+        varies = np.any(slopes)
+        tail = p("affine", x, matrix=slopes, shift=constant) if varies else p.constant(constant)
+        columns.insert(0, tail)
+    for output in range(len(net.outputs)):
+        of_prior, of_weights = net.roots(output)
+        variance = p.constant(float(with_noise))
+        if len(of_weights):
+            # From the last row to the first, so that each column ends where its zeros begin.
+            seen = p(
+                "affine", p("join", *columns), matrix=of_weights[::-1], shift=_zeros(of_weights)
+            )
+            variance = p("add", p("dots", seen, seen), variance)
+        variance = p("mul", variance, net.noise_variance[output])
+        outside = p.constant(1.0)
+        if k:
+            seen = p("affine", phi, matrix=of_prior, shift=_zeros(of_prior))
+            outside = p("max", p("sub", 1.0, p("dots", seen, seen)), 0.0)
+        parts.append(p("add", p("mul", outside, net.signal_variance[output]), variance))
+    return p("join", *parts)
+
+
+def _zeros(matrix):
+    return np.zeros(len(matrix))
 
 
 # -- the arm's own error model --------------------------------------------------------------------
@@ -627,7 +580,7 @@ def linear_model(chain, linear, fading):
     along = p("affine", sizes, matrix=matrix, shift=np.zeros(2 * n_axes))
     y = p("dots", vectors, along)
     # Any root gives the same variances; a triangle has half the entries.
-    root = _triangle(linear.gauge_free_half[order].T).T
+    root = np.linalg.qr(linear.gauge_free_half[order].T, mode="r").T
     v = p("variances", vectors, sizes, vector=vector, root=root) if chain.std else None
     if not fading.factor > 0:
         return y, v, None
