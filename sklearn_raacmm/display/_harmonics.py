@@ -109,8 +109,7 @@ class HarmonicDisplay:
         names = getattr(getattr(table, "dtype", None), "names", None) or ()
         if "amplitude_arcsec" not in names:
             raise TypeError(
-                "Harmonics are drawn of an ArmResidualRegressor, got "
-                f"{type(estimator).__name__}."
+                f"Harmonics are drawn of an ArmResidualRegressor, got {type(estimator).__name__}."
             )
         return cls(harmonics=table, n_joints=estimator.arm_.n_joints).plot(axes)
 

@@ -31,6 +31,7 @@ from sklearn_raacmm.utils import (
     whole_fit,
 )
 
+
 class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
@@ -339,9 +340,7 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         with_field = isinstance(self.orders, Integral)
         fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
         left_out = leave_out(fitted, terms, positions, rows.weights)
-        model = with_honest_intervals(
-            fitted.model, left_out, rows.weights, rows.codes, positions
-        )
+        model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         mean, std = model.predict(rows.X, return_std=True)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
@@ -453,7 +452,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         check_flags(return_std=return_std, with_noise=with_noise)
         X = check_poses(self, X)
         fades = self.fading_.factor > 0
-        mean, std = self.linear_model_.predict(X, return_std or fades)
+        # What is known does not fade, however well it is known.
+        enough = 0.0 if return_std else self.fading_.known_mm
+        mean, std = self.linear_model_.predict(X, return_std or fades, enough)
         mean = mean * self.helps_ + self.second_stage(X)
         if fades:
             share = self.fading_.share(std)

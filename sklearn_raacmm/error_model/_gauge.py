@@ -151,9 +151,14 @@ def constrained(model, X, weights, codes, keep_scale=True):
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if size > 0:
-            scale_of, unit = np.einsum("gc,gcp->p", spread, columns) / size, scale_direction(arm, terms)
+            scale_of, unit = (
+                np.einsum("gc,gcp->p", spread, columns) / size,
+                scale_direction(arm, terms),
+            )
             coef = model.coef - unit * (scale_of @ model.coef)
-            model = replace(model, coef=coef, half=model.half - np.outer(unit, scale_of @ model.half))
+            model = replace(
+                model, coef=coef, half=model.half - np.outer(unit, scale_of @ model.half)
+            )
     fields = place_fields(arm, terms) if keep_scale else _base_motions(model)
     half = model.half
     if fields.shape[1]:

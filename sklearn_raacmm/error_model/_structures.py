@@ -105,9 +105,7 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
     """
     family, order = term_names(arm, terms)[1], terms.harmonics[:, 1]
     if not len(order) and not len(family):
-        raise ValueError(
-            "The model has no columns: no orders are offered and no causes are named."
-        )
+        raise ValueError("The model has no columns: no orders are offered and no causes are named.")
     given = np.full(len(FAMILIES), np.nan)
     given[list(idle)] = _IDLE_VARIANCE
     return Structures(

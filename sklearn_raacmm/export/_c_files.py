@@ -54,7 +54,7 @@ def sources(program, name, stem, dtype, card=None, notes=()):
         text += "\n" + function(with_std, tables, "evaluate_std", _FADED_BELOW)
     text = f"{tables.text}\n{text}"
     digest = fingerprint_of(program)
-    used = re.findall(r"\b(sin|cos|sqrt|atan2|exp|log|isfinite)f?\(", text)
+    used = re.findall(r"\b(sin|cos|sqrt|atan2|exp|log|fabs|isfinite)f?\(", text)
     facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
     facts += [about["arm"]] if "arm" in about else []
     facts += [*about["steps"], *notes, f"functions of math.h: {', '.join(sorted({*used}))}"]

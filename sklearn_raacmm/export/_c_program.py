@@ -11,6 +11,8 @@ from math import factorial
 
 import numpy as np
 
+from sklearn_raacmm.error_model import single_root
+
 # Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
 _VECTOR = 8
@@ -67,12 +69,13 @@ class Tables:
         self.numbers, self.texts, self.helpers, self._names = numbers, [], {}, {}
 
     def __call__(self, name, array, note=""):
-        """Name of a table of real numbers, or of whole ones if its type is such."""
+        """Name of a table: of whole numbers, or in single precision, if its type is such."""
         array = np.asarray(array)
-        key = (array.dtype.kind == "f", array.shape, array.tobytes())
+        key = (array.dtype.str, array.shape, array.tobytes())
         if key not in self._names:
             self._names[key] = f"{name}_{len(self._names)}"
             write = self.numbers.table if array.dtype.kind == "f" else self.numbers.integers
+            write = self.numbers.single if array.dtype == np.float32 else write
             self.texts.append(write(self._names[key], array, note))
         return self._names[key]
 
@@ -361,37 +364,62 @@ class _Writer:
             self.put(f"for (int c = 0; c < {n}; ++c)", f"    {body}")
 
     def _variances(self, number, op):
-        root = op.given["root"]
-        n, packed, length = _packed(root)
-        text = _VARIANCES.format(
-            real=self.real, v=f"v{number}", m=len(root), r=n, axes=self.ops[op.inputs[0]].size // 3,
-            vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]), length=length,
-            vector=self.tables("vector", op.given["vector"], "of each column"),
-            root=self.tables("root", packed.ravel(), "of the coefficients' covariance, row by row"),
-        )  # fmt: skip
         self.declare(number)
-        self.put(*text.splitlines())
+        self.put(*self._squares(f"v{number}", op, op.given["root"], self.real))
+
+    def _squares(self, name, op, root, of):
+        """Lines that compute squared lengths of ``root' columns`` in some precision."""
+        n, packed, length = _packed(root)
+        note = "of the coefficients' covariance, row by row"
+        return _VARIANCES.format(
+            real=self.real, of=of, cast=f"({of})" if of != self.real else "",
+            wide=f"({self.real})" if of != self.real else "", v=name, m=len(root),
+            r=n, axes=self.ops[op.inputs[0]].size // 3, length=length,
+            vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),
+            vector=self.tables("vector", op.given["vector"], "of each column"),
+            root=self.tables("root", packed.ravel(), note),
+        ).splitlines()  # fmt: skip
 
     def _doubt(self, number, op):
+        root, known, v = op.given["root"], float(op.given["known"]), f"v{number}"
         same = (
             i
             for i, other in enumerate(self.ops[:number])
-            if other.name == "variances"
-            and other.inputs == op.inputs
-            and other.given["root"] is op.given["root"]
+            if (other.name, other.inputs) == ("variances", op.inputs)
+            and other.given["root"] is root
         )
         found = next(same, None)
-        known = self.numbers.literal(op.given["known"])
+        of = f"v{number}_of" if found is None else f"v{found}"
+        self.put(f"{self.real} {v}[1] = {{0}};")
+        lines = [f"{v}[0] = {of}[0] + {of}[1] + {of}[2] - {self.numbers.literal(known)};"]
+        lines += [f"if ({v}[0] < 0)", f"    {v}[0] = 0;"]
         if found is None:
-            self.put(f"{self.real} v{number}[3];")
-            lines, self.lines = self.lines, []
-            self._variances(number, op)
-            self.lines = lines + self.lines[1:]
-            found = number
-        total = f"v{found}[0] + v{found}[1] + v{found}[2] - {known}"
-        if found != number:
-            self.declare(number)
-        self.put(f"v{number}[0] = {total};", f"if (v{number}[0] < 0)", f"    v{number}[0] = 0;")
+            exact = [f"{self.real} {of}[3];", *self._squares(of, op, root, self.real), *lines]
+            lines = self._where_needed(v, op, known, exact)
+        self.put(*lines)
+
+    def _where_needed(self, name, op, known, exact):
+        """Lines of an exact variance, computed where a bound does not show that it is known."""
+        if self.real == "float" or known == 0:
+            return ["{", *(f"    {line}" for line in exact), "}"]
+        single, vectors = single_root(op.given["root"]), self.array(op.inputs[0])
+        gamma = self.numbers.literal(single.rounding)
+        limit = self.numbers.literal(np.sqrt(known))
+        lengths = self.tables("length", single.lengths.astype(float), "of the rows of the root")
+        n, m = self.ops[op.inputs[0]].size // 3, len(single.lengths)
+        vector = self.tables("vector", op.given["vector"], "of each column")
+        squares = self._squares("in_single", op, single.root, "float")
+        return [
+            "{ /* Single precision with a bound of its error shows that most poses are known. */",
+            f"    {self.real} in_single[3], error = 0;", *(f"    {line}" for line in squares),
+            f"    for (int c = 0; c < {m}; ++c) {{",
+            f"        const {self.real} *u = {vectors} + {vector}[c];",
+            f"        error += {lengths}[c] * fabs({self.array(op.inputs[1])}[c])",
+            f"            * (fabs(u[0]) + fabs(u[{n}]) + fabs(u[{2 * n}]));", "    }",
+            f"    if ((1 + {gamma}) * sqrt(in_single[0] + in_single[1] + in_single[2])",
+            f"            + {gamma} * error > {limit}) {{",
+            *(f"        {line}" for line in exact), "    }", "}",
+        ]  # fmt: skip
 
 
 def function(program, tables, name, faded_below):
@@ -494,28 +522,31 @@ _TURNS = {
 # Columns that share a vector are summed first: that leaves one product of each entry, not three.
 _VARIANCES = """\
 {{
-    {real} dot[3][{r}] = {{{{0}}}};
-    const {real} *row = {root};
+    {of} dot[3][{r}] = {{{{0}}}};
+    const {of} *row = {root};
     for (int c = 0; c < {m};) {{
         const int a = {vector}[c];
-        {real} shared[{r}] = {{0}};
+        {of} shared[{r}] = {{0}};
         int filled = 0;
         do {{
             {length}
+            const {of} size = {cast}{sizes}[c];
             for (int i = 0; i < n; ++i)
-                shared[i] += {sizes}[c] * row[i];
+                shared[i] += size * row[i];
             filled = n;
             row += n;
             ++c;
         }} while (c < {m} && {vector}[c] == a);
-        for (int k = 0; k < 3; ++k)
+        for (int k = 0; k < 3; ++k) {{
+            const {of} along = {cast}{vectors}[{axes} * k + a];
             for (int i = 0; i < filled; ++i)
-                dot[k][i] += {vectors}[{axes} * k + a] * shared[i];
+                dot[k][i] += along * shared[i];
+        }}
     }}
     for (int k = 0; k < 3; ++k) {{
         {real} sum = 0;
         for (int i = 0; i < {r}; ++i)
-            sum += dot[k][i] * dot[k][i];
+            sum += {wide}dot[k][i] * {wide}dot[k][i];
         {v}[k] = sum;
     }}
 }}

@@ -569,9 +569,10 @@ def linear_model(chain, linear, fading):
     m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
     if not m:
         return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
-    # Columns that share a vector stand together.
+    # Columns that share a vector stand together; large groups last, where rows of a triangle are
+    # long anyway.
     vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
-    order = np.argsort(vector, kind="stable")
+    order = np.lexsort([vector, np.bincount(vector)[vector]])
     vectors = _vectors(chain)
     sizes = p.take(_sizes(chain, linear, table, vectors), order)
     vector = vector[order]
