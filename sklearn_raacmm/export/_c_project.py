@@ -116,13 +116,15 @@ inline std::optional<Output> {short}(const Input &input) noexcept
 """
 
 
-def project_files(rows, name, path, dtype, corrects):
+def project_files(rows, gap, name, path, dtype, corrects):
     """Texts of the files that come with ``path``.
 
     Parameters
     ----------
     rows : dict of ndarray
         Test rows and their answers, see `test_rows`.
+    gap : float
+        How far the same operations in Python are from these.
     name : str
     path : pathlib.Path
         Of the C file.
@@ -152,18 +154,19 @@ def project_files(rows, name, path, dtype, corrects):
     )
     version = re.match(r"\d+(\.\d+)*", __version__)[0]
     return {
-        path.with_name(f"{path.stem}_test.c"): _test(rows, names, next(iter(verbs))),
+        path.with_name(f"{path.stem}_test.c"): _test(rows, gap, names, next(iter(verbs))),
         path.with_suffix(".hpp"): _HPP.format(functions=functions, **names),
         cmake: _CMAKE.format(mark=_MARK, version=version, **names),
     }
 
 
-def _test(rows, names, verb):
+def _test(rows, gap, names, verb):
     """Text of the test program."""
     numbers, X, expected = Numbers(names["real"]), rows["X"], rows["y"]
     refused = np.isnan(expected).any(axis=1)
     kind = np.select([np.isnan(X), np.inf == X, -np.inf == X], [1, 2, 3], 0)
     tolerance = TOLERANCE[names["real"]] * np.abs(expected[~refused]).max(initial=1e-3)
+    tolerance = max(tolerance, 10 * gap)
     tables = numbers.table("input", np.where(kind == 0, X, 0.0))
     tables += numbers.integers("input_kind", kind, "0 a number, 1 NaN, 2 infinity, 3 -infinity")
     tables += numbers.table("expected", np.where(refused[:, None], 0.0, expected))

@@ -202,7 +202,8 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
     rows = _rows_of(model, given, std, program.n_inputs, dtype)
     extra = {}
     if poses is not None:
-        extra = project_files(rows, name, path, dtype, program.about["corrects"])
+        gap = np.abs(run(program, rows["X"])["y"] - rows["y"])
+        extra = project_files(rows, np.nanmax(gap), name, path, dtype, program.about["corrects"])
     notes = _proved_in_c(model, program, rows, dtype)
     source, header = sources(program, name, path.stem, dtype, card, notes)
     header_path = path.with_suffix(".h")
@@ -509,7 +510,7 @@ def to_onnx(
         if found is not None:
             found = [out.astype(float) for out in found]
             notes = proved("the ONNX file", rows, *found, dtype=dtype)
-            facts |= {"accuracy": notes[0]} if notes else {}
+            facts |= {"accuracy": "; ".join(notes)} if notes else {}
         facts["test_rows"] = json.dumps(dict_of_rows(rows))
     if card is not None:
         facts["model_card"] = str(card)

@@ -63,7 +63,12 @@ class Builder:
         given = {key: v if isinstance(v, str) else np.asarray(v) for key, v in given.items()}
         key = (name, inputs, _bytes(given))
         if key not in self._known:
-            self._known[key] = self.append(name, inputs, given)
+            found = self.append(name, inputs, given)
+            if inputs and all(self.ops[i].name == "constant" for i in inputs):
+                self.ops.pop()
+                values = (np.atleast_2d(self.ops[i].given["value"]) for i in inputs)
+                found = self.constant(OPERATIONS[name].compute(given, *values))
+            self._known[key] = found
         return self._known[key]
 
     def append(self, name, inputs, given):

@@ -441,7 +441,7 @@ def macros(header):
 
 
 def test_what_the_header_defines(data, tmp_path):
-    model = form_b(data.arm).fit(data.data, data.target)
+    model = form_b(data.arm, net=network(shared=True)).fit(data.data, data.target)
     header = export_c(model, tmp_path / "arm.c")[1]
     found = macros(header)
     assert found["ARM_FINGERPRINT"] == f'"{fingerprint(model)}"'
@@ -449,11 +449,11 @@ def test_what_the_header_defines(data, tmp_path):
     assert (found["ARM_INPUT_UNIT"], found["ARM_OUTPUT_UNIT"]) == ('"rad"', '"mm"')
     assert (found["ARM_OK"], found["ARM_NOT_FINITE"]) == ("0", "2")
     # 20 centres of 3 features and 3 weights, and less than 100 numbers beside them.
-    assert 0 <= int(found["ARM_TABLE_BYTES"]) - 8 * 20 * 6 < 800
+    assert 0 <= int(found["ARM_TABLE_BYTES"]) - 8 * 24 * 6 < 1000
     half = macros(export_c(model, tmp_path / "arm.c", dtype="float")[1])
-    assert int(half["ARM_TABLE_BYTES"]) == int(found["ARM_TABLE_BYTES"]) / 2
+    assert 0.5 <= int(half["ARM_TABLE_BYTES"]) / int(found["ARM_TABLE_BYTES"]) < 0.6
     assert (
-        "functions of math.h: atan2, cos, exp, fabs, hypot, isfinite, sin\n" in header.read_text()
+        "functions of math.h: atan2, cos, exp, isfinite, sin, sqrt\n" in header.read_text()
     )
 
 
