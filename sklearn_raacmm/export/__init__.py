@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import contextlib
+
 from sklearn_raacmm.export._export import (
     TRUSTED_TYPES,
     describe,
@@ -33,7 +35,5 @@ __all__ = [
     "to_onnx",
 ]
 
-try:  # wherever skl2onnx is used, it knows this package's estimators
+with contextlib.suppress(ImportError):  # wherever skl2onnx is, it knows this package's estimators
     register_onnx()
-except ImportError:
-    pass

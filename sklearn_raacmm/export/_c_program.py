@@ -7,11 +7,19 @@ once. The others have a loop of their own.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from math import factorial
-
 import numpy as np
 
 from sklearn_raacmm.error_model import single_root
+from sklearn_raacmm.export._c_templates import (
+    ALL_FINITE,
+    EXP,
+    FRAMES,
+    HELPERS,
+    KERNEL_LOOPS,
+    TURNS,
+    VARIANCES,
+    exponential,
+)
 
 # Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
@@ -20,41 +28,12 @@ _VECTOR = 8
 _ELEMENTWISE = {
     "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})",
     "max": "larger({}, {})", "min": "smaller({}, {})", "less": "less({}, {})",
-    "sqrt": "sqrt{f}({})", "exp": "exp{f}({})", "log": "log{f}({})", "sin": "sin{f}({})",
+    "sqrt": "sqrt{f}({})", "sin": "sin{f}({})",
     "cos": "cos{f}({})", "elevation": "atan2{f}({}, {})",
 }  # fmt: skip
 # Operations that take each number of a value once, so that it need not be an array; of the last two
 # that is the first value.
 _BY_NUMBER = {*_ELEMENTWISE, "join", "finite", "within"}
-_HELPERS = {
-    "max": """\
-static inline {real} larger({real} a, {real} b)
-{{
-    return a < b ? b : a; /* NaN if a is */
-}}
-""",
-    "min": """\
-static inline {real} smaller({real} a, {real} b)
-{{
-    return a > b ? b : a;
-}}
-""",
-    "less": """\
-static inline {real} less({real} a, {real} b)
-{{
-    return a < b ? 1 : 0;
-}}
-""",
-}
-_ALL_FINITE = """\
-static int all_finite(const {real} *v, int n)
-{{
-    for (int i = 0; i < n; ++i)
-        if (!isfinite(v[i]))
-            return 0;
-    return 1;
-}}
-"""
 
 
 def _whole(n):
@@ -140,8 +119,8 @@ class _Writer:
         return self._format(op.name, operands)
 
     def _format(self, name, operands):
-        if name in _HELPERS:
-            self.tables.help(name, _HELPERS[name].format(real=self.real))
+        if name in HELPERS:
+            self.tables.help(name, HELPERS[name].format(real=self.real))
         return _ELEMENTWISE[name].format(*operands, f=self.f)
 
     def array(self, number):
@@ -302,10 +281,10 @@ class _Writer:
 
     def _frames(self, number, op):
         table = op.given["table"]
-        text = _FRAMES.format(
+        text = FRAMES.format(
             real=self.real, f=self.f, v=f"v{number}", theta=self.array(op.inputs[0]),
             n=len(table), table=self.tables("dh", table, "cos alpha, sin alpha, a mm, d mm"),
-            turn=_TURNS[op.given["convention"]].format(real=self.real),
+            turn=TURNS[op.given["convention"]].format(real=self.real),
         )  # fmt: skip
         self.declare(number)
         self.put(*text.splitlines())
@@ -347,9 +326,9 @@ class _Writer:
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
         center = self.tables("center", np.pad(centers, ((0, 0), (0, n - k))), note)
-        most = self.numbers.literal(-_EXP[self.real]["least"])
-        if any("falling_exp" in line for line in _KERNEL_LOOPS[kernel]):
-            self.tables.help("falling_exp", _exponential(self.numbers))
+        most = self.numbers.literal(-EXP[self.real]["least"])
+        if any("falling_exp" in line for line in KERNEL_LOOPS[kernel]):
+            self.tables.help("falling_exp", exponential(self.numbers))
         self.declare(number, " = {0}", padded=True)
         self.put(
             f"for (int i = 0; i < {d}; ++i) {{",
@@ -359,7 +338,7 @@ class _Writer:
             f"/* {kernel}, of the squared distance in units of the length scales */",
         )  # fmt: skip
         roots = {f"sqrt{i}": self.numbers.literal(np.sqrt(i)) for i in (3, 5)}
-        for line in _KERNEL_LOOPS[kernel]:
+        for line in KERNEL_LOOPS[kernel]:
             body = line.format(v=v, f=self.f, most=most, **roots)
             self.put(f"for (int c = 0; c < {n}; ++c)", f"    {body}")
 
@@ -371,7 +350,7 @@ class _Writer:
         """Lines that compute squared lengths of ``root' columns`` in some precision."""
         n, packed, length = _packed(root)
         note = "of the coefficients' covariance, row by row"
-        return _VARIANCES.format(
+        return VARIANCES.format(
             real=self.real, of=of, cast=f"({of})" if of != self.real else "",
             wide=f"({self.real})" if of != self.real else "", v=name, m=len(root),
             r=n, axes=self.ops[op.inputs[0]].size // 3, length=length,
@@ -426,7 +405,7 @@ def function(program, tables, name, faded_below):
     """A static function that computes the outputs of a program; it returns a status."""
     writer = _Writer(program, tables)
     real, ops = tables.numbers.real, program.ops
-    tables.help("all_finite", _ALL_FINITE.format(real=real))
+    tables.help("all_finite", ALL_FINITE.format(real=real))
     outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
     for out, i in program.outputs.items():
         writer.loop(ops[i].size, lambda j, out=out, i=i: f"{out}_out[{j}] = {writer.at(i, j)};")
@@ -490,157 +469,3 @@ def _chain(joint, order):
         reach(j, k)
     pairs = zip(joint, order, strict=True)
     return firsts, products, np.array([place.get((int(j), int(k)), 0) for j, k in pairs])
-
-
-_FRAMES = """\
-for (int i = 0; i < 12; ++i)
-    {v}[i] = i % 4 == 0 && i < 9 ? 1 : 0;
-for (int i = 0; i < {n}; ++i) {{
-    const {real} *dh = {table}[i], *from = {v} + 12 * i;
-    const {real} c = cos{f}({theta}[i]), s = sin{f}({theta}[i]);
-    {real} *to = {v} + 12 * i + 12;
-    for (int k = 0; k < 3; ++k) {{
-        const {real} x0 = from[k], y0 = from[3 + k], z0 = from[6 + k];
-{turn}
-    }}
-}}
-"""
-_TURNS = {
-    "standard": """\
-        const {real} x = c * x0 + s * y0, y = c * y0 - s * x0;
-        to[k] = x;
-        to[3 + k] = dh[0] * y + dh[1] * z0;
-        to[6 + k] = dh[0] * z0 - dh[1] * y;
-        to[9 + k] = from[9 + k] + dh[3] * z0 + dh[2] * x;""",
-    "modified": """\
-        const {real} y = dh[0] * y0 + dh[1] * z0, z = dh[0] * z0 - dh[1] * y0;
-        to[k] = c * x0 + s * y;
-        to[3 + k] = c * y - s * x0;
-        to[6 + k] = z;
-        to[9 + k] = from[9 + k] + dh[2] * x0 + dh[3] * z;""",
-}
-# Columns that share a vector are summed first: that leaves one product of each entry, not three.
-_VARIANCES = """\
-{{
-    {of} dot[3][{r}] = {{{{0}}}};
-    const {of} *row = {root};
-    for (int c = 0; c < {m};) {{
-        const int a = {vector}[c];
-        {of} shared[{r}] = {{0}};
-        int filled = 0;
-        do {{
-            {length}
-            const {of} size = {cast}{sizes}[c];
-            for (int i = 0; i < n; ++i)
-                shared[i] += size * row[i];
-            filled = n;
-            row += n;
-            ++c;
-        }} while (c < {m} && {vector}[c] == a);
-        for (int k = 0; k < 3; ++k) {{
-            const {of} along = {cast}{vectors}[{axes} * k + a];
-            for (int i = 0; i < filled; ++i)
-                dot[k][i] += along * shared[i];
-        }}
-    }}
-    for (int k = 0; k < 3; ++k) {{
-        {real} sum = 0;
-        for (int i = 0; i < {r}; ++i)
-            sum += {wide}dot[k][i] * {wide}dot[k][i];
-        {v}[k] = sum;
-    }}
-}}
-"""
-# From the squared scaled distance s in v[c] to the radial function, a loop over all centres for
-# each line: only loops without branches and calls are computed for several centres at once.
-# {f} is the suffix of the precision, {most} where falling_exp ends.
-_BOUND = "{v}[c] = {v}[c] > {most} ? {most} : {v}[c];"
-_KERNEL_LOOPS = {
-    "gaussian": ["{v}[c] *= 0.5{f};", _BOUND, "{v}[c] = falling_exp(-{v}[c]);"],
-    "matern32": [
-        "{v}[c] = {sqrt3} * sqrt{f}({v}[c]);",
-        _BOUND,
-        "{v}[c] = (1 + {v}[c]) * falling_exp(-{v}[c]);",
-    ],
-    "matern52": [
-        "{v}[c] = {sqrt5} * sqrt{f}({v}[c]);",
-        _BOUND,
-        "{v}[c] = (1 + {v}[c] + {v}[c] * {v}[c] / 3) * falling_exp(-{v}[c]);",
-    ],
-    "rational_quadratic": ["{v}[c] = 1 / (1 + 0.5{f} * {v}[c]);"],
-    "inverse_multiquadric": ["{v}[c] = 1 / sqrt{f}(1 + {v}[c]);"],
-}
-_FALLING_EXP = """
-/* exp(x) for {least} <= x <= 0, to {error} of itself: libm's cannot be computed for several x at
-   once. x = n log 2 + r; the power series of exp(r); 2^n by its bits. */
-#if FLT_EVAL_METHOD == 0 && FLT_RADIX == 2 && {digits_macro} == {digits}
-static inline {real} falling_exp({real} x)
-{{
-    /* The sum is rounded to a whole number, which its last bits then are. */
-    const {real} shifted = x * {log2e} + {shifter};
-    const {real} n = shifted - {shifter};
-    const {real} r = (x - n * {high}) - n * {low};
-    {real} p = {last};
-{series}
-    uint{bits}_t power;
-    {real} scale;
-    memcpy(&power, &shifted, sizeof power);
-    power = (power + {bias}) << {shift};
-    memcpy(&scale, &power, sizeof scale);
-    return p * scale;
-}}
-#else
-static inline {real} falling_exp({real} x)
-{{
-    return exp{f}(x);
-}}
-#endif
-"""
-# high + low = log 2; high has so few digits that its product with n is exact (W. J. Cody, W. Waite,
-# "Software manual for the elementary functions", 1980). The first term left out of the series is
-# 4e-18 and 5e-9 of the sum. The tests measure the error against decimals of 40 digits.
-_EXP = {
-    "double": {
-        "least": -708.0,  # the smallest normal number is exp(-708.4)
-        "error": "3e-16",
-        "digits_macro": "DBL_MANT_DIG",
-        "digits": 53,
-        "bits": 64,
-        "shifter": 1.5 * 2.0**52,
-        "high": 6.93147180369123816490e-01,
-        "low": 1.90821492927058770002e-10,
-        "degree": 13,
-        "bias": 1023,
-        "shift": 52,
-    },
-    "float": {
-        "least": -87.0,
-        "error": "2e-7",
-        "digits_macro": "FLT_MANT_DIG",
-        "digits": 24,
-        "bits": 32,
-        "shifter": 1.5 * 2.0**23,
-        "high": 0.693359375,
-        "low": -2.12194440e-4,
-        "degree": 7,
-        "bias": 127,
-        "shift": 23,
-    },
-}
-
-
-def _exponential(numbers):
-    """``falling_exp(x)`` in C."""
-    facts = dict(_EXP[numbers.real])
-    degree = facts.pop("degree")
-    factors = [numbers.literal(1 / factorial(i)) for i in range(degree + 1)]
-    for name in ("least", "shifter", "high", "low"):
-        facts[name] = numbers.literal(facts[name])
-    return _FALLING_EXP.format(
-        real=numbers.real,
-        f=numbers.suffix,
-        log2e=numbers.literal(1 / np.log(2)),
-        last=factors[-1],
-        series="\n".join(f"    p = p * r + {factor};" for factor in factors[-2::-1]),
-        **facts,
-    )

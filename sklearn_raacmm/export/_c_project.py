@@ -122,7 +122,7 @@ def project_files(rows, gap, name, path, dtype, corrects):
     Parameters
     ----------
     rows : dict of ndarray
-        Test rows and their answers, see `test_rows`.
+        Test rows and their answers, see `rows_to_test`.
     gap : float
         How far the same operations in Python are from these.
     name : str

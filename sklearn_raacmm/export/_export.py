@@ -18,9 +18,10 @@ from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._json import ExportedModel, content_of, program_of_text, text_of
 from sklearn_raacmm.export._load_c import NAME, answers_in_c, compiled
 from sklearn_raacmm.export._model_card import card_of
-from sklearn_raacmm.export._models import check_fitted, program_of
+from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
-from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, test_rows
+from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
+from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_path, show, write_whole
@@ -74,7 +75,7 @@ def _rows_of(model, poses, std, n_inputs, dtype="double"):
                 f"poses must be rows of {n_inputs} finite numbers, at least one; got shape "
                 f"{poses.shape}{'' if finite else ' with NaN or infinity'}."
             )
-    rows = test_rows(model, poses, std)
+    rows = rows_to_test(model, poses, std)
     if dtype == "float":
         rows = answered(model, rows["X"].astype(np.float32).astype(float), std)
     return rows

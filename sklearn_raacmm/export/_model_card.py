@@ -18,15 +18,9 @@ from sklearn.utils import check_array, check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export._models import (
-    arm_of,
-    check_fitted,
-    described,
-    extra_of,
-    leaves,
-    program_of,
-)
+from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
+from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
     centred,

@@ -1,4 +1,4 @@
-"""Fitted models as programs: the only file that knows what a model is made of.
+"""Fitted models as programs: the only file that knows what a model computes.
 
 One function for each kind of step: it adds the step's operations to those before it.
 """
@@ -6,18 +6,10 @@ One function for each kind of step: it adds the step's operations to those befor
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import partial
-from types import MethodType
-from typing import NamedTuple
-
 import numpy as np
-from sklearn.exceptions import NotFittedError
-from sklearn.linear_model import LinearRegression, Ridge
-from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
-from sklearn.utils.validation import check_is_fitted
+from sklearn.preprocessing import MinMaxScaler, RobustScaler
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm
+from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.error_model import (
     LOAD,
     PUSH,
@@ -28,144 +20,25 @@ from sklearn_raacmm.error_model import (
     given_factors,
 )
 from sklearn_raacmm.export._program import Builder
+from sklearn_raacmm.export._steps import (
+    KNOWN,
+    REGRESSORS,
+    SCALERS,
+    arm_of,
+    check_fitted,
+    described,
+    extra_of,
+    is_flat,
+    leaves,
+    n_inputs,
+)
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import show
 
-_SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
-_LINEAR = (LinearRegression, Ridge)
-OWN = (PoseFeatures, CylindricalResidualTarget, RBFNetRegressor, ArmResidualRegressor)
-_REGRESSORS = (RBFNetRegressor, ArmResidualRegressor, *_LINEAR)
-_KNOWN = (PoseFeatures, *_SCALERS, CylindricalResidualTarget, *_REGRESSORS)
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
 MOST_CENTERS = 2000
 # In place of a length that is nothing.
 _TINY = 1e-30
-
-
-class Step(NamedTuple):
-    """One estimator of the chain, by the path that leads to it."""
-
-    path: str
-    estimator: object
-
-
-def leaves(model, path=None):
-    """Steps in the order in which data pass; a wrapper comes before what it wraps.
-
-    Parameters
-    ----------
-    model : estimator
-        Fitted.
-    path : str, optional
-        What to call it in a message.
-
-    Yields
-    ------
-    Step
-    """
-    path = type(model).__name__ if path is None else path
-    if isinstance(model, Pipeline):
-        for name, step in model.steps:
-            if step is not None and not (isinstance(step, str) and step == "passthrough"):
-                yield from leaves(step, name if path == "Pipeline" else f"{path}.{name}")
-        return
-    if hasattr(model, "best_estimator_"):  # of a search: what it has found
-        yield from leaves(model.best_estimator_, path)
-        return
-    yield Step(path, model)
-    if isinstance(model, CylindricalResidualTarget) and hasattr(model, "regressor_"):
-        yield from leaves(model.regressor_, f"{path}.regressor")
-
-
-def check_fitted(model):
-    """Refuse a class, or an estimator that is not fitted, with one sentence."""
-    if isinstance(model, type) or not hasattr(model, "fit"):
-        raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
-    for path, step in leaves(model):
-        try:
-            check_is_fitted(step)
-        except NotFittedError:
-            raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
-
-
-def _azimuth_arm(path, azimuth):
-    """Arm and angle unit of a callable `azimuth`, which has to be the method of an `Arm`."""
-    unit, method = "rad", azimuth
-    if (
-        isinstance(azimuth, partial)
-        and not azimuth.args
-        and set(azimuth.keywords) == {"angle_unit"}
-    ):
-        unit, method = azimuth.keywords["angle_unit"], azimuth.func
-    known = isinstance(method, MethodType) and method.__func__ is Arm.azimuth
-    if not known or not isinstance(method.__self__, Arm):
-        raise ValueError(
-            f"{path} takes its azimuth from {azimuth!r}, which cannot be exported: only the method "
-            "of an Arm can, azimuth=arm.azimuth."
-        )
-    return method.__self__, unit
-
-
-def arm_of(model):
-    """Arm and angle unit of a chain, (None, None) where it has none.
-
-    Raises
-    ------
-    ValueError
-        If two steps disagree.
-    """
-    found = []
-    for path, step in leaves(model):
-        if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
-            found.append((path, *_azimuth_arm(path, step.azimuth)))
-        elif isinstance(getattr(step, "arm_", None), Arm):
-            found.append((path, step.arm_, step.angle_unit))
-    for path, arm, unit in found[1:]:
-        if (arm, unit) != found[0][1:]:
-            what = "arms" if arm != found[0][1] else "angle units"
-            raise ValueError(
-                f"{found[0][0]} and {path} have different {what}, so the model cannot be exported: "
-                f"{found[0][1]!r} in {found[0][2]}, {arm!r} in {unit}."
-            )
-    return found[0][1:] if found else (None, None)
-
-
-def extra_of(model):
-    """Name and reference of each column after the angles, as `Terms` has them."""
-    for _, step in leaves(model):
-        if isinstance(step, ArmResidualRegressor):
-            return step.linear_model_.terms.extra
-    return ()
-
-
-def is_flat(model):
-    """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
-    last = list(leaves(model))[-1].estimator
-    if isinstance(last, ArmResidualRegressor):
-        return False
-    # A linear model without intercept has a scalar for it in either case.
-    return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
-
-
-def described(step):
-    """What a step is, in a few words for people."""
-    name = type(step).__name__
-    if isinstance(step, RBFNetRegressor):
-        parts = step.networks_
-        texts = [f"{part.kernel}, {len(part.centers)} centres" for part in parts]
-        if len(parts) > 1:
-            named = [", ".join(map(str, part.outputs)) for part in parts]
-            texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]
-        return f"{name}: {'; '.join(texts)}"
-    if isinstance(step, PoseFeatures):
-        return f"{name}: {', '.join(step._names())}"
-    if isinstance(step, ArmResidualRegressor):
-        inside = (
-            [described(inner) for _, inner in leaves(step.regressor_)] if step.regressor_ else []
-        )
-        return ", then ".join([f"{name}: {len(step.linear_model_.coef)} terms", *inside])
-    return name
 
 
 # -- the whole chain ------------------------------------------------------------------------------
@@ -210,10 +83,6 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
-def _n_inputs(model):
-    return int(next(leaves(model)).estimator.n_features_in_)
-
-
 def program_of(model, std=False):
     """The program of a fitted model.
 
@@ -238,7 +107,7 @@ def program_of(model, std=False):
         If the model is not fitted.
     """
     check_fitted(model)
-    p = Builder(_n_inputs(model))
+    p = Builder(n_inputs(model))
     chain, steps = _Chain(model, p, std), list(leaves(model))
     y, v = _read(chain, steps, p.x)
     y = p("finite", y, p("join", p.x, y))
@@ -269,9 +138,9 @@ def _read(chain, steps, x):
         if isinstance(step, PoseFeatures):
             _needs_angles(chain, path, x)
             x = pose_features(chain, step)
-        elif isinstance(step, _SCALERS):
+        elif isinstance(step, SCALERS):
             x = scaler(chain.p, step, x)
-        elif isinstance(step, _REGRESSORS):
+        elif isinstance(step, REGRESSORS):
             if rest:
                 raise ValueError(
                     f"{rest[0].path} comes after the regressor, which cannot be exported."
@@ -280,10 +149,10 @@ def _read(chain, steps, x):
         else:
             raise ValueError(
                 f"{path} is a {type(step).__name__}, which cannot be exported: only "
-                f"{', '.join(kind.__name__ for kind in _KNOWN)} and pipelines of these can. "
+                f"{', '.join(kind.__name__ for kind in KNOWN)} and pipelines of these can. "
                 "to_onnx also takes what skl2onnx knows."
             )
-    names = ", ".join(kind.__name__ for kind in _REGRESSORS)
+    names = ", ".join(kind.__name__ for kind in REGRESSORS)
     raise ValueError(f"The model has no regressor at its end: none of {names}.")
 
 
@@ -359,7 +228,7 @@ def to_cartesian(p, direction, y, v=None):
 
 def step_program(step):
     """The program of one step by itself, transformer or regressor."""
-    p = Builder(_n_inputs(step))
+    p = Builder(n_inputs(step))
     chain = _Chain(step, p, False)
     if isinstance(step, PoseFeatures):
         y = pose_features(chain, step)
@@ -391,7 +260,7 @@ def turning_program():
 
 def pose_features(chain, step):
     """What `PoseFeatures` makes of the joint angles."""
-    p, arm = chain.p, chain.arm
+    p = chain.p
     columns = chain.angles()
     if step.joints == "pose":
         columns = pose_of(chain)
@@ -665,45 +534,3 @@ def _at_columns(p, m, columns, factors):
     place = np.full(m, len(columns))
     place[columns] = np.arange(len(columns))
     return p.take(p("join", factors, 1.0), place)
-
-
-# -- rows to try a file on ------------------------------------------------------------------------
-
-
-def typical_rows(model, n, seed=0):
-    """Rows such as a fitted model may see, (n, n_inputs): random angles, or features of its centres.
-
-    Parameters
-    ----------
-    model : estimator
-    n : int
-    seed : int, default=0
-
-    Returns
-    -------
-    ndarray of shape (n, n_inputs)
-    """
-    rng = np.random.default_rng(seed)
-    arm, unit = arm_of(model)
-    n_inputs = _n_inputs(model)
-    if arm is not None and n_inputs >= arm.n_joints:
-        turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
-        extra = [rng.choice(known, n) for _, known in extra_of(model)]
-        return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
-    rows, back = rng.normal(size=(n, n_inputs)), []
-    for _, step in leaves(model):
-        if isinstance(step, _SCALERS):
-            back.append(step)
-        if isinstance(step, RBFNetRegressor):
-            centers = np.concatenate([part.centers for part in step.networks_])
-            if len(centers):
-                pairs = rng.integers(0, len(centers), (2, n))
-                inside = centers[pairs].mean(axis=0)
-                rows[:, : inside.shape[1]] = inside
-        if isinstance(step, CylindricalResidualTarget) and step._drops_direction:
-            turns = rng.uniform(-np.pi, np.pi, n)
-            rows[:, -2:] = np.column_stack([np.cos(turns), np.sin(turns)])
-    for step in reversed(back):
-        of_scaler = rows[:, : step.n_features_in_]
-        rows[:, : step.n_features_in_] = step.inverse_transform(of_scaler)
-    return rows

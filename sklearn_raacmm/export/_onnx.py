@@ -10,7 +10,7 @@ has are converted by skl2onnx, to which this package's estimators are made known
 
 import numpy as np
 
-from sklearn_raacmm.export import _models
+from sklearn_raacmm.export import _models, _steps
 from sklearn_raacmm.residuals import CylindricalResidualTarget
 
 # Operators as of this version, and of every later one; the version that is written by default, and
@@ -22,7 +22,7 @@ _NEEDS = (
 )
 _SIMPLE = {
     "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "max": "Max", "min": "Min",
-    "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "sin": "Sin",
+    "sqrt": "Sqrt", "sin": "Sin",
 }  # fmt: skip
 
 
@@ -299,7 +299,7 @@ def register():
         from skl2onnx import update_registered_converter
     except ImportError as error:
         raise ImportError("ONNX of such a chain needs skl2onnx, which " + _NEEDS[3:]) from error
-    for kind in _models.OWN:
+    for kind in _steps.OWN:
         target = kind is CylindricalResidualTarget
         convert = _convert_target if target else _convert_step
         update_registered_converter(kind, f"SklearnRaacmm{kind.__name__}", _shape, convert)
@@ -314,7 +314,7 @@ def by_skl2onnx(model, dtype, target_opset):
     from skl2onnx.common.exceptions import MissingConverter, MissingShapeCalculator
 
     kind = DoubleTensorType if dtype == "double" else FloatTensorType
-    steps = [step for _, step in _models.leaves(model)]
+    steps = [step for _, step in _steps.leaves(model)]
     types = [("X", kind([None, steps[0].n_features_in_]))]
     names = sorted({type(step).__name__ for step in steps})
     try:
@@ -333,7 +333,7 @@ def by_skl2onnx(model, dtype, target_opset):
             f"{' '.join(str(error).split())[:300]}"
         ) from error
     # Our own steps refuse by themselves. A step before them may clip, and hide it.
-    if not isinstance(steps[0], _models.OWN) and any(isinstance(s, _models.OWN) for s in steps):
+    if not isinstance(steps[0], _steps.OWN) and any(isinstance(s, _steps.OWN) for s in steps):
         _refuse_infinity(found.graph)
     return found
 

@@ -271,13 +271,11 @@ def _variances(given, vectors, sizes):
 
     Column c is its size times one of the vectors. Those of x come first: (3, number of vectors).
     """
-    n, (m, _) = len(sizes), given["root"].shape
-    vectors = vectors.reshape(n, 3, -1)
-    found = np.empty((n, 3))
-    for k in range(3):
-        columns = sizes * vectors[:, k, given["vector"]].reshape(n, m)
-        found[:, k] = np.square(columns @ given["root"]).sum(axis=1)
-    return found
+    found = []
+    for of_coordinate in np.split(vectors, 3, axis=1):
+        columns = sizes * of_coordinate[:, given["vector"]]
+        found.append(np.square(columns @ given["root"]).sum(axis=1))
+    return np.stack(found, axis=1)
 
 
 def _doubt(given, vectors, sizes):
@@ -300,8 +298,6 @@ OPERATIONS = {
     "min": _of(np.minimum),
     "less": _of(lambda a, b: (a < b).astype(float)),
     "sqrt": _of(np.sqrt),
-    "exp": _of(np.exp),
-    "log": _of(np.log),
     "sin": _of(np.sin),
     "cos": _of(np.cos),
     # Of a point in the right half plane: its height, then its distance from the axis.

@@ -3,11 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import contextlib
 import warnings
 
 import numpy as np
 
-from sklearn_raacmm.export._models import typical_rows
+from sklearn_raacmm.export._steps import typical_rows
 
 # Test rows: given ones, corners of their ranges, and what is no number.
 _N_INSIDE, _N_CORNERS, _N_BAD = 20, 8, 4
@@ -23,7 +24,7 @@ _LIMIT, _STD_LIMIT = 1e-5, 0.1
 _NOTHING = 1e-9
 
 
-def test_rows(model, poses=None, std=False):
+def rows_to_test(model, poses=None, std=False):
     """32 rows with what ``predict`` gives: given ones, corners of their ranges, NaN and infinity.
 
     Parameters
@@ -51,7 +52,7 @@ def test_rows(model, poses=None, std=False):
 
 
 def answered(model, X, std=False):
-    """Rows with what ``predict`` gives, one by one, as `test_rows`."""
+    """Rows with what ``predict`` gives, one by one, as `rows_to_test`."""
     found = []
     while hasattr(model, "best_estimator_"):  # a search hands on no return_std
         model = model.best_estimator_
@@ -60,10 +61,8 @@ def answered(model, X, std=False):
         for row in X:
             answer = None
             if np.isfinite(row).all():
-                try:
+                with contextlib.suppress(ValueError):  # a corner where the model is not defined
                     answer = model.predict(row[None], **({"return_std": True} if std else {}))
-                except ValueError:  # a corner where the model is not defined
-                    pass
             found.append(None if answer is None else np.reshape(answer, (1 + std, -1)))
     known = [answer for answer in found if answer is not None]
     nothing = np.full(known[0].shape if known else (1 + std, 1), np.nan)
@@ -99,7 +98,7 @@ def proved(what, rows, y, std=None, dtype="double"):
     what : str
         The file, for the message.
     rows : dict
-        As `test_rows` makes it.
+        As `rows_to_test` makes it.
     y, std : ndarray of shape (n, n_outputs)
         What the file gives.
     dtype : {"double", "float"}

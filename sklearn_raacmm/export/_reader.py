@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+# ruff: noqa: B905 - lengths are checked when a file is read; in other languages there is no `strict`
+
 import math
 
 
@@ -43,7 +45,7 @@ def variances(vectors, sizes, vector, root):
 NUMBERS = {
     "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b,
     "div": lambda a, b: a / b, "max": max, "min": min, "less": lambda a, b: float(a < b),
-    "sqrt": math.sqrt, "exp": math.exp, "log": math.log, "sin": math.sin, "cos": math.cos,
+    "sqrt": math.sqrt, "sin": math.sin, "cos": math.cos,
     "elevation": math.atan2,
 }  # fmt: skip
 

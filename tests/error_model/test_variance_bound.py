@@ -1,4 +1,4 @@
-"""The bound of the variance: never below it, near enough to be of use, and predict keeps its bits."""
+"""The bound of the variance: never below it, of use, and predict keeps its bits."""
 
 import warnings
 

@@ -452,9 +452,7 @@ def test_what_the_header_defines(data, tmp_path):
     assert 0 <= int(found["ARM_TABLE_BYTES"]) - 8 * 24 * 6 < 1000
     half = macros(export_c(model, tmp_path / "arm.c", dtype="float")[1])
     assert 0.5 <= int(half["ARM_TABLE_BYTES"]) / int(found["ARM_TABLE_BYTES"]) < 0.6
-    assert (
-        "functions of math.h: atan2, cos, exp, isfinite, sin, sqrt\n" in header.read_text()
-    )
+    assert "functions of math.h: atan2, cos, exp, isfinite, sin, sqrt\n" in header.read_text()
 
 
 def test_long_facts_are_wrapped_between_words(small, tmp_path):
@@ -685,9 +683,9 @@ def test_c_says_which_poses_the_model_does_not_know(build, data, std):
 
 
 def test_a_joint_model_in_the_frame_of_the_azimuth(build, data):
-    model = CylindricalResidualTarget(
-        of_arm(data.arm, "kinematics"), azimuth=data.arm.azimuth
-    ).fit(data.data, data.target)
+    model = CylindricalResidualTarget(of_arm(data.arm, "kinematics"), azimuth=data.arm.azimuth).fit(
+        data.data, data.target
+    )
     got = build(model)("correct", data.data, 3)
     np.testing.assert_allclose(got, model.predict(data.data), rtol=0, atol=1e-12)
     behind = make_pipeline(StandardScaler(), of_arm(data.arm, "kinematics"))

@@ -104,7 +104,9 @@ def test_degrees_and_one_output(data):
         again = from_json(to_json(one))
         np.testing.assert_allclose(again.predict(Z), one.predict(Z), rtol=0, atol=1e-12)
         assert again.predict(Z).shape == (len(Z),)
-    with pytest.raises(ValueError, match=r"takes rows of 2 numbers, \(n, 2\); got shape \(120, 6\)"):
+    with pytest.raises(
+        ValueError, match=r"takes rows of 2 numbers, \(n, 2\); got shape \(120, 6\)"
+    ):
         again.predict(data.data)
     with pytest.raises(ValueError, match="no standard deviation: write it with std=True"):
         again.predict(Z, return_std=True)
@@ -144,13 +146,25 @@ def put(name, key, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda head: operation(head, "affine").__setitem__(0, "system"), "'system' is no operation"),
+        (
+            lambda head: operation(head, "affine").__setitem__(0, "system"),
+            "'system' is no operation",
+        ),
         (lambda head: operation(head, "affine").__setitem__(0, ["x"]), "is no operation"),
-        (lambda head: operation(head, "affine").__setitem__(1, [10**6]), "takes value 1000000, which"),
+        (
+            lambda head: operation(head, "affine").__setitem__(1, [10**6]),
+            "takes value 1000000, which",
+        ),
         (lambda head: operation(head, "affine").__setitem__(1, [-1]), "takes value -1, which"),
-        (lambda head: operation(head, "affine")[2].pop("shift"), "has the constants matrix in place"),
+        (
+            lambda head: operation(head, "affine")[2].pop("shift"),
+            "has the constants matrix in place",
+        ),
         (lambda head: operation(head, "affine")[2].update(shift=0.5), "list indices"),
-        (lambda head: array_of(head, "affine", "shift").pop(), "sizes do not agree in an operation"),
+        (
+            lambda head: array_of(head, "affine", "shift").pop(),
+            "sizes do not agree in an operation",
+        ),
         (lambda head: array_of(head, "radial", "centers").pop(), "sizes do not agree"),
         (lambda head: array_of(head, "frames", "table").pop(), "sizes do not agree"),
         (lambda head: array_of(head, "frames", "table")[0].pop(), "inhomogeneous"),
@@ -195,7 +209,7 @@ def test_numbers_that_are_not_finite_are_refused(text, models, data):
 
         damaged = copy.deepcopy(models["linear"])
         object.__setattr__(damaged.fading_, name, value)
-        with pytest.raises(ValueError, match=f"{name} of Fading must be a finite number of at"):
+        with pytest.raises(ValueError, match=f"^{name} of Fading must be"):
             to_json(damaged)
 
 

@@ -16,8 +16,8 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
-    CylindricalResidualTarget,
     ArmResidualRegressor,
+    CylindricalResidualTarget,
     PoseFeatures,
     RBFNetRegressor,
 )

@@ -309,7 +309,9 @@ def test_openvino(data):
     model = form_b(data.arm).fit(data.data, data.target)
     core = openvino.Core()
     options = {"INFERENCE_PRECISION_HINT": "f32", "EXECUTION_MODE_HINT": "ACCURACY"}
-    compiled = core.compile_model(core.read_model(to_onnx(model).SerializeToString()), "CPU", options)
+    compiled = core.compile_model(
+        core.read_model(to_onnx(model).SerializeToString()), "CPU", options
+    )
     X = np.concatenate([data.data, angles_everywhere(6, 50)])
     got = compiled([X])[0]
     assert np.abs(got - model.predict(X)).max() < 1e-5

@@ -267,7 +267,7 @@ def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
     ):
         model = make().fit(*data)
         damage(model).flat[3] = bad
-        with pytest.raises(ValueError, match="holds NaN or infinity, .* not finite, among the"):
+        with pytest.raises(ValueError, match=r"holds NaN or infinity, .* not finite, among the"):
             export_c(model, tmp_path / "arm.c")
         with pytest.raises(ValueError, match=r"holds NaN or infinity"):
             to_json(model, tmp_path / "arm.json")

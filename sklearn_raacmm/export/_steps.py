@@ -1,0 +1,196 @@
+"""A fitted model taken apart into its steps: their names, their arm, rows that they may see."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from functools import partial
+from types import MethodType
+from typing import NamedTuple
+
+import numpy as np
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+from sklearn_raacmm.utils import show
+
+SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
+LINEAR = (LinearRegression, Ridge)
+OWN = (PoseFeatures, CylindricalResidualTarget, RBFNetRegressor, ArmResidualRegressor)
+REGRESSORS = (RBFNetRegressor, ArmResidualRegressor, *LINEAR)
+KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, *REGRESSORS)
+
+
+class Step(NamedTuple):
+    """One estimator of the chain, by the path that leads to it."""
+
+    path: str
+    estimator: object
+
+
+def leaves(model, path=None):
+    """Steps in the order in which data pass; a wrapper comes before what it wraps.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+    path : str, optional
+        What to call it in a message.
+
+    Yields
+    ------
+    Step
+    """
+    path = type(model).__name__ if path is None else path
+    if isinstance(model, Pipeline):
+        for name, step in model.steps:
+            if step is not None and not (isinstance(step, str) and step == "passthrough"):
+                yield from leaves(step, name if path == "Pipeline" else f"{path}.{name}")
+        return
+    if hasattr(model, "best_estimator_"):  # of a search: what it has found
+        yield from leaves(model.best_estimator_, path)
+        return
+    yield Step(path, model)
+    if isinstance(model, CylindricalResidualTarget) and hasattr(model, "regressor_"):
+        yield from leaves(model.regressor_, f"{path}.regressor")
+
+
+def check_fitted(model):
+    """Refuse a class, or an estimator that is not fitted, with one sentence."""
+    if isinstance(model, type) or not hasattr(model, "fit"):
+        raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
+    for path, step in leaves(model):
+        try:
+            check_is_fitted(step)
+        except NotFittedError:
+            raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
+
+
+def _azimuth_arm(path, azimuth):
+    """Arm and angle unit of a callable `azimuth`, which has to be the method of an `Arm`."""
+    unit, method = "rad", azimuth
+    if (
+        isinstance(azimuth, partial)
+        and not azimuth.args
+        and set(azimuth.keywords) == {"angle_unit"}
+    ):
+        unit, method = azimuth.keywords["angle_unit"], azimuth.func
+    known = isinstance(method, MethodType) and method.__func__ is Arm.azimuth
+    if not known or not isinstance(method.__self__, Arm):
+        raise ValueError(
+            f"{path} takes its azimuth from {azimuth!r}, which cannot be exported: only the method "
+            "of an Arm can, azimuth=arm.azimuth."
+        )
+    return method.__self__, unit
+
+
+def arm_of(model):
+    """Arm and angle unit of a chain, (None, None) where it has none.
+
+    Raises
+    ------
+    ValueError
+        If two steps disagree.
+    """
+    found = []
+    for path, step in leaves(model):
+        if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
+            found.append((path, *_azimuth_arm(path, step.azimuth)))
+        elif isinstance(getattr(step, "arm_", None), Arm):
+            found.append((path, step.arm_, step.angle_unit))
+    for path, arm, unit in found[1:]:
+        if (arm, unit) != found[0][1:]:
+            what = "arms" if arm != found[0][1] else "angle units"
+            raise ValueError(
+                f"{found[0][0]} and {path} have different {what}, so the model cannot be exported: "
+                f"{found[0][1]!r} in {found[0][2]}, {arm!r} in {unit}."
+            )
+    return found[0][1:] if found else (None, None)
+
+
+def extra_of(model):
+    """Name and reference of each column after the angles, as `Terms` has them."""
+    for _, step in leaves(model):
+        if isinstance(step, ArmResidualRegressor):
+            return step.linear_model_.terms.extra
+    return ()
+
+
+def is_flat(model):
+    """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
+    last = list(leaves(model))[-1].estimator
+    if isinstance(last, ArmResidualRegressor):
+        return False
+    # A linear model without intercept has a scalar for it in either case.
+    return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
+
+
+def described(step):
+    """What a step is, in a few words for people."""
+    name = type(step).__name__
+    if isinstance(step, RBFNetRegressor):
+        parts = step.networks_
+        texts = [f"{part.kernel}, {len(part.centers)} centres" for part in parts]
+        if len(parts) > 1:
+            named = [", ".join(map(str, part.outputs)) for part in parts]
+            texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]
+        return f"{name}: {'; '.join(texts)}"
+    if isinstance(step, PoseFeatures):
+        return f"{name}: {', '.join(step._names())}"
+    if isinstance(step, ArmResidualRegressor):
+        inside = (
+            [described(inner) for _, inner in leaves(step.regressor_)] if step.regressor_ else []
+        )
+        return ", then ".join([f"{name}: {len(step.linear_model_.coef)} terms", *inside])
+    return name
+
+
+def n_inputs(model):
+    """Number of inputs of the first step."""
+    return int(next(leaves(model)).estimator.n_features_in_)
+
+
+def typical_rows(model, n, seed=0):
+    """Rows such as a fitted model may see: random angles, or features between its centres.
+
+    Parameters
+    ----------
+    model : estimator
+    n : int
+    seed : int, default=0
+
+    Returns
+    -------
+    ndarray of shape (n, n_inputs)
+    """
+    rng = np.random.default_rng(seed)
+    arm, unit = arm_of(model)
+    size = n_inputs(model)
+    if arm is not None and size >= arm.n_joints:
+        turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
+        extra = [rng.choice(known, n) for _, known in extra_of(model)]
+        return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
+    rows, back = rng.normal(size=(n, size)), []
+    for _, step in leaves(model):
+        if isinstance(step, SCALERS):
+            back.append(step)
+        if isinstance(step, RBFNetRegressor):
+            centers = np.concatenate([part.centers for part in step.networks_])
+            if len(centers):
+                pairs = rng.integers(0, len(centers), (2, n))
+                inside = centers[pairs].mean(axis=0)
+                rows[:, : inside.shape[1]] = inside
+        if isinstance(step, CylindricalResidualTarget) and step._drops_direction:
+            turns = rng.uniform(-np.pi, np.pi, n)
+            rows[:, -2:] = np.column_stack([np.cos(turns), np.sin(turns)])
+    for step in reversed(back):
+        of_scaler = rows[:, : step.n_features_in_]
+        rows[:, : step.n_features_in_] = step.inverse_transform(of_scaler)
+    return rows
