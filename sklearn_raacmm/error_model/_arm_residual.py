@@ -452,7 +452,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         check_flags(return_std=return_std, with_noise=with_noise)
         X = check_poses(self, X)
         fades = self.fading_.factor > 0
-        mean, std = self.linear_model_.predict(X, return_std or fades)
+        # What is known does not fade, however well it is known.
+        enough = 0.0 if return_std else self.fading_.known_mm
+        mean, std = self.linear_model_.predict(X, return_std or fades, enough)
         mean = mean * self.helps_ + self.second_stage(X)
         if fades:
             share = self.fading_.share(std)
