@@ -6,6 +6,7 @@
 from numbers import Integral, Real
 
 import numpy as np
+from sklearn import config_context
 from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import has_fit_parameter
 
@@ -363,7 +364,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         stage = CylindricalResidualTarget(clone(self.regressor), azimuth=arm.azimuth)
         takes_weights = has_fit_parameter(self.regressor, "sample_weight")
         options = {"sample_weight": weights[kept]} if takes_weights else {}
-        return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
+        # These weights are the model's own, not metadata that a user routes.
+        with config_context(enable_metadata_routing=False):
+            return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
