@@ -43,8 +43,9 @@ from sklearn_raacmm.utils import stage
 
 # Kernels that `kernel="auto"` chooses from.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
-# Rows and iterations of the first stage, and of the second.
-COARSE_ROWS, EXACT_ROWS = 300, 1000
+# Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
+# all: there the second would take as long as that costs (benchmarks/bench_cliffs.py).
+COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
 # Effective parameters of the process with 1000 rows above which more rows are looked at, how many,
 # and for how many iterations: on six random functions with 430 to 900 of them and 3000 rows errors
@@ -140,7 +141,8 @@ def search(
     data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
     constants = data.codes is not None and bool(data.codes.any() or constant_std is not None)
     task = Task(spread, used, q, isotropic, length_scale, alpha, constants, constant_std)
-    few, many = (data.rows(data.draw(size, random_state)) for size in (COARSE_ROWS, EXACT_ROWS))
+    sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
+    few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
     ends = _coarse(task, kernels, few)
     if len(many.X) > len(few.X):
         ends = _refine(ends, few, many)
