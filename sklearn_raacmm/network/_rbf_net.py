@@ -38,7 +38,7 @@ _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_")
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
-    A smooth function of a few features, learnt from up to a million noisy rows, with its standard
+    A smooth function of a few features, from up to a million noisy rows, with its standard
     deviation: a Gaussian process whose structure is chosen by evidence from one short list, then
     compressed to few centres,
 
@@ -74,21 +74,21 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         plain least squares, for a given number of centres.
 
     degree : {-1, 0, 1} or "auto", default="auto"
-        Degree of the polynomial p: none, a constant, or linear, with a ridge of its own if `alpha`
-        is "auto". "auto" is a constant, or a linear model alone where that is more probable.
+        Degree of the polynomial p: none, a constant, or linear. "auto" is a constant, or a linear
+        model alone where that is more probable.
 
     max_centers : int, default=None
-        Most centres that are found. None: 2000, or all of up to 10 000 rows.
+        Most centres found. None: 2000, or all of up to 10 000 rows.
 
     shared : bool, default=False
-        Whether outputs share kernel, widths and centres, chosen by the trace of the error
-        reduction: the published form. By default each has the network that it would have alone.
+        Whether outputs share kernel, widths and centres, by the trace of the error reduction: the
+        published form. By default each has the network that it would have alone.
 
     loss : {"squared", "tukey"}, default="squared"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
 
     random_state : int, RandomState instance or None, default=None
-        Draws the 300 and 1000 rows of the search, and the candidates of more than 10 000.
+        Draws the rows of the search, and candidates.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Share that is left after 1, 2, ... centres.
 
     stop_reason_ : str
-        Why there are no more centres: "n_centers", "max_centers", "criterion", "dependent" or
+        Why there are no more: "n_centers", "max_centers", "criterion", "dependent" or
         "rank" (others are combinations of the chosen ones, as far as can be told), "all rows".
 
     row_weight_ : ndarray of shape (n_samples,)
@@ -148,10 +148,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Number of centres tried.
 
     n_features_in_ : int
-        Number of features seen during fit.
+        Number of features.
 
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
-        Names of features seen during fit, where X had string names.
+        Their names, where X had any.
 
     See Also
     --------
