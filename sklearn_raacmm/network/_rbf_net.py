@@ -39,7 +39,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
     A smooth function of a few features, from up to a million noisy rows, with its standard
-    deviation: a Gaussian process whose structure is chosen by evidence from one short list, then
+    deviation: a Gaussian process whose structure is chosen by evidence, then
     compressed to few centres,
 
     .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
@@ -93,7 +93,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     Attributes
     ----------
     networks_ : tuple of Network
-        A network for each output, or one for all: all numbers of the model.
+        A network for each output, or one for all.
 
     centers_ : ndarray of shape (n_centers, n_features)
         Centres, in the order of selection, of one network after another.
