@@ -39,8 +39,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
     A smooth function of a few features, from up to a million noisy rows, with its standard
-    deviation: a Gaussian process whose structure is chosen by evidence, then
-    compressed to few centres,
+    deviation: a Gaussian process whose structure is chosen by evidence, compressed to few centres,
 
     .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
 
