@@ -19,6 +19,7 @@ from sklearn_raacmm.residuals._plausible import (
 )
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
+from sklearn_raacmm.residuals._positions import positions_of, within_positions_score
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "elbow_angle",
     "pose_columns",
     "position_residuals",
+    "positions_of",
     "refuse_large",
     "refuse_points",
     "shoulder_wrist_distance",
@@ -38,4 +40,5 @@ __all__ = [
     "to_cartesian",
     "to_cylindrical",
     "warn_of_another_frame",
+    "within_positions_score",
 ]
