@@ -4,9 +4,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from scipy.sparse import issparse
 from sklearn.base import clone
-from sklearn.linear_model import ElasticNet, LinearRegression, Ridge
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.metrics import r2_score
 from sklearn.model_selection._search import BaseSearchCV
 from sklearn.pipeline import Pipeline
@@ -22,8 +23,10 @@ from sklearn_raacmm.utils import (
     share_of_means,
 )
 
-# Least squares with a penalty on the coefficients alone: of these the constants are exact.
-_LINEAR = (LinearRegression, Ridge, ElasticNet)
+# Predictions that are linear in the targets, once settings are given.
+_LINEAR = (LinearRegression, Ridge, KernelRidge, GaussianProcessRegressor)
+# Combinations of constants that a regressor takes for its own but for so small a part.
+_SINGULAR = 1e-9
 # Fits by turns, at most, and the change of the constants, as a share of the targets' root mean
 # square, at which they are settled: `benchmarks/bench_chain.py --turns`.
 _MOST_TURNS, _SETTLED = 5, 0.01
@@ -113,37 +116,41 @@ def positions_of(arm, angles, y):
     return codes.ravel() if 2 * len(labels) <= len(y) else None
 
 
-def name_of_groups(regressor):
-    """Name by which `fit` takes groups, and whether it knows their constants.
+def last_step_of(regressor):
+    """Find what learns: the regressor itself, or the last step of a pipeline.
 
     Parameters
     ----------
     regressor : object
-        Where it is a pipeline, its last step counts.
 
     Returns
     -------
-    name : str or None
-        None where `fit` does not take them.
-    knows : bool
-        False for a search, which only splits by them.
+    last : object
+    prefix : str
+        Of its parameters in `fit`, such as "ridge__"; empty without a pipeline.
     """
-    name, inner = "", regressor
-    while isinstance(inner, Pipeline):
-        name += f"{inner.steps[-1][0]}__"
-        inner = inner.steps[-1][1]
-    knows = has_fit_parameter(inner, "groups")
-    takes = knows or isinstance(inner, BaseSearchCV)
-    return (f"{name}groups" if takes else None), knows
+    prefix = ""
+    while isinstance(regressor, Pipeline):
+        name, regressor = regressor.steps[-1]
+        prefix += f"{name}__"
+    return regressor, prefix
+
+
+def takes_groups(regressor):
+    """Whether `fit` takes groups, and whether it knows their constants: a search only splits."""
+    knows = has_fit_parameter(regressor, "groups")
+    return knows or isinstance(regressor, BaseSearchCV), knows
 
 
 def constants_of(regressor, X, y, codes, weights, fit_params):
     """Estimate the constants of positions for a regressor that knows none.
 
-    Where the last step is linear in its features, those of the joint minimum of its objective over
-    coefficients and constants, by the theorem of Frisch and Waugh: features and targets less their
-    means at each position. For other regressors by turns: fit, take the mean of what is left at
-    each position, fit again without it.
+    They are those that leave a mean of zero at each position once the regressor is fitted to the
+    targets without them. Where predictions are linear in the targets (`_LINEAR`), they solve one
+    set of equations: for least squares and ridge that is the joint minimum over coefficients and
+    constants, the theorem of Frisch and Waugh, and for a Gaussian process generalised least
+    squares. For other regressors by turns: fit, take the mean of what is left at each position, fit
+    again without it.
 
     Parameters
     ----------
@@ -168,13 +175,9 @@ def constants_of(regressor, X, y, codes, weights, fit_params):
     Econometrica 1(4), 1933, 387-401.
     """
     fitted = clone(regressor).fit(X, y, **fit_params)
-    last = fitted
-    if type(fitted) is Pipeline:
-        features, last = before_last(fitted, X)
-    else:
-        features = X
-    if isinstance(last, _LINEAR) and not (last.positive or issparse(features)):
-        return _linear_constants(last, np.asarray(features, dtype=float), y, codes, weights)
+    features, last = before_last(fitted, X)
+    if isinstance(last, _LINEAR) and not getattr(last, "positive", False):
+        return _solved(last, features, y, codes, weights)
     constants = np.zeros((codes.max() + 1, *y.shape[1:]))
     size = np.sqrt(np.average(np.square(y), axis=0, weights=weights).sum())
     for _ in range(_MOST_TURNS):
@@ -187,12 +190,24 @@ def constants_of(regressor, X, y, codes, weights, fit_params):
     return constants
 
 
-def _linear_constants(fitted, features, y, codes, weights):
-    """Constants of the joint minimum; with an intercept, its mean over rows is zero."""
-    within = clone(fitted).set_params(fit_intercept=False)
-    within.fit(centred(features, codes, weights), centred(y, codes, weights), weights)
-    constants = group_means(y - within.predict(features).reshape(y.shape), codes, weights)
-    if fitted.fit_intercept:
+def _solved(fitted, features, y, codes, weights):
+    """Constants c of D'W (I - S) (y - D c) = 0; D has a column of ones for each position.
+
+    S is the map from targets to predictions: S D are the predictions of a fit to D, and where they
+    have an intercept, all c may be shifted together: their mean over rows is then zero.
+    """
+    if isinstance(fitted, GaussianProcessRegressor):  # the kernel that it has found
+        smoother = clone(fitted).set_params(kernel=fitted.kernel_, optimizer=None)
+        known = {}
+    else:
+        smoother, known = clone(fitted), {"sample_weight": weights}
+    positions = np.eye(codes.max() + 1)[codes]
+    smoother.fit(features, positions, **known)
+    smoothed = smoother.predict(features).reshape(positions.shape)
+    left = group_means(positions - smoothed, codes, weights)
+    of_y = group_means(y - fitted.predict(features).reshape(y.shape), codes, weights)
+    constants = np.linalg.lstsq(left, of_y, rcond=_SINGULAR)[0]
+    if getattr(fitted, "fit_intercept", True):
         constants = constants - np.average(constants[codes], axis=0, weights=weights)
     return constants
 

@@ -39,8 +39,8 @@ from sklearn_raacmm.residuals._positions import (
     before_last,
     constants_of,
     last_step_of,
-    name_of_groups,
     positions_of,
+    takes_groups,
     within_positions_score,
 )
 from sklearn_raacmm.utils import (
@@ -84,8 +84,8 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     regressor : object, default=None
         Regressor for the three components, cloned before fitting. If None,
         :class:`~sklearn.linear_model.LinearRegression`. One that has no widths of its own needs
-        scaled features, by a scaler inside: ``make_pipeline(StandardScaler(), KernelRidge())``. A search
-        over its parameters, such as ``regressor__n_centers``, needs one to be given.
+        scaled features, by a scaler inside it. A search over its parameters, such as
+        ``regressor__n_centers``, needs one to be given.
 
     azimuth : "appended", callable or None, default="appended"
         Where the azimuth of the probe comes from.
@@ -271,16 +271,16 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
 
     def _by_position(self, features, y, groups, codes, fit_params, routing):
         """Targets less the constants of positions, and the regressor's parameters with groups."""
-        name, knows = name_of_groups(self.regressor_)
-        steps, _, _ = (name or "").rpartition("groups")
-        if routing:  # the last step takes them by request, under their own name
-            steps, name = "", name and "groups"
+        last, prefix = last_step_of(self.regressor_)
+        takes, knows = takes_groups(last)
+        if routing:  # by request, under names without a prefix
+            prefix = ""
             if knows:
-                last_step_of(self.regressor_).set_fit_request(groups=True)
-        weights = check_weights(fit_params.get(f"{steps}sample_weight"), y.reshape(len(y), -1))
+                last.set_fit_request(groups=True)
+        weights = check_weights(fit_params.get(f"{prefix}sample_weight"), y.reshape(len(y), -1))
         self.by_position_ = are_deviations(y, codes, weights)
-        if name is not None:
-            fit_params = {name: groups} | fit_params
+        if takes:
+            fit_params = {f"{prefix}groups": groups} | fit_params
         if self.by_position_ and not knows:
             constants = constants_of(self.regressor_, features, y, codes, weights, fit_params)
             y = y - constants[codes]
