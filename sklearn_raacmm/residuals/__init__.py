@@ -12,6 +12,11 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
+from sklearn_raacmm.residuals._earlier import (
+    bp_network_chain,
+    database_chain,
+    polynomial_chain,
+)
 from sklearn_raacmm.residuals._plausible import (
     refuse_large,
     refuse_points,
@@ -26,10 +31,13 @@ __all__ = [
     "NORM_TOLERANCE",
     "CylindricalResidualTarget",
     "PoseFeatures",
+    "bp_network_chain",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
+    "database_chain",
     "direction_of",
     "elbow_angle",
+    "polynomial_chain",
     "pose_columns",
     "position_residuals",
     "positions_of",
