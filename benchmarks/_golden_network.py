@@ -48,7 +48,7 @@ def _of_generated(name, n):
 
 
 def _of_arm(arm, joints, angles, residuals, folds, groups=None, scatter=None):
-    """Share of the residuals that a chain leaves in folds it has not seen, within `scatter` or all."""
+    """Share of the residuals that a chain leaves in folds it has not seen, or of their scatter."""
     left, whole = 0.0, 0.0
     for learn, test in folds:
         inputs = {"joints": "all", "encoding": "periodic"} if joints else {}

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from _comparison import ALL, PAPER, chain, fit, gaussian_process
+from scipy.spatial.distance import cdist
+from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.exceptions import ConvergenceWarning
@@ -23,7 +25,6 @@ from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, Stand
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     RBFNetRegressor,
 )
 from sklearn_raacmm.metrics import repeatability_scorer
@@ -79,11 +80,42 @@ def _named(model, prefix, grid):
     return model, {f"{prefix}__{name}": values for name, values in grid.items()}
 
 
+class Newrb(RegressorMixin, BaseEstimator):
+    """MATLAB's newrb: plain least squares, targets not centred, one width, so many neurons."""
+
+    def __init__(self, n_centers=30, length_scale=1.0):
+        self.n_centers, self.length_scale = n_centers, length_scale
+
+    def fit(self, X, y):
+        """Choose centres by the sum of the outputs' squared error-reduction ratios."""
+        Y = np.reshape(y, (len(X), -1))
+        W, chosen = self._radial(X, X), []
+        for _ in range(min(self.n_centers, len(X) - 1)):
+            lengths = np.square(W).sum(axis=0)
+            lengths[chosen] = np.inf
+            ratios = np.square(W.T @ Y) / lengths[:, None] / np.square(Y).sum(axis=0)
+            chosen.append(int(np.argmax(np.square(ratios).sum(axis=1))))
+            w = W[:, chosen[-1]] / np.linalg.norm(W[:, chosen[-1]])
+            W -= np.outer(w, w @ W)
+        self.centers_ = X[chosen]
+        self.coef_ = np.linalg.lstsq(self._columns(X), y, rcond=1e-12)[0]
+        return self
+
+    def predict(self, X):
+        """Radial functions and a bias."""
+        return self._columns(X) @ self.coef_
+
+    def _radial(self, X, C):
+        return np.exp(-0.5 * cdist(X, C, "sqeuclidean") / self.length_scale**2)
+
+    def _columns(self, X):
+        return np.column_stack([self._radial(X, self.centers_), np.ones(len(X))])
+
+
 def _newrb(arm):
     """The paper's network: MATLAB's newrb, one width for all, a given number of centres."""
-    network = RBFNetRegressor(alpha=0.0, selection="newrb")
     grid = {"n_centers": [10, 30], "length_scale": [1.0, 2.0, 4.0]}
-    return _chain(arm, network, PAPER, grid)
+    return _chain(arm, Newrb(), PAPER, grid)
 
 
 def _kernel_ridge(arm, inputs, widths):
@@ -144,7 +176,6 @@ MODELS = {
     (ALL, "nearest neighbours"): lambda arm: _neighbours(arm, ALL),
     (ALL, "perceptron"): lambda arm: _perceptron(arm, ALL),
     (ALL, "extra trees"): lambda arm: _trees(arm, ALL),
-    (ANGLES, "JointHarmonicRegressor"): JointHarmonicRegressor,
     (ANGLES, "ArmResidualRegressor"): ArmResidualRegressor,
 }
 
@@ -169,7 +200,7 @@ def run(name, fold, max_gp_rows=1000):
             warnings.simplefilter("ignore", ConvergenceWarning)
             search.fit(X, y, groups=splits)
         model = search.best_estimator_
-    elif isinstance(model, JointHarmonicRegressor | ArmResidualRegressor):
+    elif isinstance(model, ArmResidualRegressor):
         model.fit(X, y, groups=positions)
     elif name[0] == PAPER and isinstance(model.regressor[-1], RBFNetRegressor):
         # Rows of all joints are without groups: on the first arm of each kind the same to 1 %.
@@ -209,11 +240,6 @@ def n_parameters(model):
         case ExtraTreesRegressor():  # a split: feature and threshold; a leaf: three values
             trees = [tree.tree_ for tree in model.estimators_]
             return sum(2 * (t.node_count - t.n_leaves) + 3 * t.n_leaves for t in trees)
-        case JointHarmonicRegressor():
-            return model.coef_.size
         case ArmResidualRegressor():
-            if model.use_ == "none":
-                return 0
-            network = 0 if model.network_ is None else n_parameters(model.network_)
-            return model.linear_model_.coef.size + network
+            return model.coef_.size if model.helps_ else 0
     raise TypeError(f"Unknown kind of model: {model!r}.")

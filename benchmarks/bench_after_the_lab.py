@@ -16,8 +16,9 @@ from pathlib import Path
 from urllib.request import urlretrieve
 
 import numpy as np
+from _arm_folds import arm_model
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate, update_correction
+from sklearn_raacmm import Arm, calibrate, update_correction
 
 URL = (
     "https://raw.githubusercontent.com/christianlandgraf/ipa-robot-accuracy/"
@@ -75,7 +76,7 @@ def main():
     angles, points = read("A", folder)
     rows = np.random.default_rng(0).permutation(len(angles))[: options.rows]
     first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
-    model = JointHarmonicRegressor(first.arm).fit(angles[rows], first.residuals_mm)
+    model = arm_model(first.arm).fit(angles[rows], first.residuals_mm)
     angles, points = read("B", folder)
     print(f"Model of {len(rows)} poses of A, used on B. Mean deviation, mm: median (largest)")
     print("poses  " + "".join(f"{way:>26}" for way in WAYS) + "    seconds: register, update")

@@ -13,12 +13,14 @@ read from the folder that SKLEARN_RAACMM_DATA names.
 import argparse
 import os
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from _arm_folds import arm_model
 from bench_after_the_lab import read
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate, check_correction
+from sklearn_raacmm import Arm, calibrate, check_correction
 
 ARCSEC = np.pi / 180 / 3600
 RATE = 0.01
@@ -66,20 +68,22 @@ def table(arm, model, poses, noise_mm, runs):
         print(f"{name:50}{alarms / n_runs:8.1%}{f'{right} of {alarms}':>17}", flush=True)
 
 
+def poses_of_simulated_arm(arm, seed, n=40):
+    """Angles and residuals of an arm with eccentric encoders."""
+    rng = np.random.default_rng([2, seed])
+    angles = rng.uniform(-2, 2, (n, 6))
+    turn = np.zeros_like(angles)
+    turn[:, 0] = 8 * np.sin(angles[:, 0])
+    turn[:, 1] = 12 * np.cos(angles[:, 1])
+    turn[:, 3] = 8 * np.cos(2 * angles[:, 3] - 1)
+    y = np.einsum("nij,nj->ni", arm.jacobian(angles), turn * ARCSEC)
+    return angles, y + rng.normal(0, 0.015, y.shape)
+
+
 def simulated(runs):
     arm = Arm.from_name("aacmm6")
-
-    def poses(seed, n=40):
-        rng = np.random.default_rng([2, seed])
-        angles = rng.uniform(-2, 2, (n, 6))
-        turn = np.zeros_like(angles)
-        turn[:, 0] = 8 * np.sin(angles[:, 0])
-        turn[:, 1] = 12 * np.cos(angles[:, 1])
-        turn[:, 3] = 8 * np.cos(2 * angles[:, 3] - 1)
-        y = np.einsum("nij,nj->ni", arm.jacobian(angles), turn * ARCSEC)
-        return angles, y + rng.normal(0, 0.015, y.shape)
-
-    model = JointHarmonicRegressor(arm, max_order=12).fit(*poses(10**6, 500))
+    poses = partial(poses_of_simulated_arm, arm)
+    model = arm_model(arm, orders=12).fit(*poses(10**6, 500))
     print("Simulated measuring arm, 40 poses")
     table(arm, model, poses, 0.015, runs)
 
@@ -90,7 +94,7 @@ def real(runs):
     order = np.random.default_rng(0).permutation(len(angles))
     rows, others = order[:3000], order[3000:]
     first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
-    model = JointHarmonicRegressor(first.arm).fit(angles[rows], first.residuals_mm)
+    model = arm_model(first.arm).fit(angles[rows], first.residuals_mm)
 
     def poses(run):
         some = np.random.default_rng([3, run]).choice(others, 40, replace=False)

@@ -27,7 +27,6 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -57,7 +56,7 @@ def best(function, repeats=5):
 
 
 def models(data):
-    """Fitted models by name: networks of two sizes, the linear model, and both with guards."""
+    """Fitted models by name: networks of two sizes, the arm's model, and it with a second stage."""
     arm = data.arm
 
     def chain(n_centers):
@@ -68,11 +67,9 @@ def models(data):
             ),
         )
 
-    linear = JointHarmonicRegressor(arm, max_order=3)
+    linear = ArmResidualRegressor(arm, orders=3)
     network = RBFNetRegressor(60, degree=-1, random_state=0)
-    both = ArmResidualRegressor(
-        arm, harmonics=linear, network=network, use="harmonics+network", fade=1.0
-    )
+    both = ArmResidualRegressor(arm, orders=3, regressor=network, fade=1.0)
     found = {
         "network, 60 centres": chain(60),
         "network, 266 centres": chain(266),

@@ -18,7 +18,7 @@ import argparse
 
 import numpy as np
 
-from sklearn_raacmm import JointHarmonicRegressor, calibrate, position_residuals
+from sklearn_raacmm import ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import ArmErrors, fetch_ur10_tracker, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -66,7 +66,7 @@ def deviations(test, extra, values, tracker, moved=0.0):
     train = groups % 2 == 0
     left = []
     for names, X in (([], test.data), (extra, np.hstack([test.data, values]))):
-        model = JointHarmonicRegressor(test.arm, max_order=8, extra=names)
+        model = ArmResidualRegressor(test.arm, orders=8, extra=names)
         model.fit(X[train], y[train], groups=groups[train])
         rest = points[~train] - model.predict(X[~train])
         if tracker:
@@ -110,7 +110,7 @@ def real_directions(data, splits):
         left, lags = [], []
         for result, (train, test) in zip(calibrated, splits, strict=True):
             y = result.residuals(data.data, data.tracker_points)
-            model = JointHarmonicRegressor(result.arm, extra=names)
+            model = ArmResidualRegressor(result.arm, extra=names)
             model.fit(X[train], y[train], groups=data.groups[train])
             terms = model.terms_[model.terms_["family"] == "direction"]
             lags.append(" ".join(f"{value:.1f}" for value in terms["value"]))
@@ -135,7 +135,7 @@ def real_orientations(data, train, test):
     show("nothing: calibrated only", 0.0, 0.0)
     known = {"orientation_residuals": turns[train]}
     for title, extra in (("points", {}), ("points and orientations", known)):
-        model = JointHarmonicRegressor(result.arm)
+        model = ArmResidualRegressor(result.arm)
         model.fit(angles[train], y[train], groups=data.groups[train], **extra)
         show(title, model.predict_orientation(angles[test]), model.predict(angles[test]))
 

@@ -14,8 +14,8 @@ are some of
 - octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
 
 The real data are looked for in ``../shared/data`` beside the project, or in the folder that
-SKLEARN_RAACMM_DATA names. `--defaults` runs `JointHarmonicRegressor` and `ArmResidualRegressor`
-alone, without the table of ideas; `--inputs` compares what a network alone is given instead.
+SKLEARN_RAACMM_DATA names. `--defaults` runs `ArmResidualRegressor` alone,
+without the table of ideas; `--inputs` compares what a network alone is given instead.
 
 Every real fold calibrates the arm on its own training rows. The settings of every method are its
 defaults, or found inside the training rows. The tables are printed as the documentation has them,
@@ -27,16 +27,12 @@ deviations, noise included.
 """
 
 import argparse
-import importlib.util
-import os
 import sys
 import warnings
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
-from sklearn.cluster import KMeans
-from sklearn.model_selection import GroupKFold
+from _arm_folds import panda_folds, read_panda, read_ur10, simulated_folds, ur10_folds, ur10b_folds
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
@@ -44,7 +40,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -52,9 +47,6 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths
-
-ROOT = Path(__file__).resolve().parent.parent
-DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
 
 
 def network(arm, **inputs):
@@ -80,19 +72,16 @@ def _without_first(X):
     return X[:, 2:]
 
 
-NONE, LINEAR, CHAIN = "no correction", "`JointHarmonicRegressor`", "`ArmResidualRegressor`"
+NONE, MODEL = "no correction", "`ArmResidualRegressor`"
 
 
 def ideas(arm, tracked, real):
     """Name, estimator, and whether it takes groups, of what the linear model is made of."""
-    bare = {"gravity": False, "kinematics": False, "wobble": False}
-    yield "harmonics alone", JointHarmonicRegressor(arm, **bare), True
-    yield "and gravity", JointHarmonicRegressor(arm, **{**bare, "gravity": True}), True
-    yield "and kinematics", JointHarmonicRegressor(arm, wobble=False), True
+    yield "harmonics alone", ArmResidualRegressor(arm, causes=[]), True
+    yield "and gravity", ArmResidualRegressor(arm, causes=["gravity"]), True
+    yield "and kinematics", ArmResidualRegressor(arm, causes=["gravity", "kinematics"]), True
     if not tracked:
-        yield "the default, but no offsets", JointHarmonicRegressor(arm, offsets=False), True
-    if real:
-        yield "the default, but least squares", JointHarmonicRegressor(arm, loss="squared"), True
+        yield "the default, but no offsets", ArmResidualRegressor(arm, offsets=False), True
 
 
 def inputs(arm, tracked, real):
@@ -106,56 +95,6 @@ def inputs(arm, tracked, real):
 
 def no_others(arm, tracked, real):
     return ()
-
-
-def readers():
-    spec = importlib.util.spec_from_file_location("readers", ROOT / "tests" / "conftest.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def ur10_folds(split, n_rows):
-    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_grid.csv")
-    rng = np.random.default_rng(0)
-    rows = np.sort(rng.permutation(len(data.angles))[:n_rows])
-    theta, points, goals = data.angles[rows], data.points[rows], data.groups[rows]
-    if split == "goal":
-        fold = (rng.permutation(goals.max() + 1) % 5)[goals]
-    else:
-        labels, index = np.unique(goals, return_inverse=True)
-        means = np.stack([points[index == i].mean(axis=0) for i in range(len(labels))])
-        fold = KMeans(5, n_init=5, random_state=0).fit_predict(means)[index]
-    yield from tracked_folds(theta, points, goals, fold)
-
-
-def ur10b_folds():
-    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_joint_configurations.csv")
-    fold = KMeans(5, n_init=1, random_state=0).fit_predict(data.points)
-    regions = KMeans(60, n_init=1, random_state=0).fit_predict(data.points)  # it has no goals
-    yield from tracked_folds(data.angles, data.points, regions, fold)
-
-
-def tracked_folds(theta, points, groups, fold):
-    """Arm, angles, residuals, groups and training rows of each of five folds."""
-    for k in range(5):
-        train = fold != k
-        result = calibrate(
-            Arm.from_name("ur10", probe=(0, 0, 109)), theta[train], points=points[train]
-        )
-        measured = (points - result.base_translation) @ result.base_rotation
-        yield result.arm, theta, result.arm.forward(theta) - measured, groups, train
-
-
-def panda_folds(name):
-    data = readers().read_panda(DATA / "panda_ball_socket" / name)
-    for placement in np.unique(data.placements):
-        train = data.placements != placement
-        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(data.placements[train])]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=lengths).arm
-        y = position_residuals(arm.forward(data.angles), data.groups)
-        yield arm, data.angles, y, data.groups, train
 
 
 def statistics(left, groups, reference):
@@ -172,13 +111,6 @@ def statistics(left, groups, reference):
     return length.mean(), (high - low) / 2, length.max(), two_s[counts > 1].mean()
 
 
-def simulated_folds(mix):
-    cone = make_single_point(10, 40, machine=mix, random_state=0)
-    for train, _ in GroupKFold(5).split(cone.data, groups=cone.groups):
-        mask = np.isin(np.arange(len(cone.data)), train)
-        yield cone.arm, cone.data, cone.target, cone.groups, mask
-
-
 def gauge_errors(mix):
     """Mean absolute error of 500 mm gauges: no correction, a model, one that knows 300 mm."""
     cone = make_single_point(10, 40, machine=mix, random_state=0)
@@ -189,14 +121,14 @@ def gauge_errors(mix):
         lengths = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs)
         return np.abs(lengths - gauge.lengths)[long].mean()
 
-    model = JointHarmonicRegressor(cone.arm).fit(cone.data, cone.target, groups=cone.groups)
+    model = ArmResidualRegressor(cone.arm).fit(cone.data, cone.target, groups=cone.groups)
     found = [error(0.0), error(model.predict(gauge.data))]
     short = np.isin(gauge.groups, gauge.pairs[~long])
     theta = np.vstack([cone.data, gauge.data[short]])
     y = np.vstack([cone.target, gauge.target[short]])
     groups = np.r_[cone.groups, 100 + gauge.groups[short]]
     known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[~long]]
-    model = JointHarmonicRegressor(cone.arm).fit(theta, y, groups=groups, lengths=known)
+    model = ArmResidualRegressor(cone.arm).fit(theta, y, groups=groups, lengths=known)
     return [*found, error(model.predict(gauge.data))]
 
 
@@ -206,18 +138,6 @@ def folds_of(name, n_rows):
     if name.startswith("ur10"):
         return ur10_folds(name.split("-")[1], n_rows)
     return simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
-
-
-def by_default(arm, theta, y, groups, train):
-    """Predictions of the two estimators, and z: residuals in standard deviations."""
-    of_train = {"groups": groups[train]}
-    chain = ArmResidualRegressor(arm).fit(theta[train], y[train], **of_train)
-    mean, std = chain.predict(theta[~train], return_std=True, with_noise=True)
-    first = mean
-    if chain.use_ != "harmonics":  # otherwise the chain is its first stage
-        linear = JointHarmonicRegressor(arm).fit(theta[train], y[train], **of_train)
-        first = linear.predict(theta[~train])
-    return first, mean, std
 
 
 def run(name, n_rows, others, with_defaults):
@@ -237,9 +157,11 @@ def run(name, n_rows, others, with_defaults):
             model.fit(theta[train], y[train], **extra)
             found[title] = left_by(model.predict(theta[~train]))
         if with_defaults:
-            first, mean, std = by_default(arm, theta, y, groups, train)
-            found[LINEAR], found[CHAIN] = left_by(first), left_by(mean)
-            inside.append(np.abs(found[CHAIN]) < 1.96 * std)
+            model = ArmResidualRegressor(arm)
+            model.fit(theta[train], y[train], groups=groups[train])
+            mean, std = model.predict(theta[~train], return_std=True, with_noise=True)
+            found[MODEL] = left_by(mean)
+            inside.append(np.abs(found[MODEL]) < 1.96 * std)
         for title, left in found.items():
             lefts.setdefault(title, []).append(left)
         print(f"  {name}: fold done", file=sys.stderr, flush=True)
@@ -252,20 +174,15 @@ def rows_of(name, lefts, groups, inside):
     reference = np.linalg.norm(lefts[NONE], axis=1)
     found = {title: statistics(left, groups, reference) for title, left in lefts.items()}
     ideas = {title: f"{found[title][0]:.4f} / {found[title][2]:.3f}" for title in found}
-    if LINEAR not in found:
+    if MODEL not in found:
         return ideas, {}
-    defaults = {NONE: ideas[NONE]}
-    for title in (LINEAR, CHAIN):
-        mean, half, largest, _ = found[title]
-        defaults[title] = f"{mean:.4f} ± {half:.4f} / {largest:.3f}"
-    if np.array_equal(lefts[CHAIN], lefts[LINEAR]):
-        defaults[CHAIN] = "same"
-    defaults["2S: none, model"] = f"{found[NONE][3]:.4f}, {found[LINEAR][3]:.4f}"
+    mean, half, largest, _ = found[MODEL]
+    defaults = {NONE: ideas[NONE], MODEL: f"{mean:.4f} ± {half:.4f} / {largest:.3f}"}
+    defaults["2S: none, model"] = f"{found[NONE][3]:.4f}, {found[MODEL][3]:.4f}"
     defaults["inside"] = f"{inside:.1f} %"
     if name.startswith("sim"):
         gauges = ", ".join(f"{error:.4f}" for error in gauge_errors(name[4:]))
         defaults["500 mm: none, model, 300 mm known"] = gauges
-    del ideas[CHAIN]
     return ideas, defaults
 
 
@@ -315,9 +232,9 @@ def corners():
 
 def octants():
     """A UR10 learns in one octant, with an arm calibrated there or everywhere."""
-    data = readers().read_ur10(DATA / "ur10_tracker" / "measurements_grid.csv")
-    rows = np.random.default_rng(0).permutation(len(data.angles))[:2500]
-    theta, points, goals = data.angles[rows], data.points[rows], data.groups[rows]
+    theta, points, goals = read_ur10("A")
+    rows = np.random.default_rng(0).permutation(len(theta))[:2500]
+    theta, points, goals = theta[rows], points[rows], goals[rows]
 
     def calibrated(mask):
         nominal = Arm.from_name("ur10", probe=(0, 0, 109))
@@ -354,10 +271,10 @@ GRID = {
 
 def grid():
     """Distances that one placement of panda_3 has to the others, by models of the others."""
-    data = readers().read_panda(DATA / "panda_ball_socket" / "panda_3")
+    angles, sockets, placements = read_panda("panda_3")
     errors = {}
     for out in GRID:
-        train = data.placements != out
+        train = placements != out
         rest = [name for name in GRID if name != out]
         pairs = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in rest]
         between = [
@@ -366,18 +283,18 @@ def grid():
             for hole in "01"
         ]
         nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=pairs).arm
-        points = arm.forward(data.angles)
-        learn = data.angles[train], position_residuals(points[train], data.groups[train])
+        arm = calibrate(nominal, angles[train], sockets[train], lengths=pairs).arm
+        points = arm.forward(angles)
+        learn = angles[train], position_residuals(points[train], sockets[train])
         found = {"no correction": np.zeros_like(points)}
         for title, known in (("no lengths", ()), ("50 mm pairs", pairs), ("all", pairs + between)):
-            model = JointHarmonicRegressor(arm)
-            model.fit(*learn, groups=data.groups[train], lengths=known)
-            found[f"lengths in the fit: {title}"] = model.predict(data.angles)
+            model = ArmResidualRegressor(arm)
+            model.fit(*learn, groups=sockets[train], lengths=known)
+            found[f"lengths in the fit: {title}"] = model.predict(angles)
         for title, correction in found.items():
             centre = {
-                label: (points - correction)[data.groups == label].mean(axis=0)
-                for label in np.unique(data.groups)
+                label: (points - correction)[sockets == label].mean(axis=0)
+                for label in np.unique(sockets)
             }
 
             def error(a, b, length, centre=centre):
@@ -409,7 +326,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=None, help="of the UR10 (default: all)")
     parser.add_argument("--inputs", action="store_true", help="compare the network's inputs")
-    parser.add_argument("--defaults", action="store_true", help="only the two arm estimators")
+    parser.add_argument("--defaults", action="store_true", help="only the default")
     mixes = ["sim-gravity", "sim-typical", "sim-eccentricity"]
     others = {"corners": corners, "grid": grid, "octants": octants}
     sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", "ur10b-space", *others]
@@ -418,7 +335,7 @@ def main():
     if wrong := set(args.sets) - set(sets):
         parser.error(f"no such set: {', '.join(sorted(wrong))}; there are {', '.join(sets)}.")
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
-    warnings.filterwarnings("ignore", message="With kinematics=False")
+    warnings.filterwarnings("ignore", message="Without the cause kinematics")
     compared = inputs if args.inputs else no_others if args.defaults else ideas
     tables = {}, {}
     for name in args.sets:

@@ -15,7 +15,7 @@ import warnings
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate, update_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, update_correction
 
 ARCSEC = np.pi / 180 / 3600
 NOISE_MM = 0.03
@@ -62,7 +62,7 @@ def one_robot(seed, n_new):
     robot, rng = Robot(seed), np.random.default_rng([1, seed])
     old, new, far = (rng.uniform(-2, 2, (n, 6)) for n in (1500, n_new, 500))
     first = calibrate(robot.arm, old, points=robot.measure(old, rng, 0))
-    model = JointHarmonicRegressor(first.arm).fit(old, first.residuals_mm)
+    model = ArmResidualRegressor(first.arm).fit(old, first.residuals_mm)
     points, true = robot.measure(new, rng, 1), robot.measure(far, rng, 1)
     few = slice(0, n_new // 5)
     bare = calibrate(first.arm, new[few], points=points[few], free=["probe"])
@@ -72,7 +72,7 @@ def one_robot(seed, n_new):
     left += [deviation((far, through.residuals(far, true)), m) for m in (model, updated)]
     for rows in (few, slice(None)):
         fresh = calibrate(robot.arm, new[rows], points=points[rows])
-        own = JointHarmonicRegressor(fresh.arm).fit(new[rows], fresh.residuals_mm)
+        own = ArmResidualRegressor(fresh.arm).fit(new[rows], fresh.residuals_mm)
         left.append(deviation((far, fresh.residuals(far, true)), own))
     return left
 

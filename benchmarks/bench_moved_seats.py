@@ -1,7 +1,7 @@
 """How often a socket is said to have moved during a single-point test, and how often it had.
 
 Simulates arms with eccentric encoders, gravity, backlash, warming, payloads and slipped probes,
-fits `JointHarmonicRegressor`, and looks for steps in what it leaves, in the order of the test and
+fits `ArmResidualRegressor`, and looks for steps in what it leaves, in the order of the test and
 in others: sorted by the angle of each joint, by clusters of poses, and shuffled. Then the socket of
 one position is moved halfway through its poses, and the model fitted to that. With ``--panda`` two
 real Pandas are looked at, too.
@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 from sklearn.cluster import KMeans
 
-from sklearn_raacmm import JointHarmonicRegressor
+from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import ArmErrors, fetch_panda_ball_socket, make_single_point
-from sklearn_raacmm.error_model import find_steps
+from sklearn_raacmm.measurements import find_steps
 
 STEPS_MM = (0.03, 0.1, 0.3)
 N_POSES = (8, 12, 20, 30, 60)
@@ -53,7 +53,7 @@ def orders(angles, codes, rng):
 
 def look(arm, angles, y, groups):
     """What the model leaves, positions by number, and the variance of its noise."""
-    model = JointHarmonicRegressor(arm).fit(angles, y, groups=groups)
+    model = ArmResidualRegressor(arm).fit(angles, y, groups=groups)
     left = y - model.linear_model_.predict(angles)[0]
     return left, np.unique(groups, return_inverse=True)[1].ravel(), model.noise_sd_**2
 

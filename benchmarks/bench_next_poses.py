@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from bench_after_the_lab import mean_deviation, read
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate, next_poses
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, next_poses
 
 NOMINAL = Arm.from_name("ur10", probe=(0, 0, 93))
 TABLE = ["base", "probe", "a", "alpha", "d", "theta_offset"]
@@ -55,7 +55,7 @@ class Task:
     def fit(self, rows):
         """Calibration of some poses, and the model of what it leaves."""
         found = calibrate(NOMINAL, self.angles[rows], points=self.points[rows])
-        return found, JointHarmonicRegressor(found.arm).fit(self.angles[rows], found.residuals_mm)
+        return found, ArmResidualRegressor(found.arm).fit(self.angles[rows], found.residuals_mm)
 
 
 def compare(name, task_of, n, use, choose, n_chance, draws):

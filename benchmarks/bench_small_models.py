@@ -4,19 +4,17 @@ Widths and ridge are those that RBFNetRegressor() finds on the same training row
 ways, so that only the centres differ:
 
 - ols: forward selection, RBFNetRegressor(k);
-- refined: then exchanged one for a better one, RBFNetRegressor(k, refine=True);
 - k-means: means of clusters of the scaled inputs;
 - random: training rows drawn at random, root mean square error of five draws;
 - p-greedy: rows where the interpolant's power function is greatest (pivots of the Cholesky factor).
 
 Printed is the root mean square error against the truth without noise, in standard deviations of
-the truth, joined over outputs; what refinement gains; and the CPU time of both fits, one thread.
+the truth, joined over outputs.
 
     python benchmarks/bench_small_models.py --problems fourier3 robot_arm8 --sizes 10 20 50 100
 """
 
 import argparse
-import time
 
 import numpy as np
 from _problems import GENERATED, generated
@@ -26,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky, psd_root
 
-WAYS = ["ols", "refined", "k-means", "random", "p-greedy"]
+WAYS = ["ols", "k-means", "random", "p-greedy"]
 DRAWS = 5
 
 
@@ -44,9 +42,9 @@ def network(Z, y, centers, alpha):
 
 
 def compare(problem, sizes, seed):
-    """Errors (n_sizes, n_ways), CPU seconds of ols and refined (n_sizes, 2), and the full model."""
+    """Errors (n_sizes, n_ways), and the full model."""
     X, y, X_test, truth, _ = problem
-    full = RBFNetRegressor(random_state=0).fit(X, y)
+    full = RBFNetRegressor(kernel="gaussian", shared=True, random_state=0).fit(X, y)
     y, truth = y.reshape(len(y), -1), truth.reshape(len(truth), -1)
     shift = X.mean(axis=0)
     Z, Z_test = ((rows - shift) / full.length_scale_ for rows in (X, X_test))
@@ -61,22 +59,17 @@ def compare(problem, sizes, seed):
     # The ridge may differ between outputs; a number serves them all, so fit the weights here.
     alpha = float(np.exp(np.mean(np.log(full.alpha_))))
     rng = np.random.default_rng(seed)
-    errors, seconds = np.empty((len(sizes), len(WAYS))), np.empty((len(sizes), 2))
+    errors = np.empty((len(sizes), len(WAYS)))
     pivots = pivoted_cholesky(Z, "gaussian", tol=0.0, max_rank=max(sizes), block_size=1).pivots
     for i, k in enumerate(sizes):
-        for j, refine in enumerate((False, True)):
-            model = RBFNetRegressor(
-                k, length_scale=full.length_scale_, alpha=alpha, refine=refine, random_state=0
-            )
-            start = time.process_time()
-            model.fit(X, y if y.shape[1] > 1 else y[:, 0])
-            seconds[i, j] = time.process_time() - start
-            errors[i, j] = at(Z[model.center_indices_])
-        errors[i, 2] = at(KMeans(k, n_init=3, random_state=seed).fit(Z).cluster_centers_)
+        model = RBFNetRegressor(k, length_scale=full.length_scale_, alpha=alpha, shared=True)
+        model.fit(X, y if y.shape[1] > 1 else y[:, 0])
+        errors[i, 0] = at(Z[model.center_indices_])
+        errors[i, 1] = at(KMeans(k, n_init=3, random_state=seed).fit(Z).cluster_centers_)
         draws = [at(Z[rng.choice(len(Z), k, replace=False)]) for _ in range(DRAWS)]
-        errors[i, 3] = np.sqrt(np.mean(np.square(draws)))
-        errors[i, 4] = at(Z[pivots[:k]])
-    return errors, seconds, (len(full.centers_), error(full.predict(X_test)))
+        errors[i, 2] = np.sqrt(np.mean(np.square(draws)))
+        errors[i, 3] = at(Z[pivots[:k]])
+    return errors, (len(full.centers_), error(full.predict(X_test)))
 
 
 def main():
@@ -97,14 +90,13 @@ def main():
         for seed in range(args.seeds):
             with threadpool_limits(1):
                 results.append(compare(generated(name, args.n, seed), args.sizes, seed))
-        errors, seconds = (np.median([r[i] for r in results], axis=0) for i in (0, 1))
-        size, best = np.median([r[2] for r in results], axis=0)
-        gain = np.median([r[0][:, 1] / r[0][:, 0] - 1 for r in results], axis=0)
+        errors = np.median([r[0] for r in results], axis=0)
+        size, best = np.median([r[1] for r in results], axis=0)
         print(f"\n{name}, n = {args.n}; RBFNetRegressor(): {size:.0f} centres, error {best:.4f}")
-        print(f"{'k':>5} {head} {'refined/ols':>12} {'ols s':>8} {'refined s':>10}")
+        print(f"{'k':>5} {head}")
         for i, k in enumerate(args.sizes):
             fields = "".join(f"{e:>10.4f}" for e in errors[i])
-            print(f"{k:>5} {fields} {gain[i]:>+12.1%} {seconds[i, 0]:>8.2f} {seconds[i, 1]:>10.2f}")
+            print(f"{k:>5} {fields}")
 
 
 if __name__ == "__main__":

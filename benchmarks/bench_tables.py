@@ -14,7 +14,7 @@ Gaussian process has a smaller error than boosting and extra trees.
 
 Peers: an exact Gaussian process with one width a feature, by the likelihood the best of three
 kernels (squared exponential, Matern 5/2 and 3/2), histogram boosting, extra trees, kernel ridge by
-a grid search, linear ridge. "RBFNet, power off" sees all features as they are. Error is the root
+a grid search, linear ridge. Error is the root
 mean square over rows held out (four folds), in standard deviations of the target; less than a
 thousandth counts as a thousandth. One thread; CPU times are of fits and predictions.
 
@@ -78,7 +78,6 @@ class BestProcess(RegressorMixin, BaseEstimator):
 
 MODELS = {
     "RBFNet": lambda n, d: RBFNetRegressor(random_state=0),
-    "RBFNet, power off": lambda n, d: RBFNetRegressor(power_transform=None, random_state=0),
     "GP": lambda n, d: BestProcess(),
     "KernelRidge": kernel_ridge,
     "gradient boosting": lambda n, d: HistGradientBoostingRegressor(random_state=0),

@@ -19,9 +19,10 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from _arm_folds import arm_model
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, calibrate, transfer_correction
+from sklearn_raacmm import Arm, calibrate, transfer_correction
 from sklearn_raacmm.datasets import fetch_panda_ball_socket, make_single_point
 from sklearn_raacmm.residuals import position_residuals
 
@@ -67,7 +68,7 @@ class Robot:
         """Model of this arm from some poses."""
         angles = rng.uniform(-2, 2, (n, 6))
         found = calibrate(self.nominal, angles, points=self.measure(angles, rng))
-        return JointHarmonicRegressor(found.arm).fit(angles, found.residuals_mm)
+        return arm_model(found.arm).fit(angles, found.residuals_mm)
 
 
 def deviation(residuals):
@@ -94,7 +95,7 @@ def robots(seeds, counts):
         for n in counts:
             found = calibrate(robot.nominal, new[:n], points=points[:n])
             true, y = found.residuals(far, far_points), found.residuals_mm
-            own = JointHarmonicRegressor(found.arm).fit(new[:n], y)
+            own = arm_model(found.arm).fit(new[:n], y)
             row = {"calibrated": deviation(true), "alone": deviation(true - own.predict(far))}
             starts = (("of 4", earlier), ("of 1", earlier[:1]), ("misleading", misleading))
             for name, models in starts:
@@ -115,7 +116,7 @@ def measuring_arms(seeds, counts):
     earlier = []
     for seed in range(100, 104):
         arm, angles, y, groups = test(seed, 24)
-        earlier.append(JointHarmonicRegressor(arm).fit(angles, y, groups=groups))
+        earlier.append(arm_model(arm).fit(angles, y, groups=groups))
     table = {n: [] for n in counts}
     for seed in range(seeds):
         arm, angles, y, groups = test(seed, 16)
@@ -123,7 +124,7 @@ def measuring_arms(seeds, counts):
         for n in counts:
             near = groups < n
             data = angles[near], y[near]
-            own = JointHarmonicRegressor(arm).fit(*data, groups=groups[near])
+            own = arm_model(arm).fit(*data, groups=groups[near])
             row = {"calibrated": deviation(y[far])}
             models = {"alone": own}
             for name, some in (("of 4", earlier), ("of 1", earlier[:1])):
@@ -144,7 +145,7 @@ def pandas(draws, counts):
     for old, new in (("panda_2", "panda_3"), ("panda_3", "panda_2")):
         found = calibrate(nominal, data[old].data, data[old].groups)
         y = found.residuals(data[old].data, groups=data[old].groups)
-        model = JointHarmonicRegressor(found.arm).fit(data[old].data, y, groups=data[old].groups)
+        model = arm_model(found.arm).fit(data[old].data, y, groups=data[old].groups)
         angles, groups = data[new].data, data[new].groups
         labels, table = np.unique(groups), {n: [] for n in counts}
         for draw in range(draws):
@@ -154,7 +155,7 @@ def pandas(draws, counts):
                 found = calibrate(nominal, angles[known], groups[known])
                 near = found.residuals(angles[known], groups=groups[known])
                 true = found.residuals(angles[~known], groups=groups[~known])
-                own = JointHarmonicRegressor(found.arm)
+                own = arm_model(found.arm)
                 own.fit(angles[known], near, groups=groups[known])
                 moved = transfer_correction(
                     model, found.arm, angles[known], near, groups=groups[known]

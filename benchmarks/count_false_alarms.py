@@ -21,14 +21,12 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
     check_correction,
     learn_correction,
     next_poses,
-    position_residuals,
     update_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
@@ -64,13 +62,8 @@ def doors(seed):
     def linear(kind, **targets):
         arm = known[kind].arm
         y = known[kind].residuals(X, **targets)
-        known[f"{kind} model"] = JointHarmonicRegressor(arm).fit(X, y, groups=groups)
+        known[f"{kind} model"] = ArmResidualRegressor(arm).fit(X, y, groups=groups)
         known[f"{kind} model"].predict(X, return_std=True)
-
-    def both():
-        y = position_residuals(test.points, groups)
-        model = ArmResidualRegressor(test.arm, n_folds=4).fit(X, y, groups=groups)
-        model.predict(X, return_std=True)
 
     def chain(kind, **targets):
         arm = known[kind].arm
@@ -87,14 +80,13 @@ def doors(seed):
         to_json(model)
 
     def front_door():
-        model = JointHarmonicRegressor(max_order=8)
+        model = ArmResidualRegressor(orders=8)
         learn_correction(test.nominal_arm, X, groups, model=model, cv=3).correct(X)
 
     yield "calibrate, cones", from_cones
     yield "calibrate, tracker", from_tracker
     yield "linear model, cones", lambda: linear("cones", groups=groups)
     yield "linear model, tracker", lambda: linear("tracker", points=points)
-    yield "both stages", both
     yield "chain, cones", lambda: chain("cones", groups=groups)
     yield "chain, tracker", lambda: chain("tracker", points=points)
     yield "card and JSON", files

@@ -27,7 +27,7 @@ from _regressors import ANGLES, MODELS
 
 from sklearn_raacmm import (
     Arm,
-    JointHarmonicRegressor,
+    ArmResidualRegressor,
     __version__,
     calibrate,
     position_residuals,
@@ -42,7 +42,6 @@ from _results import FILE, write_readme  # noqa: E402
 HEADLINE = [
     (PAPER, "RBF network"),
     (ALL, "RBF network"),
-    (ANGLES, "JointHarmonicRegressor"),
     (ANGLES, "ArmResidualRegressor"),
 ]
 # The models of which several individuals of each simulated arm are shown.
@@ -52,7 +51,7 @@ INDIVIDUALS = [
     (PAPER, "RBF network"),
     (PAPER, "RBF network, Cartesian"),
     (ALL, "RBF network"),
-    (ANGLES, "JointHarmonicRegressor"),
+    (ANGLES, "ArmResidualRegressor"),
 ]
 SHOWN = [*INDIVIDUALS, (PAPER, "kernel ridge"), (PAPER, "extra trees")]
 SEEDS = 3
@@ -91,7 +90,7 @@ def data_sets(everything, data_home):
         sets += [(*data, [(PAPER, "RBF network, Cartesian")]) for data in first[3:]]
         # As many poses at each position as the paper has.
         title, make, (*how, _, n_folds) = simulated("typical", 0)
-        models = [(PAPER, "RBF network, newrb"), (ANGLES, "JointHarmonicRegressor")]
+        models = [(PAPER, "RBF network, newrb"), (ANGLES, "ArmResidualRegressor")]
         sets.append((f"{title}, 300 poses", make, (*how, 300, n_folds), models))
         done = {name for *_, names in sets for name in names}
         sets += [(*data, [name for name in MODELS if name not in done]) for data in first[:3]]
@@ -133,7 +132,7 @@ def few_poses(data_home, n_draws=5):
         }
         for name, (learn, test) in splits.items():
             fold = real_tracker.calibrated(data, learn, test)
-            model = JointHarmonicRegressor(fold.arm)
+            model = ArmResidualRegressor(fold.arm)
             model.fit(data.data[learn], fold.residuals[learn])
             left = fold.residuals[test] - model.predict(data.data[test])
             distances[name].append(np.linalg.norm(left, axis=1))
@@ -228,7 +227,7 @@ def measure(args, results, save):
             name = f"{record['inputs']}: {record['regressor']}"
             entry["models"][name] = rounded(record) | {"made": stamp}
         save()
-    asked = wanted("few poses", args.only) and wanted("JointHarmonicRegressor", args.models)
+    asked = wanted("few poses", args.only) and wanted("ArmResidualRegressor", args.models)
     if asked and not (args.missing and "few_poses" in results):
         results["few_poses"] = few_poses(args.data_home) | {"made": stamp}
         save()

@@ -1,6 +1,6 @@
 """Draw what an encoder, a gear, a tube and a bearing do wrong: ``python doc/draw_causes.py``.
 
-Each cause stands beside the column that `JointHarmonicRegressor` has for it; writes
+Each cause stands beside the column that `ArmResidualRegressor` has for it; writes
 ``doc/images/causes.svg``. Sizes are exaggerated.
 """
 

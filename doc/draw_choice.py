@@ -21,8 +21,7 @@ CHOICES = [
         "yes",
         "CylindricalResidualTarget\nwith PoseFeatures",
     ),
-    ("Do you want to see\nthe causes?", "yes", "JointHarmonicRegressor"),
-]  # fmt: skip
+]
 LAST = "ArmResidualRegressor"
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from sklearn_raacmm import (
     Arm,
-    JointHarmonicRegressor,
+    ArmResidualRegressor,
     calibrate,
     check_correction,
     update_correction,
@@ -42,7 +42,7 @@ def measured(angles, arcsec, probe, shift, rng):
 rng = np.random.default_rng(1)
 angles = rng.uniform(-2.5, 2.5, (500, 6))
 first = calibrate(ARM, angles, points=measured(angles, **LABORATORY, rng=rng))
-model = JointHarmonicRegressor(first.arm, max_order=10).fit(angles, first.residuals_mm)
+model = ArmResidualRegressor(first.arm, orders=10).fit(angles, first.residuals_mm)
 
 # %%
 # Check it every week

@@ -12,14 +12,14 @@ The data are simulated: one of 10 positions, with 60 poses. The script takes a f
 
 import matplotlib.pyplot as plt
 
-from sklearn_raacmm import JointHarmonicRegressor
+from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.display import ArmPosesDisplay
 
 data = make_single_point(n_positions=10, n_poses=60, random_state=0)
 here = data.groups == 5
 X, y, groups = data.data[here], data.target[here], data.groups[here]
-model = JointHarmonicRegressor(data.arm)
+model = ArmResidualRegressor(data.arm)
 model.fit(data.data[~here], data.target[~here], groups=data.groups[~here])
 
 figure = plt.figure(figsize=(11, 5))

@@ -3,7 +3,7 @@ Which regressor?
 ================
 
 Six regressors in the same chain, on the same folds of positions of a simulated arm: once with
-three inputs as in the paper, and once with all joints. ``JointHarmonicRegressor``, the linear model
+three inputs as in the paper, and once with all joints. ``ArmResidualRegressor``, the linear model
 of the arm itself, is shown beside them. The other methods of the literature are among the six:
 polynomials, a database of residuals (nearest neighbours) and a perceptron.
 
@@ -30,8 +30,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from sklearn_raacmm import (
+    ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     position_residuals,
@@ -95,13 +95,13 @@ for inputs, (n, parameters) in INPUTS.items():
         results[inputs, name] = two_s(model, params=told)
         print(f"{inputs:<24} {name:<23} {1e3 * results[inputs, name][0]:.1f} µm")
 # The network and this one know of the unknown offset of each position, and are told the positions.
-linear = two_s(JointHarmonicRegressor(arm), params={"groups": groups})
-print(f"{'all joints':<24} {'JointHarmonicRegressor':<23} {1e3 * linear[0]:.1f} µm")
+linear = two_s(ArmResidualRegressor(arm), params={"groups": groups})
+print(f"{'all joints':<24} {'ArmResidualRegressor':<23} {1e3 * linear[0]:.1f} µm")
 
 # %%
 # The figure
 # ----------
-# The terms of ``JointHarmonicRegressor`` are those that the simulation is made of: on real arms its
+# The terms of ``ArmResidualRegressor`` are those that the simulation is made of: on real arms its
 # lead is smaller. Lines on the bars are 95 % intervals over the choice of poses.
 
 
@@ -123,7 +123,7 @@ for i, (inputs, color) in enumerate(zip(INPUTS, ("#E69F00", "#0072B2"), strict=T
 bars([len(rows) + 0.2], [linear], "0.45", "the arm itself, linear")
 axes.axvline(before, color="0.2", ls="--", lw=1, label=f"uncorrected: {before:.0f}")
 axes.axvline(floor, color="0.2", ls=":", lw=1.5, label=f"noise floor: {floor:.0f}")
-axes.set_yticks([*(rows + 0.2), len(rows) + 0.2], [*REGRESSORS, "JointHarmonicRegressor"])
+axes.set_yticks([*(rows + 0.2), len(rows) + 0.2], [*REGRESSORS, "ArmResidualRegressor"])
 axes.set(
     xlabel="mean repeatability 2S at positions left out (µm)",
     title="Regressors in the same chain (simulated arm)",

@@ -3,7 +3,7 @@ How many positions, how many poses
 ==================================
 
 How much must be measured before a correction is worth it, and where? On simulated arms
-:class:`~sklearn_raacmm.JointHarmonicRegressor` learns from more and more positions of the cone,
+:class:`~sklearn_raacmm.ArmResidualRegressor` learns from more and more positions of the cone,
 with few or many poses at each, and corrects positions that it has never seen. In the second part
 :func:`~sklearn_raacmm.next_poses` chooses the positions, and is compared with a random choice.
 
@@ -14,7 +14,7 @@ arm to the other. With more arms in ``SEEDS`` the curves become smoother.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sklearn_raacmm import JointHarmonicRegressor, next_poses, position_residuals
+from sklearn_raacmm import ArmResidualRegressor, next_poses, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 
 SEEDS = [0, 1]
@@ -36,9 +36,7 @@ def fitted(pool, positions, n_poses):
         rows.append(mine[np.linspace(0, len(mine) - 1, n_poses).round().astype(int)])
     rows = np.concatenate(rows)
     residuals = position_residuals(pool.points[rows], pool.groups[rows])
-    return JointHarmonicRegressor(pool.arm).fit(
-        pool.data[rows], residuals, groups=pool.groups[rows]
-    )
+    return ArmResidualRegressor(pool.arm).fit(pool.data[rows], residuals, groups=pool.groups[rows])
 
 
 # %%

@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from sklearn_raacmm import JointHarmonicRegressor, learn_correction
+from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import read_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.display import RepeatabilityDisplay
@@ -46,16 +46,16 @@ print(*table.notes, sep="\n")
 # %%
 # Learn, and be told whether it helps
 # -----------------------------------
-# Without ``model=`` the guarded :class:`~sklearn_raacmm.ArmResidualRegressor` is fitted. This page
-# takes a linear model with few harmonics, which is faster. Any regressor of joint angles can take
-# its place, and it is judged in the same way.
+# Without ``model=`` an :class:`~sklearn_raacmm.ArmResidualRegressor` is fitted. This page offers it
+# fewer harmonics, which is faster. Any regressor of joint angles can take its place, and it is
+# judged in the same way.
 
 learned = learn_correction(
     simulated.nominal_arm,
     table.angles,
     table.positions,
     angle_unit=table.angle_unit,
-    model=JointHarmonicRegressor(max_order=12),
+    model=ArmResidualRegressor(orders=12),
 )
 print(learned)
 

@@ -3,18 +3,20 @@ Coming from MATLAB's newrb
 ==========================
 
 ``net = newrb(P, T, goal, spread, MN)`` adds radial neurons until the mean squared error is down to
-``goal``. ``RBFNetRegressor`` does the same when told to, and finds by itself what
-``newrb`` leaves to you. How the arguments translate:
+``goal``. Its code is orthogonal least squares with three particularities: the targets are not
+centred, several outputs count by the sum of their squared error-reduction ratios, and the bias
+joins in the last fit only. Here it is in a few lines, beside ``RBFNetRegressor``, which finds goal
+and spread by itself. How the arguments translate:
 
 =========  ==================================================================================
 newrb      RBFNetRegressor
 =========  ==================================================================================
 P, T       ``fit(P.T, T.T)``: samples are rows here
-goal       ``criterion="mse", tol=goal``
+goal       ``n_centers=goal / np.var(T)``: the share of the variance that may be left
 spread     ``length_scale=spread / sqrt(2 * log(2))``
 MN         ``max_centers=MN``; or ``n_centers=MN`` for exactly so many, without a goal
-DF         no display; ``criterion_path_`` has the error after 1, 2, ... centres
-\          ``selection="newrb", alpha=0``: its order of centres, plain least squares
+DF         no display; ``criterion_path_`` has the share left after 1, 2, ... centres
+\          ``alpha=0``: plain least squares
 =========  ==================================================================================
 
 About the width: a neuron of ``newrb`` gives ``radbas(b * d)`` with ``radbas(n) = exp(-n^2)`` and
@@ -40,31 +42,47 @@ def truth(x):
 T = truth(P) + 0.1 * rng.standard_normal(P.shape)
 
 # %%
-# The same network
-# ----------------
-# ``newrb(P, T, 0.02, 0.4, 30)``:
+# newrb itself
+# ------------
+
+
+def radial(P, centers, spread):
+    """Neurons of newrb, one column each."""
+    return np.exp(-np.log(2) * (P.T - centers) ** 2 / spread**2)
+
+
+def newrb(P, T, goal, spread, MN):
+    """Centres, and the function that they make."""
+    W, target, chosen = radial(P, P, spread), T.ravel(), []
+    while len(chosen) < MN:
+        lengths = np.sum(W**2, axis=0)
+        lengths[chosen] = np.inf
+        chosen.append(int(np.argmax((target @ W) ** 2 / lengths)))
+        w = W[:, chosen[-1]] / np.linalg.norm(W[:, chosen[-1]])
+        W -= np.outer(w, w @ W)  # what is left of all others
+        columns = np.column_stack([radial(P, P[:, chosen], spread), np.ones(P.size)])
+        weights = np.linalg.lstsq(columns, target, rcond=None)[0]
+        if np.mean((target - columns @ weights) ** 2) <= goal:
+            break
+
+    def network(x):
+        return radial(np.atleast_2d(x), P[:, chosen], spread) @ weights[:-1] + weights[-1]
+
+    return P[:, chosen].T, network
+
 
 goal, spread, MN = 0.02, 0.4, 30
-newrb = RBFNetRegressor(
-    length_scale=spread / np.sqrt(2 * np.log(2)),
-    criterion="mse",
-    tol=goal,
-    max_centers=MN,
-    alpha=0,
-    selection="newrb",
-).fit(P.T, T.ravel())
-print(f"{len(newrb.centers_)} neurons, {newrb.stop_reason_}")
-print("mean squared error after 1, 2, ... neurons:", newrb.criterion_path_.round(3), sep="\n")
+centers, network = newrb(P, T, goal, spread, MN)
+print(f"{len(centers)} neurons, mean squared error {np.mean((T - network(P)) ** 2):.3f}")
 
 # %%
-# Its weights are those of plain least squares on newrb's radial functions, by newrb's formula:
+# ``RBFNetRegressor`` with the same width and goal centres the targets first, so that its choice is
+# another one:
 
-b = np.sqrt(np.log(2)) / spread
-columns = np.exp(-((b * np.abs(P.T - newrb.centers_.T)) ** 2))
-columns = np.column_stack([columns, np.ones(P.size)])
-weights = np.linalg.lstsq(columns, T.ravel(), rcond=None)[0]
-difference = np.abs(columns @ weights - newrb.predict(P.T)).max()
-print(f"largest difference to least squares on radbas: {difference:.1e}")
+model = RBFNetRegressor(
+    goal / np.var(T), length_scale=spread / np.sqrt(2 * np.log(2)), alpha=0, max_centers=MN
+).fit(P.T, T.ravel())
+print(f"{len(model.centers_)} centres, {model.stop_reason_}")
 
 # %%
 # Without the guesses
@@ -78,19 +96,10 @@ default = RBFNetRegressor(random_state=0).fit(P.T, T.ravel())
 x = np.linspace(-1, 1, 500)
 figure, axes = plt.subplots(1, 3, figsize=(10, 3.4), sharey=True, layout="constrained")
 for ax, width in zip(axes, (0.05, 0.4), strict=False):
-    model = RBFNetRegressor(
-        length_scale=width / np.sqrt(2 * np.log(2)),
-        criterion="mse",
-        tol=0.005,
-        max_centers=MN,
-        alpha=0,
-        selection="newrb",
-    ).fit(P.T, T.ravel())
-    error = np.sqrt(np.mean((model.predict(x[:, None]) - truth(x)) ** 2))
-    ax.plot(x, model.predict(x[:, None]), color="#D55E00")
-    ax.set_title(
-        f"newrb, spread {width:g}, goal 0.005:\n{len(model.centers_)} neurons, error {error:.3f}"
-    )
+    centers, network = newrb(P, T, 0.005, width, MN)
+    error = np.sqrt(np.mean((network(x) - truth(x)) ** 2))
+    ax.plot(x, network(x), color="#D55E00")
+    ax.set_title(f"newrb, spread {width:g}, goal 0.005:\n{len(centers)} neurons, error {error:.3f}")
 mean, std = default.predict(x[:, None], return_std=True, with_noise=False)
 error = np.sqrt(np.mean((mean - truth(x)) ** 2))
 axes[2].fill_between(x, mean - 2 * std, mean + 2 * std, color="#0072B2", alpha=0.25, lw=0)

@@ -18,8 +18,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
+    ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -51,7 +51,7 @@ def models(arm):
     return {
         "network, three pose angles": network(arm, {}),
         "network, all joints": network(arm, {"joints": "all", "encoding": "periodic"}),
-        "JointHarmonicRegressor": JointHarmonicRegressor(arm),
+        "ArmResidualRegressor": ArmResidualRegressor(arm),
     }
 
 
@@ -66,7 +66,7 @@ for name in names:
     corrected.setdefault("calibrated, uncorrected", np.empty_like(points))[test] = points[test]
     for model_name, model in models(arm).items():
         model = clone(model)
-        if isinstance(model, JointHarmonicRegressor):
+        if isinstance(model, ArmResidualRegressor):
             model.fit(data.data[learn], residuals, groups=data.groups[learn])
         elif "three" in model_name:
             model.fit(data.data[learn], residuals, rbfnetregressor__groups=data.groups[learn])

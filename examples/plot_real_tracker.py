@@ -19,8 +19,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
+    ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -52,7 +52,7 @@ for train, test in GroupKFold(3).split(angles, groups=groups):
             make_pipeline(features, StandardScaler(), RBFNetRegressor(random_state=0)),
             azimuth=arm.azimuth,
         ),
-        "harmonics": JointHarmonicRegressor(arm),
+        "harmonics": ArmResidualRegressor(arm),
     }
     left["uncorrected"][test] = residuals[test]
     for name, model in models.items():
@@ -67,7 +67,7 @@ for train, test in GroupKFold(3).split(angles, groups=groups):
 names = {
     "uncorrected": "calibrated, uncorrected",
     "network": "RBF network, all joints",
-    "harmonics": "JointHarmonicRegressor",
+    "harmonics": "ArmResidualRegressor",
 }
 figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
 lines = ("--", ":", "-")

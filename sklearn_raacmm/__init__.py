@@ -7,7 +7,6 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction import (
-    ArmResidualRegressor,
     CorrectionCheck,
     CorrectionScores,
     LearnedCorrection,
@@ -21,7 +20,7 @@ from sklearn_raacmm.correction import (
     transfer_correction,
     update_correction,
 )
-from sklearn_raacmm.error_model import JointHarmonicRegressor
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import (
     CylindricalResidualTarget,
@@ -40,7 +39,6 @@ __all__ = [
     "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
-    "JointHarmonicRegressor",
     "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",

@@ -12,11 +12,13 @@ PACKAGE = Path(sklearn_raacmm.__file__).parent
 # From the ground up: a wing imports only from those before it.
 WINGS = (
     "utils",
+    "inference",
     "arm",
     "network",
     "residuals",
     "metrics",
     "calibration",
+    "measurements",
     "error_model",
     "correction",
     "datasets",

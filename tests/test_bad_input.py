@@ -18,7 +18,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -63,13 +62,11 @@ def network(**params):
 
 
 def harmonics():
-    return JointHarmonicRegressor(ARM, max_order=2, gravity=False, wobble=False)
+    return ArmResidualRegressor(ARM, orders=2, causes=["kinematics"])
 
 
 def both():
-    return ArmResidualRegressor(
-        ARM, harmonics=harmonics(), network=network(), use="harmonics+network", fade=0
-    )
+    return harmonics().set_params(regressor=network(), fade=0)
 
 
 def cylindrical():
@@ -91,8 +88,8 @@ def doors():
     yield "PoseFeatures.fit", ANGLES, PoseFeatures(ARM).fit_transform
     for name, make, X in (
         ("RBFNetRegressor", network, ANGLES),
-        ("JointHarmonicRegressor", harmonics, ANGLES),
-        ("ArmResidualRegressor", both, ANGLES),
+        ("ArmResidualRegressor", harmonics, ANGLES),
+        ("both stages", both, ANGLES),
         ("CylindricalResidualTarget", cylindrical, COLUMNS),
     ):
 
@@ -209,8 +206,8 @@ def doors_to_be_refused_at():
 
 def label_doors():
     """The same for labels of positions."""
-    yield "JointHarmonicRegressor", lambda v: harmonics().fit(ANGLES, CENTRED, groups=v).coef_
-    yield "ArmResidualRegressor", lambda v: both().fit(ANGLES, CENTRED, groups=v).predict(ANGLES)
+    yield "ArmResidualRegressor", lambda v: harmonics().fit(ANGLES, CENTRED, groups=v).coef_
+    yield "both stages", lambda v: both().fit(ANGLES, CENTRED, groups=v).predict(ANGLES)
     yield "calibrate", lambda v: calibrate(ARM, ANGLES, v, free=["probe"]).values
     yield "position_residuals", lambda v: position_residuals(POINTS, v)
     linear = harmonics().fit(ANGLES, RESIDUALS)

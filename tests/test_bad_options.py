@@ -15,7 +15,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     RBFNetRegressor,
     app,
     check_correction,
@@ -40,7 +39,7 @@ MANY = np.zeros((24, 9))
 
 @pytest.fixture(scope="module")
 def model():
-    small = JointHarmonicRegressor(TEST.arm, max_order=1, gravity=False, wobble=False)
+    small = ArmResidualRegressor(TEST.arm, orders=1, causes=["kinematics"])
     return small.fit(TEST.data, TEST.target, groups=TEST.groups)
 
 
@@ -49,8 +48,8 @@ def model():
     [
         ("angle_unit", MANY, "'angle_unit' parameter of .* a str among"),
         ("model", [], r"'model' parameter of .* an object implementing 'fit'"),
-        ("model", JointHarmonicRegressor, "provide an instance"),
-        ("model", JointHarmonicRegressor(max_order=-1), "'max_order' parameter of JointHarmonicRe"),
+        ("model", ArmResidualRegressor, "provide an instance"),
+        ("model", ArmResidualRegressor(orders=-1), "'orders' parameter of ArmResidualRegr"),
         ("cv", 1, "'cv' parameter of .* an int in the range"),
         ("cv", "folds", "'cv' parameter"),
         ("cv", [1], r"cv must be a whole number, a splitter, or pairs .* got \[1\]"),
@@ -202,11 +201,8 @@ def test_degrees_are_warned_of_once_on_the_line_of_the_call(model, door):
     assert [Path(warning.filename).name for warning in told] == [Path(__file__).name]
 
 
-@pytest.mark.parametrize("both", [False, True])
-def test_poses_that_are_not_known_are_warned_of_on_the_line_of_the_call(both):
-    model = JointHarmonicRegressor(TEST.arm, max_order=1, gravity=False)
-    if both:
-        model = ArmResidualRegressor(TEST.arm, harmonics=model, use="harmonics")
+def test_poses_that_are_not_known_are_warned_of_on_the_line_of_the_call():
+    model = ArmResidualRegressor(TEST.arm, orders=1, causes=["kinematics", "wobble"])
     rng = np.random.default_rng(0)
     near, far = rng.uniform(-0.1, 0.1, (30, 6)), rng.uniform(-3, 3, (50, 6))
     model.fit(near, 0.05 * np.sin(9 * near[:, 1:4]))
@@ -218,7 +214,7 @@ def test_poses_that_are_not_known_are_warned_of_on_the_line_of_the_call(both):
 @pytest.mark.parametrize("judge", [learn_correction, cross_validate_correction])
 def test_what_calibration_warns_of_names_the_line_of_the_call(judge):
     few = make_single_point(4, 4, random_state=0)
-    model = JointHarmonicRegressor(max_order=1, gravity=False, wobble=False)
+    model = ArmResidualRegressor(orders=1, causes=["kinematics"])
     with pytest.warns(UserWarning, match="coordinates for .* free parameters") as caught:
         judge(few.nominal_arm, few.data, few.groups, model=model, cv=2)
     assert [Path(warning.filename).name for warning in caught] == [Path(__file__).name]
@@ -229,10 +225,7 @@ def test_what_calibration_warns_of_names_the_line_of_the_call(judge):
 def test_what_is_neither_true_nor_false(model, flag, value):
     """Such as labels in the second place of predict."""
     network = RBFNetRegressor(2).fit(TEST.data, TEST.target)
-    chain = ArmResidualRegressor(TEST.arm, harmonics=model, use="harmonics")
-    chain.fit(TEST.data, TEST.target, groups=TEST.groups)
-    doors = [one.predict for one in (model, network, chain)]
-    for door in (*doors, model.predict_orientation, chain.predict_orientation):
+    for door in (model.predict, network.predict, model.predict_orientation):
         with pytest.raises(TypeError, match=f"{flag} must be True or False, got "):
             door(TEST.data, **{flag: value})
     for good in (True, np.True_, 1):

@@ -17,7 +17,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -28,24 +27,24 @@ FLOOR = {
     "PoseFeatures": 47,
     "RBFNetRegressor": 60,
     "CylindricalResidualTarget": 53,
-    "JointHarmonicRegressor": 53,
     "ArmResidualRegressor": 53,
 }
 # Estimators that take joint angles: as many columns as the arm has joints.
-OF_ANGLES = (PoseFeatures, JointHarmonicRegressor, ArmResidualRegressor)
+OF_ANGLES = (PoseFeatures, ArmResidualRegressor)
 # Those whose target is a vector in space.
-OF_VECTORS = (JointHarmonicRegressor, ArmResidualRegressor)
+OF_VECTORS = (ArmResidualRegressor,)
 
 ESTIMATORS = [
     PoseFeatures(),
     PoseFeatures(Arm.from_name("panda"), encoding="periodic", append_azimuth=True),
     PoseFeatures(Arm.from_name("ur10"), joints="all", angle_unit="deg"),
     CylindricalResidualTarget(),
-    JointHarmonicRegressor(max_order=3),
+    ArmResidualRegressor(orders=3),
     # A given width and ridge: where the first stage leaves no noise, those found hang on rounding.
     ArmResidualRegressor(
-        harmonics=JointHarmonicRegressor(max_order=2, gravity=False),
-        network=RBFNetRegressor(max_centers=8, length_scale=1.0, alpha=1e-2, degree=-1),
+        orders=2,
+        causes=["kinematics", "wobble"],
+        regressor=RBFNetRegressor(max_centers=8, length_scale=1.0, alpha=1e-2, degree=-1),
     ),
 ]
 if hasattr(sklearn_raacmm, "RBFNetRegressor"):
@@ -271,13 +270,10 @@ def test_sklearn_checks_of_many_combinations_of_parameters(base):
     "estimator",
     [
         PoseFeatures(),
-        JointHarmonicRegressor(max_order=2, gravity=False),
-        ArmResidualRegressor(
-            harmonics=JointHarmonicRegressor(max_order=2, gravity=False), use="harmonics", fade=0
-        ),
+        ArmResidualRegressor(orders=2, causes=["kinematics", "wobble"]),
         make_pipeline(PoseFeatures(append_azimuth=True), CylindricalResidualTarget()),
     ],
-    ids=["PoseFeatures", "JointHarmonicRegressor", "ArmResidualRegressor", "chain"],
+    ids=["PoseFeatures", "ArmResidualRegressor", "chain"],
 )
 def test_the_arm_of_somebody_else_is_not_taken_without_a_word(estimator):
     X = np.random.default_rng(0).uniform(-1, 1, (40, 6))

@@ -16,7 +16,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -81,7 +80,7 @@ def unknown(X_train, y, X_new=None, sample_weight=None):
 
 
 def harmonics(**params):
-    return JointHarmonicRegressor(ARM, **{"max_order": 2} | params)
+    return ArmResidualRegressor(ARM, **{"orders": 2} | params)
 
 
 def jhr(angles, y, sample_weight=None, **params):
@@ -289,7 +288,7 @@ SENTENCES = {
     "network: kernel": (lambda: far(kernel="gauss").fit(X, Y), "'kernel' parameter"),
     "network: length_scale": (lambda: far(length_scale="auto ").fit(X, Y), "'length_scale'"),
     "network: alpha": (lambda: RBFNetRegressor(alpha=np.nan).fit(X, Y), "'alpha' parameter"),
-    "network: criterion": (lambda: far(criterion="aic").fit(X, Y), "'criterion' parameter"),
+    "network: loss": (lambda: far(loss="huber").fit(X, Y), "'loss' parameter"),
     "network: n_centers": (lambda: RBFNetRegressor(2.5).fit(X, Y), "'n_centers' parameter"),
     "network: weights of another length": (lambda: far().fit(X, Y, Y[:5]), r"\(60,\)"),
     "network: no weight": (lambda: far().fit(X, Y, Y * 0), "one non-zero number"),
@@ -317,7 +316,7 @@ SENTENCES = {
     ),
     "harmonics: two columns": (lambda: jhr(ANGLES, RESIDUALS[:, :2]), r"\(40, 2\)"),
     "harmonics: no columns": (
-        lambda: jhr(ANGLES, RESIDUALS, max_order=0, gravity=False, kinematics=False, wobble=False),
+        lambda: jhr(ANGLES, RESIDUALS, orders=0, causes=[]),
         "no columns",
     ),
     "harmonics: offsets": (lambda: jhr(ANGLES, RESIDUALS, offsets=True), "needs groups"),
@@ -331,11 +330,11 @@ SENTENCES = {
     ),
     "planning: a network": (
         lambda: next_poses(RBFNetRegressor(3).fit(ANGLES, RESIDUALS), ANGLES, 1),
-        "got RBFNetRegressor",
+        "RBFNetRegressor holds no linear model in use and cannot be planned for",
     ),
-    "correction: use": (
-        lambda: ArmResidualRegressor(ARM, use="network").fit(ANGLES, RESIDUALS),
-        "'use' parameter",
+    "correction: causes": (
+        lambda: ArmResidualRegressor(ARM, causes=["network"]).fit(ANGLES, RESIDUALS),
+        "causes must be some of gravity, kinematics, wobble, got 'network'",
     ),
     "arm: name": (lambda: Arm.from_name("ur5"), "one of .*'ur5'"),
     "arm: convention": (lambda: ARM.replace(convention="craig"), "'craig'"),
@@ -465,7 +464,6 @@ def test_no_onnx_gets_a_sentence(case):
         CylindricalResidualTarget(azimuth=ARM.azimuth).fit(ANGLES, RESIDUALS).predict,
         lambda X: harmonics().fit(X, RESIDUALS),
         harmonics().fit(ANGLES, RESIDUALS).predict,
-        ArmResidualRegressor(ARM, use="harmonics").fit(ANGLES, RESIDUALS).predict,
         lambda X: calibrate(ARM, X, GROUPS),
         SimulatedArm().forward,
         SimulatedArm().read,

@@ -13,7 +13,7 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.network import _read_data
+from sklearn_raacmm.network import _read
 
 dask = pytest.importorskip("dask")
 da = pytest.importorskip("dask.array")
@@ -39,7 +39,8 @@ def client(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def few_in_memory(monkeypatch):
-    monkeypatch.setattr(_read_data, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_read, "HELD_ROWS", 400)
 
 
 def rows(n=6000):
@@ -52,7 +53,7 @@ def rows(n=6000):
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a signal that cannot be caught")
 def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path):
     X, y, weights = rows()
-    model = RBFNetRegressor(25, length_scale=0.7, alpha=1e-3, max_candidates=400, random_state=0)
+    model = RBFNetRegressor(25, length_scale=0.7, alpha=1e-3, random_state=0)
     expected = model.fit(X, y, sample_weight=weights).predict(X)
     chunks = da.from_array(X, chunks=(750, 3))
     targets, weights = (da.from_array(a, chunks=750) for a in (y, weights))

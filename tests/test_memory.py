@@ -7,13 +7,13 @@ import weakref
 
 import numpy as np
 import pytest
+from sklearn.base import clone
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -21,7 +21,7 @@ from sklearn_raacmm import (
 ARM = Arm.from_name("aacmm6")
 NETWORK = RBFNetRegressor(5, length_scale=1.0, alpha=0.01)
 # Orders that these data never show: the number of columns stays the same.
-HARMONICS = JointHarmonicRegressor(ARM, orders=[50, 51], gravity=False)
+HARMONICS = ArmResidualRegressor(ARM, orders=[50, 51], causes=["kinematics", "wobble"])
 MODELS = {
     "network": NETWORK,
     "network that tunes itself": RBFNetRegressor(5, random_state=0),
@@ -29,7 +29,7 @@ MODELS = {
         PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget(NETWORK)
     ),
     "harmonics": HARMONICS,
-    "correction": ArmResidualRegressor(ARM, harmonics=HARMONICS, network=NETWORK, use="auto"),
+    "correction": clone(HARMONICS).set_params(regressor=NETWORK),
 }
 
 
@@ -54,16 +54,16 @@ def test_memory_does_not_grow(name):
             model.fit(X, y).predict(X)
         return held()
 
-    times = 60 if name == "harmonics" else 200  # its fits take long
+    times = 30 if name == "harmonics" else 100  # its fits take long
     tracemalloc.start()
     try:
-        before = use(20)
+        before = use(10)
         growth = use(times) - before
     finally:
         tracemalloc.stop()
     # A tenth (a third) of X kept by every fit would be that much; small objects kept for reuse come
     # to 50 kB.
-    assert growth < 20 * X.nbytes
+    assert growth < 10 * X.nbytes
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -20,13 +20,11 @@ import sklearn_raacmm
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
-from sklearn_raacmm.network import _all_rows
 from sklearn_raacmm.utils import _versioned
 
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
@@ -52,11 +50,16 @@ def data():
 @pytest.fixture(scope="module")
 def fitted(data):
     """Every public estimator, fitted, in chains or by itself."""
-    harmonics = JointHarmonicRegressor(data.arm, max_order=3)
+    harmonics = ArmResidualRegressor(data.arm, orders=3)
     models = networks(data.arm)
     models["harmonics"] = harmonics
-    models["both"] = ArmResidualRegressor(data.arm, harmonics=harmonics)
-    return {name: model.fit(data.data, data.target) for name, model in models.items()}
+    network = make_pipeline(PoseFeatures(data.arm), RBFNetRegressor(5, length_scale=1.0))
+    models["both"] = clone(harmonics).set_params(regressor=network)
+    known = {"groups": data.groups}
+    return {
+        name: model.fit(data.data, data.target, **(known if name in ("harmonics", "both") else {}))
+        for name, model in models.items()
+    }
 
 
 def test_a_file_gives_the_same_predictions(fitted, data, tmp_path):
@@ -149,16 +152,12 @@ def skops():
     return pytest.importorskip("skops.io", reason="needs the extra skops")
 
 
-def test_skops_needs_no_other_trust(skops, fitted, data, monkeypatch):
+def test_skops_needs_no_other_trust(skops, fitted, data):
     needed = set()
-    # A network of which all rows are centres has a posterior of another kind, and so has one of
-    # several groups of outputs.
-    monkeypatch.setattr(_all_rows, "FEWEST_ROWS", len(data.data))
     rough = RBFNetRegressor(length_scale=0.3, alpha=0.01).fit(data.data, data.target)
-    assert rough.stop_reason_ == "all rows"
-    widths = np.repeat([[1.0], [2.0], [1.0]], data.data.shape[1], axis=1)
-    groups = RBFNetRegressor(length_scale=widths, alpha=0.01, max_centers=10)
-    for model in [*fitted.values(), rough, groups.fit(data.data, data.target)]:
+    assert rough.stop_reason_ == "all rows, all rows, all rows"
+    shared = RBFNetRegressor(10, length_scale=1.0, alpha=0.01, shared=True)
+    for model in [*fitted.values(), rough, shared.fit(data.data, data.target)]:
         text = skops.dumps(model)
         untrusted = skops.get_untrusted_types(data=text)
         needed |= set(untrusted)

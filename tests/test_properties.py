@@ -217,7 +217,7 @@ def regressions(draw):
 
 
 def ols(n_centers, X, Y, weights=None, width=0.4, **params):
-    params = {"alpha": 0.0, "degree": 0} | params
+    params = {"alpha": 0.0, "degree": 0, "shared": True} | params
     return RBFNetRegressor(n_centers, length_scale=width, **params).fit(X, Y, weights)
 
 

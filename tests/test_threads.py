@@ -17,8 +17,8 @@ X = rng.uniform(-1, 1, (700, 3))
 y = np.stack([np.sin(4 * X[:, 0]) * X[:, 1], X[:, 2] ** 2], axis=1)
 y += 0.05 * rng.standard_normal(y.shape)
 blas = max([p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"], default=0)
-for refine in (False, True):
-    model = RBFNetRegressor(refine=refine, random_state=0).fit(X, y)
+for shared in (False, True):
+    model = RBFNetRegressor(shared=shared, random_state=0).fit(X, y)
     digest = hashlib.sha256()
     for array in (model.center_indices_, model.length_scale_, model.alpha_, model.coef_):
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -24,6 +24,7 @@ from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import check_correction, learn_correction, read_check_records
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
@@ -151,8 +152,7 @@ def check(options):
 
 def _has_causes(model, options):
     """Whether the correction uses a model of causes, which the options may need."""
-    linear = getattr(model, "linear_model_", None)
-    has_causes = linear is not None and getattr(model, "use_", "") != "none"
+    has_causes = isinstance(model, ArmResidualRegressor) and model.helps_
     if not has_causes and (options.record or options.chart):
         raise TableError(
             "--record and --chart need a model of causes; this correction has none in use."

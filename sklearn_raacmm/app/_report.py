@@ -14,6 +14,7 @@ import sklearn
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._figures import figures_of
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import articulated_location_error, length_error
 from sklearn_raacmm.utils import show, write_whole
@@ -222,11 +223,10 @@ def _parameters(calibration):
 
 def _harmonics(model):
     """The largest harmonics that the model found: joint, order, amplitude, its sd, cause."""
-    table = getattr(model, "harmonics_", None)
-    if not isinstance(table, np.ndarray) or getattr(model, "use_", "") == "none":
+    if not isinstance(model, ArmResidualRegressor) or not model.helps_:
         return []
     rows = []
-    for row in table[:_MOST_HARMONICS]:
+    for row in model.harmonics_[:_MOST_HARMONICS]:
         c, s = row["cos_arcsec"], row["sin_arcsec"]
         size = max(float(np.hypot(c, s)), 1e-300)
         sd = float(np.hypot(c * row["cos_sd_arcsec"], s * row["sin_sd_arcsec"]) / size)

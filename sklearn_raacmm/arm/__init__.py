@@ -8,13 +8,12 @@ from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angle
 from sklearn_raacmm.arm._given import arm_for, arm_or_built_in, check_arm
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
+    axis_vectors,
     carried,
-    cross,
     dh_theta,
     frame_columns,
     parameter_jacobian,
     points_of,
-    probe_of,
     probe_points,
     reach_mm,
 )
@@ -26,16 +25,15 @@ __all__ = [
     "Arm",
     "arm_for",
     "arm_or_built_in",
+    "axis_vectors",
     "carried",
     "check_angles",
     "check_arm",
-    "cross",
     "dh_theta",
     "frame_columns",
     "one_warning",
     "parameter_jacobian",
     "points_of",
-    "probe_of",
     "probe_points",
     "reach_mm",
 ]

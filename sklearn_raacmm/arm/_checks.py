@@ -3,13 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from contextlib import contextmanager
 from contextvars import ContextVar
 
 import numpy as np
 
-from sklearn_raacmm.utils import floats, show
+from sklearn_raacmm.utils import floats, show, warn_user
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -59,7 +58,7 @@ def pair_of(name, value, low, high):
     return tuple(int(v) for v in pair)
 
 
-def check_angles(angles, n_joints, angle_unit, stacklevel=3):
+def check_angles(angles, n_joints, angle_unit):
     """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence.
 
     Warns where the unit is most likely another one: degrees given as radians or the reverse.
@@ -88,15 +87,13 @@ def check_angles(angles, n_joints, angle_unit, stacklevel=3):
     if angle_unit == "rad":  # more than two turns
         _warn_once(
             f"angles reach {largest.max():g} rad (joint {largest.argmax() + 1}), more than "
-            'two turns: if they are degrees, convert them or pass angle_unit="deg".',
-            stacklevel + 1,
+            'two turns: if they are degrees, convert them or pass angle_unit="deg".'
         )
         return angles
     if largest.max() < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
         _warn_once(
             f"angles in degrees reach {largest.max():g} only (joint {largest.argmax() + 1}): if "
-            'they are radians, pass angle_unit="rad".',
-            stacklevel + 1,
+            'they are radians, pass angle_unit="rad".'
         )
     return np.deg2rad(angles)
 
@@ -111,9 +108,9 @@ def one_warning():
         _GIVEN.reset(token)
 
 
-def _warn_once(message, stacklevel):
+def _warn_once(message):
     given = _GIVEN.get()
     if given is None or message not in given:
-        warnings.warn(message, UserWarning, stacklevel=stacklevel)
+        warn_user(message)
     if given is not None:
         given.add(message)

@@ -3,9 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-
 from sklearn_raacmm.arm._arm import Arm
+from sklearn_raacmm.utils import warn_user
 
 _BUILT_IN = "aacmm6"
 
@@ -16,22 +15,20 @@ def check_arm(arm):
         raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
 
 
-def arm_or_built_in(arm, owner, stacklevel=3):
+def arm_or_built_in(arm, owner):
     """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
     if arm is not None:
         return arm
-    warnings.warn(
+    warn_user(
         f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are not "
-        f'those of your arm. Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.',
-        UserWarning,
-        stacklevel=stacklevel,
+        f'those of your arm. Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
     )
     return Arm.from_name(_BUILT_IN)
 
 
-def arm_for(arm, owner, n_columns, stacklevel=4, extra=()):
+def arm_for(arm, owner, n_columns, extra=()):
     """As `arm_or_built_in`; refuses X without a column for each joint and each name in `extra`."""
-    arm = arm_or_built_in(arm, owner, stacklevel)
+    arm = arm_or_built_in(arm, owner)
     if extra and n_columns != arm.n_joints + len(extra):
         raise ValueError(
             f"X has {n_columns} columns, but {arm.n_joints + len(extra)} are needed: the angles of "

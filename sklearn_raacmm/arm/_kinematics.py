@@ -61,7 +61,7 @@ def carried(arm, theta, fixed):
 
 def probe_points(arm, theta):
     """Probe points (3, n_samples), in mm."""
-    return carried(arm, theta, [(arm.n_joints, arm.probe.tolist())])[0]
+    return carried(arm, theta, [(len(arm.a), arm.probe.tolist())])[0]
 
 
 def points_of(arm, angles):
@@ -84,10 +84,10 @@ def frame_columns(arm, theta):
     a, d, cos_alpha, sin_alpha = (
         values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
     )
-    out = np.zeros((arm.n_joints + 1, 4, 3, theta.shape[1]))
+    out = np.zeros((len(a) + 1, 4, 3, theta.shape[1]))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
     x, y, z, origin = out[0]
-    for i in range(arm.n_joints):
+    for i in range(len(a)):
         c, s, ca, sa = cos[i], sin[i], cos_alpha[i], sin_alpha[i]
         if arm.convention == "standard":
             x, y = c * x + s * y, c * y - s * x
@@ -115,13 +115,42 @@ def cross(u, v):
     )
 
 
+def axis_vectors(arm, angles):
+    """What turns and shifts by every axis of every frame do to the probe, and where things are.
+
+    Parameters
+    ----------
+    arm : Arm
+    angles : ndarray of shape (n, n_joints)
+        In rad.
+
+    Returns
+    -------
+    vectors : ndarray of shape (n, 3, 6 n_frames)
+        What a turn about each axis does to the probe, mm per rad; then the axes themselves. x, y
+        and z of the base, of frame 1, and so on.
+    places : ndarray of shape (n, 2, n_frames + 1)
+        x and y of the frames' origins and of the probe, mm.
+    """
+    frames = frame_columns(arm, dh_theta(arm, angles))
+    probe = probe_of(arm, frames)
+    axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
+    lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
+    n_axes = 3 * len(frames)
+    vectors = np.empty((len(angles), 3, 2 * n_axes))
+    vectors[:, :, :n_axes] = np.moveaxis(cross(axes, lever).reshape(3, n_axes, -1), 2, 0)
+    vectors[:, :, n_axes:] = np.moveaxis(axes.reshape(3, n_axes, -1), 2, 0)
+    places = np.concatenate([frames[:, 3, :2], probe[None, :2]]).transpose(2, 1, 0)
+    return vectors, places
+
+
 def parameter_jacobian(arm, angles):
     """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's parameters.
 
     In the order a, alpha, d, theta_offset, probe. A length moves the probe along the axis that
     carries it; an angle turns it about that axis.
     """
-    n = arm.n_joints
+    n = len(arm.a)
     points = np.empty((len(angles), 3))
     jac = np.empty((len(angles), 3, 4 * n + 3))
     for rows in chunks(len(angles), CHUNK_ROWS):

@@ -5,7 +5,6 @@
 
 import math
 import re
-import warnings
 import xml.etree.ElementTree as ET
 from os import PathLike
 from pathlib import Path
@@ -13,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sklearn_raacmm.utils import show, write_whole
+from sklearn_raacmm.utils import show, warn_user, write_whole
 
 _MM_PER_M = 1000.0
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -217,12 +216,10 @@ def _straighten(directions, points, tip):
             directions[j] = turn @ directions[j]
             points[j] = about + turn @ (points[j] - about)
         tip = about + turn @ (tip - about)
-        warnings.warn(
+        warn_user(
             f"The axes of joints {i + 1} and {i + 2} are {sine:.2g} rad from parallel, and their "
             f"common normal is {foot:.3g} mm away: they are taken as parallel, which moves the "
-            f"probe by up to {sine * size:.2g} mm.",
-            UserWarning,
-            stacklevel=4,
+            f"probe by up to {sine * size:.2g} mm."
         )
     return directions, points, tip
 
@@ -263,13 +260,11 @@ def _base_frame(u, point):
         return *np.eye(3)[[0, 2]], np.zeros(3)
     x = np.array([1.0, 0.0, 0.0]) if abs(u[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = x - (x @ u) * u
-    warnings.warn(
+    warn_user(
         "The first axis does not start from the file's base as a Denavit-Hartenberg table has it: "
         f"the arm's own base has its z axis along the first axis, {np.round(u, 6).tolist()}, and "
         f"its origin at {np.round(across, 4).tolist()} mm. Points differ by this fixed "
-        "transformation.",
-        UserWarning,
-        stacklevel=5,
+        "transformation."
     )
     return x / np.linalg.norm(x), u, across
 

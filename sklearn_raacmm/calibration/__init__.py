@@ -4,10 +4,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.calibration._calibrate import calibrate
-from sklearn_raacmm.calibration._checks import check_length
+from sklearn_raacmm.calibration._checks import SHARE_OF_REACH, check_length
+from sklearn_raacmm.calibration._priors import (
+    ANGLE_RAD,
+    LENGTH_MM,
+    REGISTERED_PLACE_MM,
+    UNKNOWN_PLACE_MM,
+)
 from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
+    "ANGLE_RAD",
+    "LENGTH_MM",
+    "REGISTERED_PLACE_MM",
+    "SHARE_OF_REACH",
+    "UNKNOWN_PLACE_MM",
     "CalibrationResult",
     "calibrate",
     "check_length",

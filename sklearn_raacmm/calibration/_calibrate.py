@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from dataclasses import replace
 from numbers import Real
 from typing import NamedTuple
@@ -12,7 +11,6 @@ import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
 from sklearn_raacmm.calibration._checks import (
-    CALLER,
     check_arm_angles,
     check_correction,
     check_free,
@@ -25,22 +23,29 @@ from sklearn_raacmm.calibration._checks import (
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
+from sklearn_raacmm.calibration._priors import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
-from sklearn_raacmm.utils import Interval, StrOptions, listed, one_blas_thread, validate_params
+from sklearn_raacmm.utils import (
+    Interval,
+    StrOptions,
+    listed,
+    one_blas_thread,
+    validate_params,
+    warn_user,
+)
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
-# Guesses of the prior standard deviations that are found: what machining leaves of a length, and
-# the matching angle. They hold where few rows say little.
-_GUESSES = (0.3, 0.003)
+# Guesses of the prior standard deviations that are found.
+_GUESSES = (LENGTH_MM, ANGLE_RAD)
 # Bounds of what is found. The upper ones are wide enough for a table taken from a drawing; data
 # that no arm explains would push them further.
 _LEAST, _MOST = (0.01, 0.0001), (2.0, 0.02)
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
 _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
 # What counts as knowing nothing of a base, a reach and a turn of one radian.
-_BASE_MM, _BASE_RAD = 1000.0, 1.0
+_BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE_COORDINATES = ("rx", "ry", "rz", "x", "y", "z")
 _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
 
@@ -72,7 +77,7 @@ def calibrate(
     loss="soft_l1",
     prior_length_mm="auto",
     prior_angle_rad="auto",
-    prior_probe_mm=1000.0,
+    prior_probe_mm=UNKNOWN_PLACE_MM,
     angle_unit="rad",
 ):
     """Identify the static parameters of an arm.
@@ -105,7 +110,7 @@ def calibrate(
         Label of the set-up of each sample, where the tracker or the arm was moved: each has a base
         of its own. For `points` only.
     correction : object, default=None
-        Fitted model of the arm's residuals, such as :class:`JointHarmonicRegressor`: what its
+        Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points, so
         that base, tool and table are fitted to corrected points. Needed wherever the correction
         will be used with the result: a base that was fitted without it has already taken up a part
@@ -193,11 +198,9 @@ def calibrate(
     wanted = _Parameters.of(arm, tool_labels, free, priors)
     fit, given, before = _fitted(arm, angles, problem, wanted, loss)
     if not fit.converged:
-        warnings.warn(
+        warn_user(
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
-            f"its scatter is {fit.distances().mean():.4g} mm.",
-            UserWarning,
-            stacklevel=CALLER - 1,
+            f"its scatter is {fit.distances().mean():.4g} mm."
         )
     warn_of_wrong_lengths(lengths, fit.length_errors(), fit.sigma)
     after, values = fit.distances().mean(), fit.x[: len(wanted.names)]

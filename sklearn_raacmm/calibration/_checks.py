@@ -3,18 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
 from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, show
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, show, warn_user
 
-# For warnings: each is given by a function that `calibrate` calls, which two decorators wrap.
-CALLER = 5
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
 _LENGTH_OUTLIER = 5.0
 # A picometre: smaller than any length is known, large enough to divide by.
@@ -25,7 +21,7 @@ _HARM = 2.0
 # What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
 # part of the reach; a reach.
 _FAR = 10.0
-_SHARE_OF_REACH = 0.02
+SHARE_OF_REACH = 0.02
 _LEAST_REACH_MM = 20.0
 
 
@@ -60,10 +56,8 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     tied = {i for entry in lengths for i in entry[:2]}
     lonely = [i for i, c in enumerate(np.bincount(index)) if c == 1 and i not in tied]
     if lonely:
-        warnings.warn(
-            f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}.",
-            UserWarning,
-            stacklevel=CALLER,
+        warn_user(
+            f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}."
         )
     return problem, tool_labels, None
 
@@ -104,7 +98,7 @@ def check_correction(correction, angles, angle_unit):
 
 def check_arm_angles(arm, angles, angle_unit):
     """Angles in rad within one turn, lest a warning of far angles be said again by what follows."""
-    angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=CALLER + 1)
+    angles = check_angles(angles, arm.n_joints, angle_unit)
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
 
 
@@ -146,11 +140,9 @@ def warn_of_wrong_lengths(lengths, errors, sigma):
         if abs(error) > _LENGTH_OUTLIER * max(float(sd), sigma)
     ]
     if wrong:
-        warnings.warn(
+        warn_user(
             f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
-            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}.",
-            UserWarning,
-            stacklevel=CALLER,
+            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}."
         )
 
 
@@ -167,12 +159,10 @@ def warn_of_few_rows(seen, names, problem):
         else "The noise and the standard deviations are hardly known, and the arm may be far off "
         "at other poses."
     )
-    warnings.warn(
+    warn_user(
         f"{problem.n_informative} {what} give {max(n, 0)} coordinates for {len(names)} free "
         f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
-        f"with. {known} Measure about {rows} rows or more, or let fewer fields change (free=).",
-        UserWarning,
-        stacklevel=CALLER + 2,
+        f"with. {known} Measure about {rows} rows or more, or let fewer fields change (free=)."
     )
 
 
@@ -193,14 +183,14 @@ def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after)
             f"{departure[worst]:.3g} times the prior standard deviation away: look at the known "
             "lengths, their unit, and the nominal table."
         )
-    if after > min(_SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
+    if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
         signs.append(
             f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
             f"{reach:.4g} mm): look at the labels, known lengths, the order and sense of the "
             "joints, the convention of the table, and the unit of the angles."
         )
     if signs:
-        warnings.warn(" ".join(signs), UserWarning, stacklevel=CALLER)
+        warn_user(" ".join(signs))
 
 
 def warn_of_harm(corrected, bare):
@@ -213,10 +203,8 @@ def warn_of_harm(corrected, bare):
     """
     more = corrected - bare
     if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
-        warnings.warn(
+        warn_user(
             f"With the correction the points scatter by {corrected.mean():.4g} mm, without it by "
             f"{bare.mean():.4g} mm: do not use it here. Is it of this arm, and is the table that "
-            "of the arm that it was learnt with?",
-            UserWarning,
-            stacklevel=CALLER,
+            "of the arm that it was learnt with?"
         )

@@ -15,7 +15,8 @@ from sklearn_raacmm.calibration._problem import (
     points_of_all,
     unpack,
 )
-from sklearn_raacmm.utils import align
+from sklearn_raacmm.inference import evidence_variance
+from sklearn_raacmm.utils import align, robust_scale
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
@@ -24,8 +25,6 @@ WEIGHTS = {
     "huber": lambda u: 2.5 / np.maximum(u, 2.5),
     "cauchy": lambda u: 1 / (1 + (u / 4) ** 2),
 }
-# Median length of a vector of three standard normal numbers.
-_MEDIAN_NORM = 1.5382
 _MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
 MAX_ROUNDS = 20
 # Rounds in which prior standard deviations are found; two digits of them are enough.
@@ -164,8 +163,8 @@ class Fit:
             if not len(members):
                 continue
             square = np.sum((self.x[members] - self.nominal[members]) ** 2)
-            counts = np.sum(1 - share[members]) + _GUESS_COUNTS
-            sd = np.sqrt((square + _GUESS_COUNTS * guess**2) / counts)
+            seen = np.sum(1 - share[members])
+            sd = np.sqrt(evidence_variance(square, seen, guess**2, _GUESS_COUNTS))
             sd = np.clip(sd, least, most)
             settled &= bool(abs(np.log(sd / self.prior_sd[members[0]])) < 0.05)
             self.prior_sd[members] = sd
@@ -390,7 +389,7 @@ class Fit:
         else:
             # Outliers would shift the median to larger ones of the others.
             kept = distances[distances <= doubt_limit(distances, 0.0)]
-            sigma = np.median(kept) / _MEDIAN_NORM
+            sigma = robust_scale(kept, 3)
         return max(sigma, _MIN_SIGMA_MM)
 
     def covariance(self, mask):

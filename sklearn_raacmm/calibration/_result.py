@@ -217,7 +217,7 @@ class CalibrationResult:
         -------
         ndarray of shape (n_samples, 3)
             Rotation vectors in rad: from the measured orientation to that which the calibrated arm
-            shows, for :meth:`JointHarmonicRegressor.fit`.
+            shows, for :meth:`ArmResidualRegressor.fit`.
 
         Raises
         ------

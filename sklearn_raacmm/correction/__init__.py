@@ -1,9 +1,8 @@
-"""The whole correction: which models are used, the guards, and which poses to measure next."""
+"""A correction in use: learnt, judged, checked, updated, moved to another arm, and planned."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import predict_with_std
@@ -15,7 +14,6 @@ from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
-    "ArmResidualRegressor",
     "CorrectionCheck",
     "CorrectionScores",
     "LearnedCorrection",

@@ -12,16 +12,12 @@ from sklearn.base import BaseEstimator
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
-from sklearn_raacmm.calibration import CalibrationResult
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std, say_again
+from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.error_model import warn_of_moved_seats
-from sklearn_raacmm.utils import check_path, write_whole
-
-# Points of a calibrated arm that scatter by a larger share of its reach belong to another table:
-# the limit at which `calibrate` warns.
-_SHARE_OF_REACH = 0.02
+from sklearn_raacmm.measurements import warn_of_moved_seats
+from sklearn_raacmm.utils import check_path, warn_user, write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +226,7 @@ def learn_correction(
     -----
     UserWarning
         As :func:`calibrate`; and if a position has moved during a single-point test, as
-        :meth:`JointHarmonicRegressor.fit` says.
+        :meth:`ArmResidualRegressor.fit` says.
 
     See Also
     --------
@@ -238,17 +234,17 @@ def learn_correction(
 
     Notes
     -----
-    Outliers are rows that :func:`calibrate` names and that :class:`JointHarmonicRegressor` cannot
+    Outliers are rows that :func:`calibrate` names and that :class:`ArmResidualRegressor` cannot
     explain either. They are not learnt from, nor counted in the scores, neither before nor after.
 
     Examples
     --------
-    >>> from sklearn_raacmm import JointHarmonicRegressor, learn_correction
+    >>> from sklearn_raacmm import ArmResidualRegressor, learn_correction
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
     >>> learned = learn_correction(
     ...     test.nominal_arm, test.data, test.groups,
-    ...     model=JointHarmonicRegressor(max_order=4), cv=3,
+    ...     model=ArmResidualRegressor(orders=4), cv=3,
     ... )
     >>> learned.helps
     True
@@ -273,7 +269,7 @@ def learn_correction(
     if data.points is None:  # of all rows: those after a step may be outliers
         left = calibration.residuals_mm - fitted.predict(data.angles)
         every = np.ones(len(left))
-        warn_of_moved_seats(left, data.angles, every, data.positions, noise**2, stacklevel=2)
+        warn_of_moved_seats(left, data.angles, every, data.positions, noise**2)
     return LearnedCorrection(
         arm=calibration.arm,
         model=fitted,
@@ -292,7 +288,7 @@ def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
     calibration, said = data.calibrate_all()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
-    if scatter > _SHARE_OF_REACH * reach:
+    if scatter > SHARE_OF_REACH * reach:  # they belong to another table
         positions = data.positions if data.points is None else None
         change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
         raise ValueError(
@@ -300,7 +296,8 @@ def _calibrated(data, angles, angle_unit):
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
-    say_again(said, stacklevel=3)
+    for warning in said:
+        warn_user(warning)
     return calibration
 
 

@@ -3,9 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import re
 import warnings
-from contextlib import contextmanager
 from dataclasses import dataclass
 from inspect import ismethod
 
@@ -19,13 +17,12 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
-from sklearn_raacmm.correction._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model import MOVED, JointHarmonicRegressor
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
-# is left out at a time.
+# is left out at a time. A choice, not measured.
 _FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
 
 
@@ -42,7 +39,7 @@ class Data:
     @classmethod
     def checked(cls, arm, angles, positions, points, lengths, angle_unit):
         check_arm(arm)
-        angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
+        angles = check_angles(angles, arm.n_joints, angle_unit)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
         angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
         lengths = listed("lengths", lengths)
@@ -96,11 +93,11 @@ class Data:
         return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
 
     def calibrate_all(self):
-        """Calibrate on all rows: the calibration, and what it has to warn of, for `say_again`."""
+        """Calibrate on all rows: the calibration, and the warnings that it has given."""
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", UserWarning)
             calibration = self.calibrate(np.arange(len(self.angles)))
-        return calibration, said
+        return calibration, [warning.message for warning in said]
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
@@ -118,10 +115,9 @@ class Data:
             return far
         every = np.arange(len(self.angles))
         rows, lonely = self.without_lonely(every)
-        model = JointHarmonicRegressor(calibration.arm)
+        model = ArmResidualRegressor(calibration.arm)
         y = self.residuals(calibration, rows)
-        with _said_of_all_rows():
-            model.fit(self.angles[rows], y, groups=self.positions[rows])
+        model.fit(self.angles[rows], y, groups=self.positions[rows])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -140,20 +136,11 @@ class Data:
             for name, value in extra.items()
             if len(value) and has_fit_parameter(last, name)
         }
-        with _said_of_all_rows():
-            fitted.fit(self.angles[rows], y, **extra)
+        fitted.fit(self.angles[rows], y, **extra)
         left = y - fitted.predict(self.angles[rows])
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
-
-
-@contextmanager
-def _said_of_all_rows():
-    """Leave it to `learn_correction` to name positions that have moved: some rows are left out."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", re.escape(MOVED), UserWarning)
-        yield
 
 
 def _regions(points):
@@ -163,12 +150,6 @@ def _regions(points):
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")
     codes = KMeans(n_regions, n_init=4, random_state=0).fit_predict(points)
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
-
-
-def say_again(said, stacklevel):
-    """Give recorded warnings on the line of a caller."""
-    for warning in said:
-        warnings.warn(warning.message, stacklevel=stacklevel + 1)
 
 
 def model_for(model, arm):

@@ -6,18 +6,19 @@
 from typing import NamedTuple
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
-from sklearn_raacmm.correction._linear_change import place_columns
+from sklearn_raacmm.calibration import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
+from sklearn_raacmm.correction._new_poses import linear_model_of, place_columns
 from sklearn_raacmm.error_model import check_poses
+from sklearn_raacmm.inference import narrowed
 from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means, listed, show
 
-# What is known before any pose of the place of base and probe, of lengths and of angles: as in
-# `calibrate`. Noise of a coordinate where no model says it, mm: beside wide priors its size hardly
-# changes the order of the poses.
-_PLACE_MM, _LENGTH_MM, _ANGLE_RAD, _NOISE_MM = 1000.0, 0.3, 0.003, 0.05
-# Targets that are looked at; of more, these many spread evenly over the list.
+# Noise of a coordinate where no model says it, mm: about that of a UR10 before a tracker
+# (benchmarks/bench_next_poses.py). Beside wide priors its size hardly changes the order of poses.
+_NOISE_MM = 0.05
+# Targets that are looked at; of more, these many spread evenly over the list. They are for speed:
+# benchmarks/bench_next_poses.py gives 1000.
 _MOST_TARGETS = 200
 
 
@@ -52,8 +53,8 @@ def next_poses(
 
     Parameters
     ----------
-    model : JointHarmonicRegressor, ArmResidualRegressor or Arm
-        Fitted model; of an ArmResidualRegressor, the first stage. With `free` an arm suffices.
+    model : ArmResidualRegressor or Arm
+        Fitted model, of which the linear one is used. With `free` an arm suffices.
 
     X : array-like of shape (n_candidates, n_joints)
         Poses that could be measured: joint angles, in the unit that the model takes.
@@ -102,7 +103,7 @@ def next_poses(
     See Also
     --------
     calibrate : Registers and calibrates.
-    JointHarmonicRegressor : The model.
+    ArmResidualRegressor : The model.
 
     Notes
     -----
@@ -113,11 +114,11 @@ def next_poses(
 
     Examples
     --------
-    >>> from sklearn_raacmm import JointHarmonicRegressor, next_poses
+    >>> from sklearn_raacmm import ArmResidualRegressor, next_poses
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=12, n_poses=15, random_state=0)  # simulated
     >>> known = test.groups < 4
-    >>> model = JointHarmonicRegressor(test.arm, max_order=4)
+    >>> model = ArmResidualRegressor(test.arm, orders=4)
     >>> _ = model.fit(test.data[known], test.target[known], groups=test.groups[known])
     >>> chosen, std = next_poses(model, test.data[~known], 3, groups=test.groups[~known])
     >>> len(chosen), bool(std[-1] < std[0])
@@ -128,7 +129,12 @@ def next_poses(
     """
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
         raise ValueError(f'criterion must be "I" or "D", got {show(criterion)}.')
-    design = _design_of_model(model) if free is None else _design_of_arm(model, free, groups)
+    linear = None if isinstance(model, Arm) else linear_model_of(model, "planned for", in_use=False)
+    if free is None:
+        design = _design_of_model(linear)
+    else:
+        arm, noise_sd = (model, _NOISE_MM) if linear is None else (linear.arm, linear.noise_sd)
+        design = _design_of_arm(arm, noise_sd, free, groups)
     X = _check_poses(model, X)
     if groups is None:
         if design.offsets:
@@ -157,19 +163,12 @@ def next_poses(
     return labels[chosen], np.sqrt(np.maximum(variance, 0.0) / len(aim))
 
 
-def _design_of_model(model):
+def _design_of_model(linear):
     """The coefficients of a fitted model."""
-    if isinstance(model, Arm):
+    if linear is None:
         raise TypeError(
             "An Arm has no correction to plan for: give free, what a registration or calibration "
             "shall find."
-        )
-    check_is_fitted(model)
-    linear = getattr(model, "linear_model_", None)
-    if linear is None:
-        raise TypeError(
-            "next_poses needs a JointHarmonicRegressor, an ArmResidualRegressor or, with free, an "
-            f"Arm, got {type(model).__name__}."
         )
     if not len(linear.coef):
         raise ValueError(
@@ -179,20 +178,16 @@ def _design_of_model(model):
     return _Design(linear.columns, linear.gauge_free_half, linear.noise_sd, linear.offsets)
 
 
-def _design_of_arm(model, free, groups):
+def _design_of_arm(arm, noise_sd, free, groups):
     """Base, probe and fields of an arm, as `calibrate` would find them."""
     free, known = listed("free", free), ("base", *FIELDS)
     if not free or not all(isinstance(name, str) and name in known for name in free):
         raise ValueError(f"free must name some of {', '.join(known)}, got {show(free)}.")
-    linear = getattr(model, "linear_model_", None)
-    arm = model if linear is None else linear.arm
-    if not isinstance(arm, Arm):
-        raise TypeError(f"next_poses with free needs an Arm or a fitted model, got {show(model)}.")
     n = arm.n_joints
-    field = np.repeat(np.array(FIELDS), [n, n, n, n, 3])
-    taken = np.flatnonzero(np.isin(field, free))
-    sizes = [_LENGTH_MM, _ANGLE_RAD, _LENGTH_MM, _ANGLE_RAD, _PLACE_MM]
-    prior = np.repeat(sizes, [n, n, n, n, 3])[taken]
+    counts = [n, n, n, n, 3]  # entries of each field
+    taken = np.flatnonzero(np.isin(np.repeat(np.array(FIELDS), counts), free))
+    sizes = [LENGTH_MM, ANGLE_RAD, LENGTH_MM, ANGLE_RAD, UNKNOWN_PLACE_MM]
+    prior = np.repeat(sizes, counts)[taken]
     # Where each position has an unknown place, the base shows nothing.
     with_base = "base" in free and groups is None
 
@@ -203,17 +198,15 @@ def _design_of_arm(model, free, groups):
             return own
         return np.concatenate([own, place_columns(arm, angles, with_base=True)[:, :, 3:]], axis=2)
 
-    half = np.diag(np.r_[prior, np.full(6 * with_base, _PLACE_MM)])
-    noise_sd = _NOISE_MM if linear is None else linear.noise_sd
+    half = np.diag(np.r_[prior, np.full(6 * with_base, UNKNOWN_PLACE_MM)])
     return _Design(columns, half, max(noise_sd, 1e-9), groups is not None)
 
 
 def _after(design, angles):
     """The design when some poses, each with a known place, have been measured."""
-    seen = design.seen(angles).reshape(3 * len(angles), -1) / design.noise_sd
-    _, size, axes = np.linalg.svd(seen, full_matrices=False)
-    shrunk = (1 / np.sqrt(1 + size**2) - 1)[:, None] * axes
-    return design._replace(half=design.half + (design.half @ axes.T) @ shrunk)
+    columns = design.columns(angles)
+    rows = columns.reshape(-1, columns.shape[2]) / design.noise_sd
+    return design._replace(half=narrowed(design.half, rows))
 
 
 def _padded(rows, codes):
@@ -260,6 +253,7 @@ def _greedy(rows, aim, n_poses, criterion):
 
 
 def _check_poses(model, X):
+    """Rows of X in rad, for an arm or a fitted model."""
     if isinstance(model, Arm):
-        return check_angles(X, model.n_joints, "rad", stacklevel=4)
-    return check_poses(model, X, stacklevel=5)
+        return check_angles(X, model.n_joints, "rad")
+    return check_poses(model, X)

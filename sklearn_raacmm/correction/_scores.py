@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std, say_again
+from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
     HasMethods,
@@ -23,14 +23,16 @@ from sklearn_raacmm.utils import (
     listed,
     show,
     validate_parameter_constraints,
+    warn_user,
 )
 
-# Folds of the default split: each takes a calibration and a fit of the model.
+# Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
 _N_FOLDS = 5
 # Draws of the bootstrap over positions: the ends of a 95 % interval then vary by about 2 % of its
 # length from seed to seed.
 _N_DRAWS = 4000
-# That all positions improve by chance has a probability of 1/16 with four, 1/32 with five.
+# That all positions improve by chance has a probability of 1/16 with four, 1/32 with five: the
+# first below 5 %.
 _FEWEST_POSITIONS = 5
 # What the functions that judge a correction take besides data.
 _OPTIONS = {
@@ -74,7 +76,7 @@ class CorrectionScores:
         How many times calibration and model were fitted.
     outliers : ndarray of shape (n_outliers,)
         Rows that the calibration of all rows names as outliers and that the arm's linear error
-        model (:class:`JointHarmonicRegressor`) gives no weight either: slipped probes. They are
+        model (:class:`ArmResidualRegressor`) gives no weight either: slipped probes. They are
         neither learnt from nor counted here, before or after.
     rows_by_position : list of ndarray
         Rows counted at each position of the table.
@@ -223,12 +225,12 @@ def cross_validate_correction(
 
     Examples
     --------
-    >>> from sklearn_raacmm import JointHarmonicRegressor, cross_validate_correction
+    >>> from sklearn_raacmm import ArmResidualRegressor, cross_validate_correction
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
     >>> scores = cross_validate_correction(
     ...     test.nominal_arm, test.data, test.groups,
-    ...     model=JointHarmonicRegressor(max_order=4), cv=3,
+    ...     model=ArmResidualRegressor(orders=4), cv=3,
     ... )
     >>> scores.helps, scores.measure
     (True, '2S')
@@ -243,12 +245,16 @@ def cross_validate_correction(
     )
     data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
     calibration, said = data.calibrate_all()
-    say_again(said, stacklevel=2)
+    for warning in said:
+        warn_user(warning)
     return scores_of(data, calibration, model, cv, n_jobs, progress)
 
 
 def check_judging(function, **options):
-    """Refuse options of a function that judges corrections, before anything is computed."""
+    """Refuse options of a function that judges corrections, before anything is computed.
+
+    `validate_params` would name the function where a parameter of the model is wrong.
+    """
     validate_parameter_constraints(_OPTIONS, options, caller_name=function)
 
 
@@ -273,7 +279,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     table, measure, rows_by_position = _table(data, before, after)
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
-    coverage, factor = _coverage(after, std, [test for _, test in folds])
+    coverage, factor = coverage_of(after, std, [test for _, test in folds])
     helps, verdict = _verdict(table, summary, measure, len(np.unique(block_of)))
     errors = np.array([entry[1:] for entry in length_errors]).reshape(-1, 2)
     return CorrectionScores(
@@ -396,7 +402,7 @@ def _summary(before, after, blocks):
     }
 
 
-def _coverage(left, std, tests):
+def coverage_of(left, std, tests):
     """Share of coordinates inside 95 % intervals, and the factor that makes it 95 % of all."""
     # No deviation without a standard deviation, such as exact data: those are inside.
     ratio = np.abs(left) / np.maximum(std, 1e-300)

@@ -13,7 +13,9 @@ from sklearn_raacmm.arm import Arm, check_angles, check_arm, dh_theta, frame_col
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.utils import align, centred, encode_groups
 
-# Rows that candidates are ranked on, and how many of them are then calibrated.
+# Rows that candidates are ranked on, and how many of them are then calibrated: for speed. With all
+# numbers here the tables of tests/correction/test_table_search.py, of one and of two faults, are
+# named, and none is for a right table or for no arm at all.
 _RANKED_ROWS = 400
 _CALIBRATED = 6
 # A change is proposed where it leaves less than this share of the scatter; of several that leave

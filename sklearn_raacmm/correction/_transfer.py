@@ -3,43 +3,39 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
-from sklearn.base import clone
-from sklearn.utils.validation import check_is_fitted
+from sklearn.base import BaseEstimator, clone
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction._linear_change import (
-    PLACE_MM,
-    NewPoses,
+from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
+from sklearn_raacmm.correction._change import (
     changed_model,
     families_of,
-    n_coordinates,
+    harmonics_of,
     parts_of,
-    place_columns,
-    prior_half,
+    prior_of,
+    with_harmonics,
+    with_low_orders,
 )
-from sklearn_raacmm.correction._update import check_new_poses, linear_model_of, record_of
-from sklearn_raacmm.error_model import (
-    LIKELY_ORDER,
-    Fading,
-    JointHarmonicRegressor,
-    smooth_shares,
-)
-from sklearn_raacmm.utils import centred, listed, one_blas_thread
+from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
+from sklearn_raacmm.correction._update import record_of
+from sklearn_raacmm.error_model import Fading, order_price, smooth_shares
+from sklearn_raacmm.inference import log_density
+from sklearn_raacmm.utils import centred, listed, one_blas_thread, warn_user
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
-# the make and half as the individual's own, as firmly as one more arm would show it.
+# the make and half as the individual's own, as firmly as one more arm would show it. A guess that
+# benchmarks/bench_transfer.py judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
-# The noise of the new arm in units of the earlier arms': its model may be better, too.
+# The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
+# may be better, too.
 _LOG_NOISE = (-4.0, 4.0)
-# Orders that a new fit has to choose from, for each joint: the price of a choice is the logarithm.
-_OFFERED = 72
-# Of orders that are there only as parts of a smooth function the evidence is about 0; of chosen
-# ones at least their price. Half of it tells them apart.
+# Of orders that are there only as parts of a smooth function the evidence is about 0; of lines at
+# least their price. Half of it tells them apart, or of that of order 2 where it is free: no choice
+# of a number.
 _CHOSEN = 0.5
 
 
@@ -54,7 +50,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
 
     Parameters
     ----------
-    models : JointHarmonicRegressor or ArmResidualRegressor, or list of them
+    models : ArmResidualRegressor or list of them
         Fitted models of earlier arms, one for each arm. Their linear models are used. They may
         have the same extra columns: what a degree or a newton does is common to the make, and
         counts from the mean over the rows of each arm. The numbers of tools are not: they must not
@@ -83,7 +79,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
 
     Returns
     -------
-    model : JointHarmonicRegressor
+    model : ArmResidualRegressor
         With the options of the first model. Without poses it is the mean of the earlier arms, with
         their spread as standard deviation. ``updates_`` holds one dictionary: `date`, `n_poses`,
         `tau` and `noise_sd_mm` as of :func:`update_correction`, `n_arms`, and `gain_nats`, the
@@ -118,8 +114,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     :func:`update_correction`. Cosine and sine of a harmonic share one variance, for phases are the
     individual's. Both models are compared by the logarithm of the marginal likelihood of `y` at
     their own variances, base and tool being free. The harmonics of the fit to the new poses alone
-    are charged the logarithm of the number of those offered, but orders 1 and 2 nothing, as in the
-    choice; nor are those of the earlier arms.
+    are charged what each order costs in the choice; those of the earlier arms nothing.
 
     It is a function and not an option of `fit`: what it needs is fitted models, which neither a
     clone nor a search over parameters should carry along.
@@ -127,7 +122,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor, transfer_correction
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor, transfer_correction
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> def measured(n, phase):  # joint 3 has a gear of 30 teeth, joint 2 is eccentric
@@ -136,61 +131,53 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     ...     error[:, 2] = 10 * np.cos(30 * angles[:, 2] - 2 * phase)
     ...     y = np.einsum("nij,nj->ni", arm.jacobian(angles), np.deg2rad(error / 3600))
     ...     return angles, y + rng.normal(scale=0.01, size=(n, 3))
-    >>> options = {"max_order": 40, "gravity": False, "wobble": False}
-    >>> earlier = [JointHarmonicRegressor(arm, **options).fit(*measured(300, i)) for i in range(3)]
+    >>> options = {"orders": 40, "causes": ["kinematics"]}
+    >>> earlier = [ArmResidualRegressor(arm, **options).fit(*measured(300, i)) for i in range(3)]
     >>> few, far = measured(20, 5), measured(300, 5)
     >>> new = transfer_correction(earlier, arm, *few)
-    >>> alone = JointHarmonicRegressor(arm, **options).fit(*few)
+    >>> alone = ArmResidualRegressor(arm, **options).fit(*few)
     >>> left = [np.abs(far[1] - m.predict(far[0])).mean() for m in (alone, new)]
     >>> bool(left[1] < 0.7 * left[0])
     True
     """
-    linears, template = _checked(models, arm)
+    models = [models] if isinstance(models, BaseEstimator) else listed("models", models)
+    linears = _checked(models, arm)
     prior = _pooled(linears, arm)
-    template.set_params(arm=arm)
+    template = clone(models[0]).set_params(arm=arm)
     if X is None and y is None:
         return _of_prior(template, prior)
     own = template.fit(X, y, groups=groups, sample_weight=sample_weight)
     # Its calibration holds what the extra columns do in the mean of its own rows.
     prior = replace(prior, terms=prior.terms._replace(extra=own.linear_model_.terms.extra))
     groups = groups if own.linear_model_.offsets else None
-    angles, residuals, weights, codes = check_new_poses(own, X, y, groups, sample_weight)
-    poses = NewPoses(angles, residuals, weights, codes)
-    n_free = 9 if codes is None else 3
-    if n_coordinates(poses) <= n_free:
-        warnings.warn(
-            f"{len(angles)} new poses give {n_coordinates(poses)} coordinates, fewer than would "
-            f"show more than the {n_free} freedoms of base and tool: the correction is the mean of "
-            "the earlier arms.",
-            UserWarning,
-            stacklevel=3,
-        )
+    poses = NewPoses.checked(own, X, y, groups, sample_weight)
+    if poses.too_few:
+        warn_user(f"{poses.too_few}: the correction is the mean of the earlier arms.")
         return _of_prior(own, prior)
     changed = changed_model(prior, poses, _LOG_NOISE)
-    poses = poses._replace(weights=weights * changed.pose_weight * own.pose_weight_)
+    entry = record_of(changed, len(poses.angles), date)
+    poses = poses._replace(weights=poses.weights * changed.pose_weight * own.pose_weight_)
     gain = _evidence_of_change(prior, changed, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
-    entry = record_of(changed, len(angles), date)
     if gain > 0:
-        new.linear_model_ = replace(changed.model, offsets=codes is not None)
+        new.linear_model_ = replace(changed.model, offsets=poses.codes is not None)
+        new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
         new.pose_weight_ = changed.pose_weight
         # Where the new poses say nothing, the mean of the make stands.
         new.fading_ = replace(own.fading_, factor=0.0)
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
-    new.updates_ = (entry | {"n_arms": len(linears), "gain_nats": float(gain)},)
+    new.updates_ = (entry | {"n_arms": len(linears), "gain_nats": gain},)
     return new
 
 
 def _checked(models, arm):
-    """Linear models of the earlier arms, and an estimator with the options of the first."""
+    """Linear models of the earlier arms, which have to fit together."""
     if not isinstance(arm, Arm):
         raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
-    models = [models] if hasattr(models, "predict") else listed("models", models)
     if not models:
         raise ValueError("models are empty: give the fitted models of one earlier arm or more.")
     linears = [linear_model_of(model, "transferred") for model in models]
-    first = linears[0]
     for i, linear in enumerate(linears):
         if "tool" in dict(linear.terms.extra):
             raise ValueError(
@@ -203,17 +190,12 @@ def _checked(models, arm):
                 f"models[{i}] is of an arm with {old[0]} joints in the {old[1]} convention; the "
                 f"new arm has {new[0]} in the {new[1]} one."
             )
-        if _families(linear.terms) != _families(first.terms):
+        if _families(linear.terms) != _families(linears[0].terms):
             raise ValueError(
                 f"models[{i}] has other families of columns than models[0]: fit all with the same "
-                "gravity, kinematics, wobble and extra, with orientations or without."
+                "causes and extra columns, with orientations or without."
             )
-    template = models[0]
-    if not isinstance(template, JointHarmonicRegressor):
-        unit, template = template.angle_unit, template.harmonics
-        template = JointHarmonicRegressor() if template is None else clone(template)
-        template.set_params(angle_unit=unit)
-    return linears, clone(template)
+    return linears
 
 
 def _families(terms):
@@ -224,35 +206,28 @@ def _families(terms):
 def _of_prior(estimator, prior):
     """Fitted estimator that knows nothing but the earlier arms."""
     new = deepcopy(estimator)
-    new.linear_model_, new.orientation_model_ = prior, None
-    new.fading_ = Fading(0.0, 0.0, 0.0)
+    new.linear_model_, new.fading_ = prior, Fading(0.0, 0.0)
+    new.helps_, new.judgement_, new.regressor_ = True, None, None
     new.n_features_in_ = prior.arm.n_joints + len(prior.terms.extra)
-    if not hasattr(new, "pose_weight_"):
-        new.pose_weight_ = np.empty(0)
-    check_is_fitted(new)
+    new.pose_weight_ = np.empty(0)
     return new
 
 
 def _pooled(linears, arm):
     """Mean and spread of several linear models, as the prior of one more arm."""
-    pairs = sorted({tuple(p) for one in linears for p in np.asarray(one.terms.harmonics).tolist()})
-    harmonics = np.array(pairs, dtype=int).reshape(-1, 2)
-    waves = 2 * len(pairs)
-    aligned = [_aligned(one, pairs) for one in linears]
-    W = np.array([coef for coef, *_ in aligned])
-    n = len(W)
+    pairs = sorted({pair for one in linears for pair in harmonics_of(one)})
+    aligned = [with_harmonics(one, pairs) for one in linears]
+    waves, n = 2 * len(pairs), len(aligned)
+    W = np.array([one.coef for one in aligned])
     prior_sd = {
         name: float(np.sqrt(np.mean([one.prior_sd.get(name, 0.0) ** 2 for one in linears])))
         for name in linears[0].prior_sd
         if name != "smooth"
     }
     model = replace(
-        linears[0],
+        aligned[0],
         arm=arm,
-        terms=linears[0].terms._replace(harmonics=harmonics, extra=_mean_references(linears)),
-        coef=W[0],
-        half=np.zeros((W.shape[1], 0)),
-        gauge_free_half=np.zeros((W.shape[1], 0)),
+        terms=aligned[0].terms._replace(extra=_mean_references(linears)),
         log_bayes_factor=np.zeros(len(pairs)),
         prior_sd=prior_sd,
         noise_variance=float(np.median([one.noise_variance for one in linears])),
@@ -275,11 +250,16 @@ def _pooled(linears, arm):
         common = max(np.mean(np.square(mean[of]) - variance[of] / n), 0.0)
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
-    roots = []
-    for i in (1, 2):
-        half = np.hstack([*(one[i] / np.sqrt(n) for one in aligned), own])
-        roots.append(np.linalg.qr(half.T, mode="r").T)
-    return replace(model, coef=trust * mean, half=roots[0], gauge_free_half=roots[1])
+
+    def pooled_root(roots):
+        return np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r").T
+
+    return replace(
+        model,
+        coef=trust * mean,
+        half=pooled_root([one.half for one in aligned]),
+        gauge_free_half=pooled_root([one.gauge_free_half for one in aligned]),
+    )
 
 
 def _mean_references(linears):
@@ -289,59 +269,35 @@ def _mean_references(linears):
     return tuple((name, (value,)) for name, value in zip(names, values.tolist(), strict=True))
 
 
-def _aligned(linear, pairs):
-    """Coefficients and both roots of their covariance with these harmonics: 0 where it has none."""
-    place = {tuple(p): i for i, p in enumerate(np.asarray(linear.terms.harmonics).tolist())}
-    waves, new = 2 * len(place), 2 * len(pairs)
-    to = np.array([[2 * pairs.index(p), 2 * pairs.index(p) + 1] for p in place], dtype=int).ravel()
-    to = np.r_[to, new + np.arange(len(linear.coef) - waves)]
-    size = new + len(linear.coef) - waves
-    found = []
-    for values in (linear.coef, linear.half, linear.gauge_free_half):
-        found.append(np.zeros((size, *values.shape[1:])))
-        found[-1][to] = values
-    return found
-
-
 def _evidence_of_change(prior, changed, poses):
     """Log evidence of the new poses under the prior of the earlier arms."""
-    linear, half = prior_half(prior, changed.change.tau)
-    return _log_evidence(linear, linear.coef, half, poses, changed.change.noise_sd)
+    known = prior_of(prior)
+    sd = np.array([changed.tau[name] for name in known.part]) * known.size
+    half = np.hstack([known.half, np.diag(sd)])
+    return _log_evidence(with_low_orders(prior), half, poses, changed.noise_sd)
 
 
 def _evidence_of_fit(linear, poses):
-    """Log evidence of a fit to the new poses alone, less the price that its harmonics had."""
-    price = np.log(_OFFERED * linear.arm.n_joints)
+    """Log evidence of a fit to the new poses alone, less the prices of its lines."""
+    orders = np.asarray(linear.terms.harmonics, dtype=int).reshape(-1, 2)[:, 1]
     sd = np.array([linear.prior_sd[name] for name in families_of(linear)])
-    if "smooth" in linear.prior_sd:
-        joined = linear.log_bayes_factor < _CHOSEN * price
-        share = np.repeat(np.sqrt(smooth_shares(linear.terms.harmonics[:, 1])), 2)
-        waves = slice(0, len(share))
-        of_smooth = np.repeat(joined, 2)
-        sd[waves] = np.where(of_smooth, linear.prior_sd["smooth"] * share, sd[waves])
-        n_chosen = np.count_nonzero(~joined)
-    else:
-        n_chosen = np.count_nonzero(linear.terms.harmonics[:, 1] > LIKELY_ORDER)
-    evidence = _log_evidence(linear, np.zeros(len(sd)), np.diag(sd), poses, linear.noise_sd)
-    return evidence - n_chosen * price
+    price, is_line = order_price(orders), np.ones(len(orders), bool)
+    if "smooth" in linear.prior_sd:  # which holds all low orders, lines or not
+        is_line = linear.log_bayes_factor > _CHOSEN * np.maximum(price, order_price(2))
+        variance = linear.prior_sd["smooth"] ** 2 * smooth_shares(orders)
+        variance += is_line * linear.prior_sd["harmonics"] ** 2
+        sd[: 2 * len(orders)] = np.repeat(np.sqrt(variance), 2)
+    before = replace(linear, coef=np.zeros(len(sd)))
+    return _log_evidence(before, np.diag(sd), poses, linear.noise_sd) - price[is_line].sum()
 
 
-def _log_evidence(linear, mean, half, poses, noise_sd):
-    """Log density of the residuals, without constants: base and tool are nearly free.
-
-    Of the covariance ``s^2 I + H H'`` the k columns of H are fewer than the rows, as a rule:
-    determinant and inverse are those of ``s^2 I + H' H``.
-    """
+def _log_evidence(linear, half, poses, noise_sd):
+    """Log density of the residuals, without constants: base and tool are nearly free."""
     angles, weights, codes = poses.angles, poses.weights, poses.codes
     columns = linear.columns(angles)
-    place = PLACE_MM * place_columns(linear.arm, angles, with_base=codes is None)
-    r = centred(poses.residuals - columns @ mean, codes, weights)
-    H = centred(np.concatenate([columns @ half, place], axis=2), codes, weights)
+    place = REGISTERED_PLACE_MM * place_columns(linear.arm, angles, with_base=codes is None)
+    left = centred(poses.residuals - columns @ linear.coef, codes, weights)
+    seen = centred(np.concatenate([columns @ half, place], axis=2), codes, weights)
     root = np.sqrt(weights)
-    r = (r * root[:, None]).ravel() / noise_sd
-    H = (H * root[:, None, None]).reshape(len(r), -1) / noise_sd
-    value, axes = np.linalg.eigh(H.T @ H)
-    value = 1 + np.maximum(value, 0.0)
-    seen = (H.T @ r) @ axes
-    fit = r @ r - np.square(seen) @ (1 / value)
-    return -0.5 * (fit + np.log(value).sum()) - n_coordinates(poses) * np.log(noise_sd)
+    seen = (seen * root[:, None, None]).reshape(3 * len(left), -1)
+    return log_density((left * root[:, None]).ravel(), seen, noise_sd, poses.n_coordinates)

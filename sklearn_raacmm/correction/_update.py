@@ -3,32 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-from copy import copy, deepcopy
+from copy import deepcopy
 from dataclasses import replace
 from datetime import date as calendar
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import one_warning
-from sklearn_raacmm.correction._linear_change import (
-    LEAST_NOISE_MM,
-    NewPoses,
-    changed_model,
-    n_coordinates,
-    poses_in_range,
-)
-from sklearn_raacmm.error_model import LinearModel, check_poses, check_turns
-from sklearn_raacmm.utils import (
-    check_points,
-    check_weights,
-    encode_groups,
-    one_blas_thread,
-    validate_params,
-)
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, poses_in_range
+from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
+from sklearn_raacmm.utils import one_blas_thread, validate_params, warn_user
 
-# Noise of the new poses, in units of the old one, that no arm in use comes to.
+# Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
+# benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
 _STRANGE = 10.0
 
 
@@ -48,7 +35,7 @@ def update_correction(
 
     Parameters
     ----------
-    model : JointHarmonicRegressor or ArmResidualRegressor
+    model : ArmResidualRegressor
         Fitted model; it is left as it is.
 
     X : array-like of shape (n_samples, n_joints + n_extra)
@@ -69,15 +56,15 @@ def update_correction(
 
     orientation_residuals : array-like of shape (n_samples, 3), default=None
         Residuals of the orientation, as `fit` takes them, for a model that was fitted with some.
-        Without them its `orientation_model_` is brought up to date by the points alone.
+        Without them its orientations are brought up to date by the points alone.
 
     date : str, default=None
         When the new poses were measured, for the record; None: today.
 
     Returns
     -------
-    model : JointHarmonicRegressor or ArmResidualRegressor
-        A model of the same type, to be used with the base and the tool of the registration.
+    model : ArmResidualRegressor
+        To be used with the base and the tool of the registration.
         ``updates_`` holds a dictionary for every update: `date`, `n_poses`, `tau` by joint and
         family, `noise_sd_mm`.
 
@@ -114,7 +101,7 @@ def update_correction(
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_raacmm import Arm, JointHarmonicRegressor, update_correction
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor, update_correction
     >>> arm = Arm.from_name("aacmm6")
     >>> rng = np.random.default_rng(0)
     >>> angles = rng.uniform(-2, 2, (400, 6))
@@ -123,7 +110,7 @@ def update_correction(
     ...     error[:, 2] = np.deg2rad(arcsec / 3600) * np.cos(angles[:, 2])
     ...     return np.einsum("nij,nj->ni", arm.jacobian(angles), error)
     >>> y = residuals(angles, 20) + rng.normal(scale=0.01, size=(400, 3))
-    >>> model = JointHarmonicRegressor(arm, max_order=4).fit(angles, y)
+    >>> model = ArmResidualRegressor(arm, orders=4).fit(angles, y)
     >>> new = rng.uniform(-2, 2, (60, 6))  # after a knock it is more so
     >>> y_new = residuals(new, 40) + rng.normal(scale=0.01, size=(60, 3))
     >>> updated = update_correction(model, new, y_new)
@@ -135,44 +122,25 @@ def update_correction(
     linear = linear_model_of(model, "updated")
     if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(X) == 0:
         return deepcopy(model)
-    angles, residuals, weights, codes = check_new_poses(model, X, y, groups, sample_weight)
-    turns = check_turns(orientation_residuals, len(angles), codes)
-    if turns is not None and getattr(model, "orientation_model_", None) is None:
-        raise ValueError(
-            "orientation_residuals were given, but the model was fitted without any: leave them "
-            "out, or fit it again."
-        )
-    poses = NewPoses(angles, residuals, weights, codes, turns)
-    n_free, n_data = 9 if codes is None else 3, n_coordinates(poses)
-    if n_data <= n_free:
-        warnings.warn(
-            f"{len(angles)} new poses give {n_data} coordinates, fewer than would show "
-            f"more than the {n_free} freedoms of base and tool: the model is kept as it was. "
-            "Register only, or measure more poses.",
-            UserWarning,
-            stacklevel=5,
+    poses = NewPoses.checked(model, X, y, groups, sample_weight, orientation_residuals)
+    if poses.too_few:
+        warn_user(
+            f"{poses.too_few}: the model is kept as it was. Register only, or measure more poses."
         )
         return deepcopy(model)
-    network = _unfaded(model, angles) - linear.predict(angles)[0]
-    poses = poses._replace(residuals=residuals - network)
-    changed = changed_model(linear, poses)
-    noise_sd = changed.change.noise_sd
-    if noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
-        warnings.warn(
-            f"The new poses scatter by {noise_sd:.3g} mm a coordinate about the updated "
+    left = poses.residuals - model.second_stage(poses.angles)
+    changed = changed_model(linear, poses._replace(residuals=left))
+    if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
+        warn_user(
+            f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
             f"model, the old ones did by {linear.noise_sd:.3g} mm: are they of this arm, and "
-            "residuals in its base frame, registered through the correction?",
-            UserWarning,
-            stacklevel=5,
+            "residuals in its base frame, registered through the correction?"
         )
     updated = deepcopy(model)
     updated.linear_model_ = changed.model
-    both = getattr(model, "orientation_model_", None)
-    if both is not None:
-        same = both is linear
-        updated.orientation_model_ = changed.model if same else changed_model(both, poses).model
-    _keep_fading(updated, model, angles[weights > 0])
-    updated.updates_ = (*getattr(model, "updates_", ()), record_of(changed, len(angles), date))
+    updated.fading_ = _same_fading(model, changed.model, poses.angles[poses.weights > 0])
+    before = vars(model).get("updates_", ())
+    updated.updates_ = (*before, record_of(changed, len(poses.angles), date))
     return updated
 
 
@@ -181,66 +149,23 @@ def record_of(changed, n_poses, date):
     return {
         "date": calendar.today().isoformat() if date is None else str(date),
         "n_poses": n_poses,
-        "tau": changed.change.tau,
-        "noise_sd_mm": changed.change.noise_sd,
+        "tau": changed.tau,
+        "noise_sd_mm": changed.noise_sd,
     }
 
 
-def _keep_fading(updated, model, angles):
-    """Let the updated correction fade where the old one did.
+def _same_fading(model, linear, angles):
+    """Fading that lets the updated correction fade where the old one did.
 
     What few poses leave open of base, tool and change adds to every standard deviation. The change
     is shrunk to the old model for that already, so that it is no reason to take the whole
     correction back. It is measured at poses whose joints stand anywhere in the ranges that the new
     poses are from.
     """
-    tried = poses_in_range(angles, updated.linear_model_.arm.n_joints)
+    tried = poses_in_range(angles, linear.arm.n_joints)
     old, new = (
-        np.square(m.linear_model_.predict(tried, return_std=True)[1]).sum(axis=1)
-        for m in (model, updated)
+        np.square(one.predict(tried, return_std=True)[1]).sum(axis=1)
+        for one in (model.linear_model_, linear)
     )
     added = max(np.max(new - old), 0.0)
-    fadings = list(getattr(updated, "fadings_", None) or [updated.fading_])
-    fadings[0] = replace(fadings[0], known_mm=float(np.sqrt(fadings[0].known_mm ** 2 + added)))
-    if hasattr(updated, "fadings_"):
-        updated.fadings_ = fadings
-    else:
-        updated.fading_ = fadings[0]
-
-
-def _unfaded(model, angles):
-    """What a model predicts at angles in rad before it fades."""
-    model = copy(model).set_params(angle_unit="rad")
-    if hasattr(model, "fadings_"):
-        model.fadings_ = [replace(fading, factor=0.0) for fading in model.fadings_]
-    else:
-        model.fading_ = replace(model.fading_, factor=0.0)
-    return model.predict(angles)
-
-
-def linear_model_of(model, done):
-    """The linear model that a fitted correction uses."""
-    linear = getattr(model, "linear_model_", None)
-    if hasattr(model, "fit"):
-        check_is_fitted(model)
-    if not isinstance(linear, LinearModel) or getattr(model, "use_", "") == "none":
-        raise TypeError(
-            f"A {type(model).__name__} that holds no linear model in use cannot be {done}: it has "
-            "no posterior of causes. It can be registered, by calibrate(..., correction=model)."
-        )
-    return linear
-
-
-def check_new_poses(model, X, y, groups, sample_weight):
-    """Angles, residuals, weights and codes of new poses; each fault gets one clear sentence."""
-    angles = check_poses(model, X, stacklevel=8)
-    y = check_points(y, 3)
-    if len(y) != len(angles):
-        raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
-    if groups is None and model.linear_model_.offsets:
-        raise ValueError(
-            "The model has an unknown offset at every position: give groups, the position of each "
-            "new pose."
-        )
-    codes = None if groups is None else encode_groups(groups, len(y))[1]
-    return angles, y, check_weights(sample_weight, angles), codes
+    return replace(model.fading_, known_mm=float(np.sqrt(model.fading_.known_mm**2 + added)))

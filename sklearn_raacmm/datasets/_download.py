@@ -6,7 +6,6 @@
 import hashlib
 import os
 import time
-import warnings
 from http.client import HTTPException, IncompleteRead
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -14,6 +13,8 @@ from urllib.error import HTTPError
 from urllib.request import urlopen
 
 from sklearn.datasets import get_data_home
+
+from sklearn_raacmm.utils import warn_user
 
 # Longest silence of a server that is waited for, and the longest time for one file with all its
 # retries: ten minutes carry the largest file (2.4 MB) over a line of 32 kbit/s.
@@ -55,7 +56,7 @@ def cached_file(path, url, sha256, *, download_if_missing=True, n_retries=3, del
             raise OSError(f"{wrong}: it was cut short or changed, and download_if_missing=False.")
         raise OSError(f"{path} is not there, and download_if_missing=False.")
     if found is not None:
-        warnings.warn(f"{wrong}: downloading it again from {url}.", UserWarning, stacklevel=4)
+        warn_user(f"{wrong}: downloading it again from {url}.")
     content = _download(url, n_retries, delay)
     found = _sha256(content)
     if found != sha256:
@@ -114,5 +115,5 @@ def _download(url, n_retries, delay):
             final = isinstance(error, HTTPError) and error.code < 500 and error.code != 429
             if final or not left:
                 raise OSError(f"{url} cannot be downloaded: {error}.") from error
-            warnings.warn(f"{url}: {error}; trying again.", UserWarning, stacklevel=5)
+            warn_user(f"{url}: {error}; trying again.")
             time.sleep(delay)

@@ -6,9 +6,12 @@
 import numpy as np
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
-from sklearn_raacmm.error_model import likely_gear_ratios
+from sklearn_raacmm.error_model import ArmResidualRegressor
 
 _DOTS = {"color": AFTER["color"], "linestyle": "", "marker": "o", "markersize": 4, "capsize": 2}
+
+# Orders above this are those of gears, which show at their ratio and small multiples of it.
+_COMMON_ORDER, _MULTIPLES = 72, np.array([1, 2, 3, 4])
 
 
 class HarmonicDisplay:
@@ -21,7 +24,7 @@ class HarmonicDisplay:
     Parameters
     ----------
     harmonics : structured ndarray of shape (n_harmonics,)
-        The table `harmonics_` of :class:`JointHarmonicRegressor`.
+        The table `harmonics_` of :class:`ArmResidualRegressor`.
 
     n_joints : int
         Number of joints of the arm.
@@ -36,7 +39,7 @@ class HarmonicDisplay:
 
     gear_ratios : ndarray of shape (n_joints,)
         Likely gear ratio of each joint, 0 where the orders show none. It can be given to
-        :class:`JointHarmonicRegressor`.
+        :class:`ArmResidualRegressor`.
 
     axes_ : ndarray of matplotlib Axes of shape (n_joints, 3)
         A row for each joint; amplitudes, phases and log Bayes factors.
@@ -54,11 +57,11 @@ class HarmonicDisplay:
     Examples
     --------
     >>> import matplotlib.pyplot as plt
-    >>> from sklearn_raacmm import JointHarmonicRegressor
+    >>> from sklearn_raacmm import ArmResidualRegressor
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> from sklearn_raacmm.display import HarmonicDisplay
     >>> test = make_single_point(n_positions=6, n_poses=30, machine="eccentricity")  # simulated
-    >>> model = JointHarmonicRegressor(test.arm, max_order=8)
+    >>> model = ArmResidualRegressor(test.arm, orders=8)
     >>> _ = model.fit(test.data, test.target, groups=test.groups)
     >>> display = HarmonicDisplay.from_estimator(model)
     >>> display.axes_.shape
@@ -71,7 +74,7 @@ class HarmonicDisplay:
         self.n_joints = n_joints
         cos, sin = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
         cos_sd, sin_sd = harmonics["cos_sd_arcsec"], harmonics["sin_sd_arcsec"]
-        self.gear_ratios = likely_gear_ratios(
+        self.gear_ratios = _likely_gear_ratios(
             harmonics["joint"], harmonics["order"], harmonics["log_bayes_factor"], n_joints
         )
         size = np.hypot(cos, sin)
@@ -84,7 +87,7 @@ class HarmonicDisplay:
 
         Parameters
         ----------
-        estimator : JointHarmonicRegressor or ArmResidualRegressor
+        estimator : ArmResidualRegressor
             Fitted model.
 
         axes : array-like of matplotlib Axes of shape (n_joints, 3), default=None
@@ -103,14 +106,12 @@ class HarmonicDisplay:
             If it is a model of another kind.
         """
         check_model(estimator)
-        table = getattr(estimator, "harmonics_", None)
-        names = getattr(getattr(table, "dtype", None), "names", None) or ()
-        if "amplitude_arcsec" not in names:
+        if not isinstance(estimator, ArmResidualRegressor):
             raise TypeError(
-                "Harmonics are drawn of a JointHarmonicRegressor or an ArmResidualRegressor, got "
-                f"{type(estimator).__name__}."
+                f"Harmonics are drawn of an ArmResidualRegressor, got {type(estimator).__name__}."
             )
-        return cls(harmonics=table, n_joints=estimator.arm_.n_joints).plot(axes)
+        harmonics, n_joints = estimator.harmonics_, estimator.arm_.n_joints
+        return cls(harmonics=harmonics, n_joints=n_joints).plot(axes)
 
     def plot(self, axes=None, *, errorbar_kwargs=None):
         """Draw.
@@ -165,3 +166,33 @@ class HarmonicDisplay:
             ax.set_xlim(left=0)
         self.axes_, self.figure_ = axes, axes[0, 0].figure
         return self
+
+
+def _likely_gear_ratios(joint, order, evidence, n_joints):
+    """Gear ratio of each joint of which high orders look like multiples.
+
+    Parameters
+    ----------
+    joint : ndarray of shape (n_harmonics,)
+        Joint of each harmonic found, from 1.
+    order : ndarray of shape (n_harmonics,)
+    evidence : ndarray of shape (n_harmonics,)
+        Log Bayes factor of each.
+    n_joints : int
+
+    Returns
+    -------
+    ndarray of shape (n_joints,)
+        Ratio, or 0 where none is likely: the order above 72 for which the evidence of its multiples
+        on all joints is largest, given that it has a multiple on this joint and one more anywhere.
+    """
+    ratios = np.zeros(n_joints, dtype=int)
+    most = np.zeros(n_joints)
+    for ratio in np.unique(order[order > _COMMON_ORDER]):
+        members = np.isin(order, ratio * _MULTIPLES)
+        support = evidence[members].sum()
+        if np.count_nonzero(members) > 1:
+            own = np.unique(joint[members].astype(int)) - 1
+            better = own[support > most[own]]
+            ratios[better], most[better] = ratio, support
+    return ratios

@@ -13,15 +13,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, cross, dh_theta, frame_columns, probe_of, reach_mm
+from sklearn_raacmm.arm import FIELDS, axis_vectors, reach_mm
 from sklearn_raacmm.error_model._extra import force_on_probe, parsed
 
 ARCSEC = np.pi / 180 / 3600
-# Families of columns, each with a prior of its own.
-HARMONIC, GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, TOOL = range(8)
+# Families of columns, each with a prior of its own; then that of harmonics that are taken for
+# themselves, and that of all low orders together.
+GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, TOOL = range(7)
 FAMILIES = (
-    "harmonics", "gravity", "kinematics", "wobble", "temperature", "direction", "force", "tool"
+    "gravity", "kinematics", "wobble", "temperature", "direction", "force", "tool", "harmonics",
+    "smooth",
 )  # fmt: skip
+# The families that `ArmResidualRegressor` names in `causes`.
+CAUSES = ("gravity", "kinematics", "wobble")
+FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, TOOL)
 # Kinds of columns: a small turn about an axis of a frame, a small shift along it, or a turn about
 # it in proportion to the torque about that axis of a load, or of a force on the probe.
 TURN, SHIFT, LOAD, PUSH = range(4)
@@ -267,7 +272,7 @@ def given_factors(arm, terms):
 class _Plan(NamedTuple):
     """A column table, arranged for whole arrays: all that does not depend on the pose."""
 
-    which: np.ndarray  # (n_columns,) into the vectors of `_vectors`
+    which: np.ndarray  # (n_columns,) into the vectors of `axis_vectors`
     unit: np.ndarray  # (n_columns,)
     runs: tuple  # of (first, last column, vector, unit) where many waves share one vector
     rest: int  # columns from here on are selected by `which`
@@ -319,29 +324,6 @@ def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
         axis[pushes],
         given._replace(column=given.column - rest),
     )
-
-
-def _vectors(arm, angles):
-    """Turns and shifts by every axis of every frame at some poses, and where things are.
-
-    Returns
-    -------
-    vectors : ndarray of shape (n, 3, 6 n_frames)
-        What a turn about each axis does to the probe, mm per rad; then the axes themselves. x, y
-        and z of the base, of frame 1, and so on.
-    places : ndarray of shape (n, 2, n_frames + 1)
-        x and y of the frames' origins and of the probe, mm.
-    """
-    frames = frame_columns(arm, dh_theta(arm, angles))
-    probe = probe_of(arm, frames)
-    axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
-    lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
-    n_axes = 3 * len(frames)
-    vectors = np.empty((len(angles), 3, 2 * n_axes))
-    vectors[:, :, :n_axes] = np.moveaxis(cross(axes, lever).reshape(3, n_axes, -1), 2, 0)
-    vectors[:, :, n_axes:] = np.moveaxis(axes.reshape(3, n_axes, -1), 2, 0)
-    places = np.concatenate([frames[:, 3, :2], probe[None, :2]]).transpose(2, 1, 0)
-    return vectors, places
 
 
 class FactoredColumns(NamedTuple):
@@ -478,8 +460,9 @@ def _plan_of(arm, terms):
 
 def _factored(arm, angles, plan, terms, of_turns, out):
     """`FactoredColumns` by a plan; its `rest` is written to `out`, where that is given."""
-    angles, values = angles[:, : arm.n_joints], angles[:, arm.n_joints :]
-    vectors, places = _vectors(arm, angles)
+    n_joints = len(arm.a)
+    angles, values = angles[:, :n_joints], angles[:, n_joints:]
+    vectors, places = axis_vectors(arm, angles)
     effect = vectors
     if of_turns:
         n_axes = vectors.shape[2] // 2

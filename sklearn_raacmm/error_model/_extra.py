@@ -3,11 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-
 import numpy as np
 
-from sklearn_raacmm.utils import show
+from sklearn_raacmm.utils import show, warn_user
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
@@ -21,6 +19,9 @@ _FORMS = (
     '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "payload", '
     '"force x", "force y", "force z", "tool"'
 )
+
+# For names that are read before the arm is known.
+_MOST_JOINTS = 10**6
 
 
 def parsed(name, n_joints):
@@ -45,7 +46,7 @@ def parsed(name, n_joints):
     raise ValueError(f"extra must hold names of columns, {_FORMS}; got {show(name)}.")
 
 
-def check_extra(extra, n_joints):
+def check_extra(extra, n_joints=_MOST_JOINTS):
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
         raise ValueError(f"extra must be a list of names, one for each column, got {show(extra)}.")
@@ -84,15 +85,13 @@ def with_references(extra, values, weights):
     )
 
 
-def warn_of_constants(extra, values, weights, stacklevel):
+def warn_of_constants(extra, values, weights):
     """Warn of extra columns from which nothing can be learnt."""
     for name, column in zip(extra, values[weights > 0].T, strict=True):
         if np.ptp(column) == 0:
-            warnings.warn(
+            warn_user(
                 f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
-                "of it, and predictions will not depend on it.",
-                UserWarning,
-                stacklevel=stacklevel,
+                "of it, and predictions will not depend on it."
             )
 
 

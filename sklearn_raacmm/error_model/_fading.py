@@ -3,31 +3,25 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import centred, warn_user
 
 # Factor of the standard deviation with a reference for every pose: Wiener's. What was left of 25
 # simulated errors at poses of real arms, learnt at new goals, in regions or in one octant, as a
 # geometric mean: 12 of them 0.076 with 1, 0.078 with 2; 13 others 0.144 and 0.160. None did harm.
 _OF_TRACKER = 1.0
 # In single-point tests, where the standard deviation has a part that positions share and deviations
-# from their means do not show; and twice what 99 % of the training poses stay below counts as
-# known, for fading by less would also shrink what is known. Chosen on simulated arms, by the
-# deviations elsewhere over those without correction (geometric mean, worst). 105 trainings at 4 to
-# 8 positions, some of them neighbours: 0.49 (0.90) without fading, 0.55 (0.94) with these, 0.66
-# (0.99) with a factor of 2. 90 trainings at 4 or 6 positions in one part of the volume: 0.61
-# (1.46), 0.63 (1.00) and 0.77 (0.99). Two Pandas are the same to 1e-4 mm with and without it.
-_OF_SINGLE_POINT = 0.6
-_KNOWN_SHARE, _KNOWN_FACTOR = 0.99, 2.0
-# The same for a standard deviation that errors at positions left out have widened, 1.2 to 2 times
-# as a rule. 90 trainings at 4 or 6 positions in one part of the volume, three of which left up to
-# 1.20 with 0.6 (all learnt at the same far positions and were used nearer): 0.62 (1.03). On 120
-# others, which decided: 0.59 (0.97) with either.
+# from their means do not show: half of the deviation that errors at positions left out have
+# widened, 1.2 to 2 times as a rule; and twice what 99 % of the training poses stay below counts as
+# known, for fading by less would also shrink what is known. Chosen on simulated arms
+# (``benchmarks/bench_guards.py``), by the deviations elsewhere over those without correction
+# (geometric mean, worst): 120 trainings at 4 to 8 positions 0.49 (0.90) without fading, 0.59 (0.97)
+# with it; 90 at 4 or 6 positions in one part of the volume 0.61 (1.46), and 0.62 (1.03).
 _OF_WIDENED = 0.5
+_KNOWN_SHARE, _KNOWN_FACTOR = 0.99, 2.0
 # predict warns where less than this share is left of more than half of the corrections.
 _WARN_SHARE = 0.1
 
@@ -79,7 +73,7 @@ class Fading:
         return size / np.maximum(size + self.factor**2 * doubt, 1e-300)
 
 
-def find_fading(y, std, weights, codes, factor="auto", *, known="auto", widening=None):
+def find_fading(y, std, weights, codes, factor="auto", widening=1.0):
     """Fading of a correction by what is known at its training poses.
 
     Parameters
@@ -93,40 +87,33 @@ def find_fading(y, std, weights, codes, factor="auto", *, known="auto", widening
         Position of each row, from 0, where positions have unknown offsets.
     factor : float or "auto", default="auto"
         Factor of the standard deviation.
-    known : float or "auto", default="auto"
-        What is known, as a multiple of the deviation that 99 % of the poses stay below. "auto": 2
-        in a single-point test, else 0.
-    widening : float, default=None
-        How much wider than `std` errors at positions left out ask for, where that is known: in a
-        single-point test "auto" then takes half of the widened deviation, but at most `std`.
+    widening : float, default=1
+        How much wider than `std` errors at positions left out ask for: in a single-point test
+        "auto" takes half of the widened deviation, but at most `std`.
 
     Returns
     -------
     Fading
     """
-    offsets = codes is not None
     y = centred(y, codes, weights)
     if factor == "auto":
         factor = _OF_TRACKER
-        if offsets:  # never more than with a tracker: outliers widen intervals, too
-            widened = _OF_SINGLE_POINT if widening is None else _OF_WIDENED * widening
+        if codes is not None:  # never more than with a tracker: outliers widen intervals, too
             # A flat optimum has few reliable digits; corrections must not depend on the others.
-            factor = min(round(widened, 3), _OF_TRACKER)
+            factor = min(round(_OF_WIDENED * widening, 3), _OF_TRACKER)
     size = np.sqrt(np.average(np.square(y).sum(axis=1), weights=weights))
-    if known == "auto":
-        known = _KNOWN_FACTOR if offsets else 0.0
-    length, used = np.linalg.norm(std, axis=1), weights > 0
-    of_most = np.quantile(length[used], _KNOWN_SHARE, weights=weights[used], method="inverted_cdf")
-    return Fading(float(size), float(factor), float(known * of_most))
+    known = 0.0
+    if codes is not None:
+        of_most = {"q": _KNOWN_SHARE, "weights": weights, "method": "inverted_cdf"}
+        known = _KNOWN_FACTOR * np.quantile(np.linalg.norm(std, axis=1), **of_most)
+    return Fading(float(size), float(factor), float(known))
 
 
-def warn_where_unknown(share, stacklevel):
+def warn_where_unknown(share):
     """Warn where next to nothing is left of most corrections."""
     faded = np.count_nonzero(share < _WARN_SHARE)
     if 2 * faded > len(share):
-        warnings.warn(
+        warn_user(
             f"{faded} of {len(share)} poses lie where the model knows little: their corrections "
-            "are reduced to less than a tenth. Measure there before you correct, or see `fading`.",
-            UserWarning,
-            stacklevel=stacklevel + 1,
+            "are reduced to less than a tenth. Measure there before you correct, or see `fading`."
         )

@@ -255,7 +255,7 @@ class LinearModel:
         return out
 
     def harmonic_table(self):
-        """Harmonics as a structured array, the largest first: see `JointHarmonicRegressor`."""
+        """Harmonics as a structured array, the largest first: see `ArmResidualRegressor`."""
         n = 2 * len(self.terms.harmonics)
         pairs, sds = self.coef[:n].reshape(-1, 2), self.coef_sd[:n].reshape(-1, 2)
         table = np.empty(len(pairs), dtype=_HARMONIC_DTYPE)
@@ -268,7 +268,7 @@ class LinearModel:
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
     def term_table(self):
-        """The other causes as a structured array: see `JointHarmonicRegressor`."""
+        """The other causes as a structured array: see `ArmResidualRegressor`."""
         names, family = term_names(self.arm, self.terms)
         n = 2 * len(self.terms.harmonics)
         width = max([len(name) for name in names], default=1)

@@ -31,32 +31,47 @@ def _gaussian_with_slope(s):
     return K, -0.5 * K
 
 
-def _distance(s):
-    # Rounding may make the squared distance of near rows negative.
-    return np.sqrt(np.maximum(s, 0.0))
+def _distance(s, factor):
+    # Rounding may make the squared distance of near rows negative. In place, as far as possible: to
+    # fetch memory for a new matrix takes longer than to fill it.
+    d = np.sqrt(np.maximum(s, 0.0, out=s))
+    d *= factor
+    return d
 
 
 def _matern32(s):
-    d = _SQRT3 * _distance(s)
-    return (1 + d) * np.exp(-d)
+    return _matern32_with_slope(s)[0]
 
 
 def _matern32_with_slope(s):
-    d = _SQRT3 * _distance(s)
-    decay = np.exp(-d)
-    return (1 + d) * decay, -1.5 * decay
+    d = _distance(s, _SQRT3)
+    decay = np.exp(np.negative(d, out=s), out=s)
+    d += 1
+    d *= decay
+    decay *= -1.5
+    return d, decay
 
 
 def _matern52(s):
-    d = _SQRT5 * _distance(s)
-    return (1 + d + 5 / 3 * s) * np.exp(-d)
+    d = _distance(s, _SQRT5)
+    s *= 5 / 3
+    s += d
+    s += 1
+    s *= np.exp(np.negative(d, out=d), out=d)
+    return s
 
 
 def _matern52_with_slope(s):
-    d = _SQRT5 * _distance(s)
-    decay = np.exp(-d)
-    once = (1 + d) * decay
-    return once + 5 / 3 * s * decay, -5 / 6 * once
+    d = _distance(s, _SQRT5)
+    decay, once = np.negative(d), d
+    np.exp(decay, out=decay)
+    once += 1
+    s *= 5 / 3
+    s += once
+    s *= decay
+    once *= decay
+    once *= -5 / 6
+    return s, once
 
 
 def _rational_quadratic(s):

@@ -197,8 +197,8 @@ def step_units(end, data):
     return np.sqrt(1 / np.maximum(curvature / curvature.max(), LEAST_CURVATURE))
 
 
-def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units=1.0):
-    """Search from a start, with steps in some units.
+def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units=1.0, nats=None):
+    """Search from a start, with steps in some units, to about so many nats.
 
     Returns
     -------
@@ -208,7 +208,7 @@ def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units=1.0):
     unit = data.n_total * data.Y.shape[1]
     # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
     # cost of a step allows.
-    nats = np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
+    nats = nats or np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
     values = []
 
     def scaled(steps):

@@ -38,78 +38,71 @@ _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_")
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
-    A smooth function of a few features, learnt from up to a million noisy rows, with a standard
-    deviation. It is a Gaussian process whose structure is chosen by its evidence from a short list,
-    then compressed to few centres,
+    A smooth function of a few features, learnt from up to a million noisy rows, with its standard
+    deviation: a Gaussian process whose structure is chosen by evidence from one short list, then
+    compressed to few centres,
 
-    .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr),
+    .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
 
-    with a polynomial p and centres c taken from the training rows. Use it where boosted trees would
-    be too coarse and a Gaussian process too slow or too large to export. Nothing has to be set. You
-    may need `n_centers`, for a network of a given size; `shared`, for several outputs in one small
-    export; and `loss`, for data with outliers. For features that span powers of ten put a
+    Use it where trees are too coarse, and a Gaussian process is too slow or too large to export.
+    You may need `n_centers`, for a given size; `shared`, for a small export of several outputs;
+    `loss`, for outliers. Features that span powers of ten want a
     :class:`~sklearn.preprocessing.PowerTransformer` in front.
 
     Parameters
     ----------
     n_centers : int, float or "auto", default="auto"
-        Number of centres; or, as a float below 1, the share of the targets' variance that they may
-        leave unexplained (Chen's tolerance [1]_). "auto" takes as many as make the network about as
-        good as the process, and all rows where it would need nearly as many.
+        Number of centres, or below 1 the share of the variance that they may leave unexplained
+        [1]_. "auto" takes as many as make the network about as good as the process, and all rows
+        where that is nearly all.
 
     kernel : str or array-like of shape (n_outputs,), default="auto"
-        Radial function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
+        Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
         :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
         :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "rational_quadratic",
         :math:`1 / (1 + r^2/2)`; "inverse_multiquadric", :math:`1 / \sqrt{1 + r^2}`. "auto" takes
-        the most probable of the first three, with a given `length_scale` "gaussian". A name for
-        each output goes with a `length_scale` that has rows of them.
+        the most probable of the first three, with a given `length_scale` "gaussian". Names go with
+        rows of `length_scale`.
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
-        Width of the radial functions, in the units of X: one number, or one for each feature, shape
-        (n_features,), or a row for each output, shape (n_outputs, n_features); infinity leaves a
-        feature out. "auto" finds one for each feature, "isotropic" one for all, in units of each
-        feature's standard deviation.
+        Width, in the units of X: a number, one for each feature, or a row of these for each output;
+        infinity leaves a feature out. "auto" finds one for each feature, "isotropic" one for all,
+        in units of their standard deviations.
 
     alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
-        Ridge, of all outputs or of each, in units of the sum of sample weights: noise variance over
-        signal variance. 0 is plain least squares, for a given number of centres.
+        Ridge, in units of the sum of sample weights: noise variance over signal variance. 0 is
+        plain least squares, for a given number of centres.
 
     degree : {-1, 0, 1} or "auto", default="auto"
-        Degree of the polynomial: none, a constant, or linear in the features. The linear part has a
-        ridge of its own if `alpha` is "auto". "auto" is a constant, or a linear model alone where
-        the data are more probable with it than with radial functions.
+        Degree of the polynomial p: none, a constant, or linear, with a ridge of its own if `alpha`
+        is "auto". "auto" is a constant, or a linear model alone where that is more probable.
 
     max_centers : int, default=None
-        Most centres that are found by themselves, and never all rows. None: 2000, or all of up to
-        10 000 rows.
+        Most centres that are found. None: 2000, or all of up to 10 000 rows.
 
     shared : bool, default=False
-        Whether several outputs share kernel, widths and centres, chosen by the trace of the error
-        reduction: the published form, a third of the size for three outputs. By default each has
-        its own network, the one that it would have alone.
+        Whether outputs share kernel, widths and centres, chosen by the trace of the error
+        reduction: the published form. By default each has the network that it would have alone.
 
     loss : {"squared", "tukey"}, default="squared"
-        "tukey": where rows lie farther off than 5.5 standard deviations, all are weighed by Tukey's
-        biweight [3]_ and the network is fitted again, at most six times.
+        "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
 
     random_state : int, RandomState instance or None, default=None
-        Draws the rows of the search, which starts on 300, and the candidates of more than 10 000.
+        Draws the 300 and 1000 rows of the search, and the candidates of more than 10 000.
 
     Attributes
     ----------
     networks_ : tuple of Network
-        All numbers that predictions are made of: a network for each output, or one for all.
+        A network for each output, or one for all: all numbers of the model.
 
     centers_ : ndarray of shape (n_centers, n_features)
-        Centres, in the order of selection; sorted where all rows are. Those of several networks
-        one after another, as in all attributes by centre.
+        Centres, in the order of selection, of one network after another.
 
     center_indices_ : ndarray of shape (n_centers,)
         Their rows in X.
 
     coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
-        Weights, in the units of y; 0 at the centres of other outputs.
+        Weights; 0 at the centres of other outputs.
 
     intercept_ : float or ndarray of shape (n_outputs,)
         Constant term.
@@ -118,43 +111,38 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Linear term.
 
     kernel_ : str or ndarray of shape (n_outputs,)
-        Name of the radial function; of several networks, of each output.
+        Radial function; of several networks, of each.
 
     length_scale_ : ndarray of shape (n_features,) or (n_outputs, n_features)
-        Widths, of several networks for each output; infinite for a feature that is ignored.
+        Widths; infinite for a feature that is ignored.
 
     alpha_ : float or ndarray of shape (n_outputs,)
-        Ridge of every output.
+        Ridge.
 
     noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
-        Of the process, in squared units of y; the noise is that of an observation of mean weight,
-        and infinite where the polynomial has as many parameters as there are observations.
+        Of the process; noise is that of an observation.
 
     group_std_ : float or ndarray of shape (n_outputs,)
-        Standard deviation of groups' constants, in the units of y; 0 without.
+        Standard deviation of groups' constants; 0 without.
 
     relevance_ : ndarray of shape (n_features,)
-        How steep the modelled function is along each feature, per standard deviation of the
-        feature, as a share of the sum over features; all 0 where all is noise.
+        Slope along each feature, per standard deviation of the feature, as a share of the sum.
 
     log_marginal_likelihood_value_ : float
-        Logarithm of the marginal likelihood of the up to 1000 rows on which structures were
-        compared, summed over outputs. Only where something was searched for.
+        Of the rows on which structures were compared, if any were, summed over outputs.
 
     error_reduction_ : ndarray of shape (n_centers,)
-        Share of its outputs' variance by which each centre lowered the objective. Empty where all
-        rows are centres.
+        Share of the variance by which each centre lowered the objective.
 
     criterion_path_ : ndarray of shape (n_tried,)
-        Share that the objective leaves after 1, 2, ... centres.
+        Share that is left after 1, 2, ... centres.
 
     stop_reason_ : str
-        Why there are no more centres: "n_centers", "max_centers", "criterion", "dependent" (every
-        other candidate is a combination of the chosen ones to working precision), "rank" (the same
-        as far as a factor of limited rank tells) or "all rows". Of several networks joined by ", ".
+        Why there are no more centres: "n_centers", "max_centers", "criterion", "dependent" or
+        "rank" (others are combinations of the chosen ones, as far as can be told), "all rows".
 
     row_weight_ : ndarray of shape (n_samples,)
-        With ``loss="tukey"``: the factor of each row's weight, 0 for an outlier.
+        With ``loss="tukey"``: the factor of each row's weight.
 
     n_iter_ : int
         Number of centres tried.
@@ -167,32 +155,21 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     See Also
     --------
-    sklearn.gaussian_process.GaussianProcessRegressor : The same posterior mean with a centre at
-        every sample; cubic in their number.
+    sklearn.gaussian_process.GaussianProcessRegressor : A centre at every sample.
 
     Notes
     -----
-    Widths and ridge maximise the marginal likelihood [2]_ less a price for every feature that is
-    used, on up to 2000 rows.
+    Widths and ridge maximise the marginal likelihood [2]_ less a price for every feature used.
 
-    The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows are
-    merged, and rows are sorted, so that neither row order nor writing a row twice instead of
-    doubling its weight matters. Of weights only the ratios count for what is found by itself.
-
-    More than 100 000 rows are read in blocks, also from a memory-mapped file, in memory that does
-    not depend on their number; `fit` takes dask arrays, too.
-
-    Where all rows are centres predictions cost in proportion to these (10 000: 30 to 80 us a row),
-    standard deviations to their square.
+    The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows
+    merged, all sorted. More than 100 000 are read in blocks, also from files and dask arrays.
 
     References
     ----------
     .. [1] S. Chen, C. F. N. Cowan, P. M. Grant, "Orthogonal least squares learning algorithm for
-       radial basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
-    .. [2] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
-       2006, chapter 8.
-    .. [3] A. E. Beaton, J. W. Tukey, "The fitting of power series, meaning polynomials, illustrated
-       on band-spectroscopic data", Technometrics 16 (1974), 147-185.
+       radial basis function networks", IEEE Trans. Neural Networks 2(2), 1991, 302-309.
+    .. [2] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006.
+    .. [3] A. E. Beaton, J. W. Tukey, "The fitting of power series", Technometrics 16, 1974.
 
     Examples
     --------

@@ -51,17 +51,17 @@ COARSE_STEPS, EXACT_STEPS = 60, 40
 # were 0.965 to 1.002 of those of 1000 rows; with 320 to 350 (three functions) 0.988 to 1.047.
 ROUGH, ROUGH_ROWS, ROUGH_STEPS = 400, 2000, 8
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
-# sqrt(d) spreads away; and the ridge.
-START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
+# sqrt(d) spreads away; and the ridge. They are compared on about so many rows.
+START_WIDTHS, START_RIDGES, FEWEST = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1), 100
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
 # Nats, evidence and leave-one-out density together, by which a kernel may trail on the rows of the
 # second stage before its search there: one trailed by 1.4 on 300 rows and led by 150 on 1000.
 TRAILING = 20.0
-# Nats by which a kernel other than the first has to lead in the end, lest noise be followed: without
-# a margin a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by
-# less than 2 % (benchmarks/bench_noise.py --margins).
+# Nats by which a kernel other than the first has to lead in the end, lest noise be followed: with
+# none a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by less
+# than 2 % (benchmarks/bench_noise.py --margins).
 KERNEL_MARGIN = 10.0
 # Observations a feature below which one width for all features may be the better process, and
 # below which leave-one-out densities count in part: the widths have been chosen on the same rows.
@@ -73,8 +73,8 @@ LINEAR_MARGIN = 2.0
 # Variances of groups' constants over that of the noise that are tried beside a linear part.
 RATIOS = np.append(0.0, 4.0 ** np.arange(-6, 5))
 # Share of its price that a feature pays below which it is left out, if that costs at most so many
-# nats; ends of a search that are the same, in nats.
-UNUSED, NEGLIGIBLE, SAME = 0.01, 0.5, 0.01
+# nats; ends of a loose search that are the same, and to how many nats they are found.
+UNUSED, NEGLIGIBLE, SAME, LOOSE = 0.01, 0.5, 0.5, 0.05
 # For a feature's spread: quantiles, and the multiple of their distance that is far outside of them.
 TENTHS, OUTLYING = (0.1, 0.9), 3.0
 
@@ -202,13 +202,13 @@ def _left_out(end, data):
 
 def _coarse(task, kernels, data):
     """One end for each kernel, from several starts on few rows."""
-    first = kernels[0]
+    first, some = kernels[0], data.rows(np.arange(0, len(data.X), max(1, len(data.X) // FEWEST)))
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
-    starts.sort(key=lambda theta: objective(task, theta, data, first)[0])
+    starts.sort(key=lambda theta: objective(task, theta, some, first)[0])
     # The likelihood may have several peaks: from the two best starts that differ in width.
     second = [t for t in starts if task.n_widths and t[0] != starts[0][0]][:1]
     found = [
-        minimise(task, t, data, first, COARSE_STEPS, kappa=LOOSE_KAPPA)
+        minimise(task, t, data, first, COARSE_STEPS, kappa=LOOSE_KAPPA, nats=LOOSE)
         for t in (starts[0], *second)
     ]
     if len(found) > 1 and abs(found[1].value - found[0].value) < SAME:

@@ -3,11 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-
 import numpy as np
 
-from sklearn_raacmm.utils import align
+from sklearn_raacmm.utils import align, warn_user
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
 # base: no calibrated arm is that far off.
@@ -81,7 +79,7 @@ def refuse_large(y, reach=np.inf):
         )
 
 
-def warn_of_another_frame(y, points=None, reach=np.inf, stacklevel=2):
+def warn_of_another_frame(y, points=None, reach=np.inf):
     """Warn where a motion of the base explains nearly all of the residuals.
 
     Parameters
@@ -92,8 +90,6 @@ def warn_of_another_frame(y, points=None, reach=np.inf, stacklevel=2):
         Where the arm says that its probe is, mm. None: only shifts can be seen.
     reach : float, default=np.inf
         Reach of the arm, mm.
-    stacklevel : int, default=2
-        As for `warnings.warn`.
 
     Warns
     -----
@@ -113,12 +109,10 @@ def warn_of_another_frame(y, points=None, reach=np.inf, stacklevel=2):
     if rest < _LEFT * size:
         mean = np.linalg.norm(y.mean(axis=0))
         about = f"a turn by {turn:.2g} rad and " if points is not None else ""
-        warnings.warn(
+        warn_user(
             f"The residuals of {size:.4g} mm (root mean square) are nearly one motion of the base: "
             f"{about}a shift by {mean:.4g} mm on the average leave {rest:.4g} mm. Is the reference "
-            f"in another frame? {_HOW_TO}",
-            UserWarning,
-            stacklevel=stacklevel + 1,
+            f"in another frame? {_HOW_TO}"
         )
 
 

@@ -150,7 +150,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             infinity.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
-        self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1], stacklevel=6)
+        self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1])
         factor = np.pi / 180 if self.angle_unit == "deg" else 1.0
         self.turn_start_ = np.array([_turn_start(factor * column) for column in X.T.astype(float)])
         return self
@@ -178,7 +178,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
         # All rows at once: a unit cannot be told from some of them.
-        angles = check_angles(X, self.arm_.n_joints, self.angle_unit, stacklevel=4)
+        angles = check_angles(X, self.arm_.n_joints, self.angle_unit)
         turns = np.floor((angles - self.turn_start_) / _TURN)
         if turns.any():
             angles = angles - _TURN * turns

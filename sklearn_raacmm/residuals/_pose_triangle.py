@@ -120,7 +120,7 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
 def _corners(arm, angles, angle_unit):
     """Shoulder, elbow and wrist, (3, n) each, mm."""
     check_arm(arm)
-    angles = check_angles(angles, arm.n_joints, angle_unit, stacklevel=4)
+    angles = check_angles(angles, arm.n_joints, angle_unit)
     first, last = arm.pose_frames
     # The axis of joint i runs through the origin of frame i - 1, in the modified convention of i.
     elbow = arm.pose_joints[1] - (arm.convention == "standard")

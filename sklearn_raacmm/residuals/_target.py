@@ -65,8 +65,6 @@ from sklearn_raacmm.utils import (
 
 # A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
 NORM_TOLERANCE = 1e-5
-# For warnings of fit, which three decorators wrap.
-_CALLER = 6
 
 
 class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
@@ -478,7 +476,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             known = arm.forward(X), reach_mm(arm)
             refuse_points(y, *known)
         refuse_large(y, *known[1:])
-        warn_of_another_frame(y, *known, stacklevel=_CALLER)
+        warn_of_another_frame(y, *known)
 
     def _get_regressor(self):
         if self.regressor is not None:

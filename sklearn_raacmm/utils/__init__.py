@@ -37,6 +37,7 @@ from sklearn_raacmm.utils._groups import (
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._rigid import align, nearest_rotation
+from sklearn_raacmm.utils._robust import TUKEY_CUT, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
@@ -53,12 +54,13 @@ from sklearn_raacmm.utils._sklearn import (
 )
 from sklearn_raacmm.utils._triangles import invert_triangle
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
-from sklearn_raacmm.utils._warnings import warn_user
+from sklearn_raacmm.utils._warn_user import warn_user
 from sklearn_raacmm.utils._whole_fit import whole_fit
 
 __all__ = [
     "CENTRED",
     "LARGEST",
+    "TUKEY_CUT",
     "HasMethods",
     "InconsistentPackageVersionWarning",
     "Interval",
@@ -98,10 +100,12 @@ __all__ = [
     "refuse_disguised",
     "refuse_huge",
     "refuse_masked",
+    "robust_scale",
     "safe_indexing",
     "share_of_means",
     "show",
     "stage",
+    "tukey_weights",
     "validate_parameter_constraints",
     "validate_params",
     "warn_user",

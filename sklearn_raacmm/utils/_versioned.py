@@ -3,12 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import InconsistentVersionWarning
 
 from sklearn_raacmm._version import __version__
+from sklearn_raacmm.utils._warn_user import warn_user
 
 _KEY = "_sklearn_raacmm_version"
 
@@ -37,12 +36,11 @@ class VersionedEstimator(BaseEstimator):
         state = dict(state)
         version = state.pop(_KEY, "before 0.1.0")
         if version != __version__:
-            warnings.warn(
+            warn_user(
                 InconsistentPackageVersionWarning(
                     estimator_name=type(self).__name__,
                     current_sklearn_version=__version__,
                     original_sklearn_version=version,
-                ),
-                stacklevel=2,
+                )
             )
         super().__setstate__(state)

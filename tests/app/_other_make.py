@@ -61,7 +61,7 @@ class OtherMake:
                 p = self.points(steps)
                 jac = (p[1:] - p[0]).T / 1e-6
                 step = np.linalg.lstsq(jac[:, :6], target - p[0], rcond=None)[0]
-                q[:6] += step * min(1, 0.5 / np.abs(step).max())
+                q[:6] += step * 0.5 / max(0.5, np.abs(step).max())
                 if np.abs(step).max() < 1e-10:
                     break
             if np.abs(step).max() < 1e-8 and np.all(np.abs(q) < np.pi):

@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor, learn_correction, read_check_records
+from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_check_records
 from sklearn_raacmm.app import _commands, _files, main
 from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.datasets import make_single_point
@@ -45,7 +45,7 @@ URDF = (
 def quick_model():
     """The first stage alone: the whole default takes half a minute, and is tested elsewhere."""
     with pytest.MonkeyPatch.context() as patch:
-        model = JointHarmonicRegressor(max_order=3)
+        model = ArmResidualRegressor(orders=3)
         patch.setattr(
             _commands, "learn_correction", functools.partial(learn_correction, model=model)
         )

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from sklearn_raacmm import ArmResidualRegressor, JointHarmonicRegressor, learn_correction
+from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import judge_limit, write_report
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import articulated_location_error
@@ -50,7 +50,7 @@ def result():
     lengths = [(int(a), int(b), 400.0, 0.01) for a, b in data.pairs]
     angles = data.data.copy()
     angles[17, 2] += 0.004
-    model = JointHarmonicRegressor(max_order=4)
+    model = ArmResidualRegressor(orders=4)
     return learn_correction(
         data.nominal_arm, angles, data.groups, lengths=lengths, model=model, cv=3
     )
@@ -158,7 +158,7 @@ def test_a_tracker_and_a_model_without_harmonics(tmp_path):
 
 def test_the_default_kind_of_model_shows_its_harmonics(tmp_path):
     data = make_single_point(7, 20, machine="eccentricity", random_state=2)
-    model = ArmResidualRegressor(use="harmonics", fade=0, harmonics=JointHarmonicRegressor())
+    model = ArmResidualRegressor(fade=0)
     result = learn_correction(data.nominal_arm, data.data, data.groups, model=model, cv=3)
     text = " ".join(read(write_report(result, tmp_path / "report.html")).text)
     assert "Harmonics of the encoders" in text

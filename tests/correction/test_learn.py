@@ -6,7 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from scipy.stats import bootstrap
+from scipy.optimize import brentq
+from scipy.stats import bootstrap, norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 from sklearn.model_selection import GroupKFold, KFold
@@ -17,7 +18,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -25,10 +25,13 @@ from sklearn_raacmm import (
     learn_correction,
     position_residuals,
 )
+from sklearn_raacmm.correction._scores import coverage_of
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-QUICK = JointHarmonicRegressor(max_order=4)
+MODEL = ArmResidualRegressor(orders=4)
+# Where the numbers do not matter.
+QUICK = ArmResidualRegressor(orders=2, causes=["kinematics"])
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +42,7 @@ def test_data():
 @pytest.fixture(scope="module")
 def learned(test_data):
     labels = np.array(list("ABCDEFG"))[test_data.groups]
-    return learn_correction(test_data.nominal_arm, test_data.data, labels, model=QUICK)
+    return learn_correction(test_data.nominal_arm, test_data.data, labels, model=MODEL)
 
 
 def test_scores_are_those_of_the_steps_written_out(test_data, learned):
@@ -49,7 +52,7 @@ def test_scores_are_those_of_the_steps_written_out(test_data, learned):
     for train, test in GroupKFold(5).split(X, groups=groups):
         arm = calibrate(test_data.nominal_arm, X[train], groups[train]).arm
         y = position_residuals(arm.forward(X[train]), groups[train])
-        model = JointHarmonicRegressor(arm, max_order=4).fit(X[train], y, groups=groups[train])
+        model = ArmResidualRegressor(arm, orders=4).fit(X[train], y, groups=groups[train])
         points = arm.forward(X[test])
         for values, left in ((before, points), (after, points - model.predict(X[test]))):
             values[np.unique(groups[test])] = single_point_repeatability(
@@ -84,6 +87,26 @@ def test_intervals_are_those_of_a_bootstrap_over_positions(learned):
     assert low < value < high < 1
 
 
+def test_coverage_counts_what_lies_inside_with_the_factor_of_the_other_folds():
+    rng = np.random.default_rng(0)
+    std = rng.uniform(0.1, 2, (4000, 3))
+    left = 2.5 * std * rng.standard_normal((4000, 3))
+    folds = np.split(np.arange(4000), 5)
+    share, factor = coverage_of(left, std, folds)
+    assert factor == pytest.approx(2.5, rel=0.04)  # two standard deviations of the quantile
+    assert share == pytest.approx(0.95, abs=0.01)
+    # In one fold all errors are three times as large. Its factor comes from the others: that of
+    # the others, from a mixture in which it is a quarter.
+    left[folds[0]] *= 3
+
+    def inside(z):
+        return 2 * norm.cdf(z) - 1
+
+    wide = brentq(lambda z: 0.75 * inside(z) + 0.25 * inside(z / 3) - 0.95, 1, 10)
+    expected = (inside(norm.ppf(0.975) / 3) + 4 * inside(wide)) / 5
+    assert coverage_of(left, std, folds)[0] == pytest.approx(expected, abs=0.01)
+
+
 def test_corrected_points_are_nearer_to_the_truth(test_data, learned):
     """A new test of the same arm: the correction and its intervals hold at other places."""
     other = make_single_point(
@@ -102,7 +125,7 @@ def test_corrected_points_are_nearer_to_the_truth(test_data, learned):
 def test_slipped_probes_are_found_and_nothing_else(test_data):
     X = test_data.data.copy()
     X[[7, 100], [2, 4]] += [0.005, -0.01]
-    learned = learn_correction(test_data.nominal_arm, X, test_data.groups, model=QUICK)
+    learned = learn_correction(test_data.nominal_arm, X, test_data.groups, model=QUICK, cv=3)
     assert learned.outliers["row"].tolist() == [7, 100]
     assert learned.outliers["position"].tolist() == test_data.groups[[7, 100]].tolist()
     assert np.all(learned.outliers["distance"] > 0.3)
@@ -154,7 +177,7 @@ def test_against_a_tracker(test_data):
     truth = test_data.simulation.true_points
     tracker = truth[:, [1, 2, 0]] + [1500, -20, 300]
     learned = learn_correction(
-        test_data.nominal_arm, test_data.data, test_data.groups, tracker, model=QUICK
+        test_data.nominal_arm, test_data.data, test_data.groups, tracker, model=MODEL, cv=3
     )
     assert learned.scores.measure == "mean deviation"
     assert learned.helps
@@ -172,7 +195,7 @@ def test_tracker_points_without_labels_are_left_out_by_region():
     arm = Arm.from_name("ur10")
     X = rng.uniform(-2, 2, (200, 6))
     tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
-    learned = learn_correction(arm, X, None, tracker, model=QUICK)
+    learned = learn_correction(arm, X, None, tracker, model=QUICK, cv=3)
     labels = learned.scores.table["position"].tolist()
     assert labels == [f"region {i:02d}" for i in range(1, 11)]
     # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
@@ -217,20 +240,18 @@ def test_any_regressor_is_judged_and_given_the_arm(test_data, model):
     assert learned.scores.table["after"].mean() < learned.scores.table["before"].mean()
 
 
-def test_the_default_is_the_guarded_model_and_says_when_it_does_not_help():
+def test_the_default_is_the_arms_model_and_the_verdict_says_when_it_does_not_help():
     """An arm whose points scatter by noise alone: nothing to learn."""
     rng = np.random.default_rng(5)
     arm = Arm.from_name("ur10")
     X, groups = rng.uniform(-2, 2, (60, 6)), np.repeat(np.arange(6), 10)
     tracker = arm.forward(X) + rng.normal(scale=0.05, size=(60, 3))
-    model = ArmResidualRegressor(
-        harmonics=JointHarmonicRegressor(max_order=2), network=RBFNetRegressor(5, degree=-1)
-    )
-    learned = learn_correction(arm, X, groups, tracker, model=model, cv=3)
+    learned = learn_correction(arm, X, groups, tracker, cv=3)
+    assert learned.model.get_params().keys() == ArmResidualRegressor().get_params().keys()
     assert not learned.helps
     assert learned.verdict.startswith("Do not use it: at new positions mean deviation")
     assert "reaches 1" in learned.verdict
-    few = learn_correction(arm, X[:40], groups[:40], tracker[:40], model=model, cv=3)
+    few = learn_correction(arm, X[:40], groups[:40], tracker[:40], model=QUICK, cv=3)
     assert "4 positions are too few to tell; measure at least 5" in few.verdict
 
 
@@ -267,7 +288,7 @@ def test_progress_and_processes_change_nothing(test_data, learned):
         np.rad2deg(test_data.data),
         test_data.groups,
         angle_unit="deg",
-        model=QUICK,
+        model=MODEL,
         progress=lambda *done: seen.append(done),
         n_jobs=2,
     )

@@ -5,7 +5,7 @@ import pytest
 
 from sklearn_raacmm import (
     Arm,
-    JointHarmonicRegressor,
+    ArmResidualRegressor,
     RBFNetRegressor,
     check_correction,
     read_check_records,
@@ -38,7 +38,7 @@ def knock(joint, arcsec):
 
 @pytest.fixture(scope="module")
 def model():
-    return JointHarmonicRegressor(ARM, max_order=12).fit(*rows(500, 0))
+    return ArmResidualRegressor(ARM, orders=12).fit(*rows(500, 0))
 
 
 @pytest.mark.parametrize("refitted", [(), ("base", "probe")])
@@ -119,7 +119,7 @@ def test_a_slipped_pose_is_named_and_does_not_raise_an_alarm(model):
 def test_single_points():
     data = make_single_point(n_positions=14, n_poses=25, random_state=0)
     old = data.groups < 10
-    model = JointHarmonicRegressor(data.arm, max_order=8)
+    model = ArmResidualRegressor(data.arm, orders=8)
     model.fit(data.data[old], data.target[old], groups=data.groups[old])
     angles, groups = data.data[old], data.groups[old]
     y = data.target[old] + data.arm.jacobian(angles)[:, :, 2] * 60 * ARCSEC
@@ -191,7 +191,7 @@ def test_gauge_lengths_of_today_show_a_change_of_scale(model):
 
 def test_single_points_without_lengths_show_no_scale():
     data = make_single_point(n_positions=10, n_poses=20, random_state=1)
-    model = JointHarmonicRegressor(data.arm, max_order=6)
+    model = ArmResidualRegressor(data.arm, orders=6)
     model.fit(data.data, data.target, groups=data.groups)
     check = check_correction(model, data.data, data.target, groups=data.groups)
     assert "scale" not in check.tests["cause"]
@@ -230,7 +230,7 @@ def test_models_with_extra_columns_are_checked():
         y = y + ARM.jacobian(angles)[:, :, 1] * arcsec * ARCSEC * direction
         return np.hstack([angles, direction]), y
 
-    model = JointHarmonicRegressor(ARM, max_order=4, extra=["direction 2"])
+    model = ArmResidualRegressor(ARM, orders=4, extra=["direction 2"])
     model.fit(*lagging(300, 0, 10))
     assert check_correction(model, *lagging(40, 1, 10)).holds
     assert not check_correction(model, *lagging(40, 1, 30)).holds

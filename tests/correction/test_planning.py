@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.linear_model import LinearRegression
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, next_poses
-from sklearn_raacmm.error_model._columns import term_columns
+from sklearn_raacmm import Arm, ArmResidualRegressor, next_poses
 
 ARM = Arm.from_name("aacmm6")
 
@@ -17,7 +16,9 @@ def planned(request):
     rng = np.random.default_rng(0)
     theta = rng.uniform(-1, 1, (120, 6))
     y = rng.normal(0, 0.01, (120, 3))
-    model = JointHarmonicRegressor(ARM, max_order=2, gravity=False, offsets=request.param)
+    model = ArmResidualRegressor(
+        ARM, orders=2, causes=["kinematics", "wobble"], offsets=request.param
+    )
     model.fit(theta, y, groups=np.arange(120) % 10)
     candidates = rng.uniform(-2, 2, (40, 6))
     return model, candidates, np.repeat(np.arange(8), 5) if request.param else None
@@ -28,7 +29,7 @@ def test_choice_is_that_of_the_posterior_computed_afresh(planned, criterion):
     model, X, groups = planned
     chosen, std = next_poses(model, X, 3, groups=groups, criterion=criterion)
     codes = np.arange(len(X)) if groups is None else groups
-    columns = term_columns(ARM, X, model.linear_model_.terms)
+    columns = model.linear_model_.columns(X)
     aim = columns.reshape(-1, columns.shape[2])
     half = model.linear_model_.gauge_free_half
     covariance = half @ half.T
@@ -60,15 +61,11 @@ def test_poses_near_the_targets_are_chosen():
     """Poses measured at random in a corner; the correction is for the other one."""
     rng = np.random.default_rng(1)
     theta = rng.uniform(-1.5, 0, (200, 6))
-    model = JointHarmonicRegressor(ARM, max_order=2).fit(theta, rng.normal(0, 0.01, (200, 3)))
+    model = ArmResidualRegressor(ARM, orders=2).fit(theta, rng.normal(0, 0.01, (200, 3)))
     X = np.vstack([rng.uniform(-1.5, 0, (50, 6)), rng.uniform(0, 1.5, (50, 6))])
     chosen, std = next_poses(model, X, 6, targets=rng.uniform(0, 1.5, (100, 6)))
     assert np.mean(chosen >= 50) > 0.8
     assert np.all(np.diff(std) < 0)
-    whole = ArmResidualRegressor(ARM, harmonics=model, use="harmonics").fit(
-        theta, rng.normal(0, 0.01, (200, 3))
-    )
-    assert len(next_poses(whole, X, 2)[0]) == 2
 
 
 def test_bad_input_is_refused(planned):
@@ -77,7 +74,9 @@ def test_bad_input_is_refused(planned):
         next_poses(model, X, 41, groups=groups)
     with pytest.raises(ValueError, match='"I" or "D"'):
         next_poses(model, X, 2, groups=groups, criterion="A")
-    with pytest.raises(TypeError, match="got LinearRegression"):
+    with pytest.raises(
+        TypeError, match="LinearRegression holds no linear model in use and cannot be planned"
+    ):
         next_poses(LinearRegression().fit(X, X), X, 2)
     if groups is not None:
         with pytest.raises(ValueError, match="give groups"):
@@ -152,9 +151,7 @@ def test_a_single_point_test_shows_no_base():
 def test_a_model_without_terms_and_wrong_names_get_one_sentence():
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (60, 6))
-    bare = JointHarmonicRegressor(
-        ARM, orders=[50], gravity=False, kinematics=False, wobble=False
-    ).fit(X, rng.normal(0, 0.01, (60, 3)))
+    bare = ArmResidualRegressor(ARM, orders=[50], causes=[]).fit(X, rng.normal(0, 0.01, (60, 3)))
     assert len(bare.coef_) == 0
     with pytest.raises(ValueError, match="no terms that a measurement could narrow"):
         next_poses(bare, X, 2)

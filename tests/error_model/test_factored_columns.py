@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import LinearModel, Terms, term_columns
 from sklearn_raacmm.error_model._columns import factored_columns, turn_columns
 
@@ -65,7 +65,7 @@ def test_the_posterior_of_a_fit_is_a_triangle():
     X = rng.uniform(-2, 2, (150, 6))
     y = np.einsum("nij,nj->ni", ARM.jacobian(X), 3e-5 * np.cos(5 * X))
     y += rng.normal(scale=0.003, size=y.shape)
-    model = JointHarmonicRegressor(ARM, max_order=8).fit(X, y).linear_model_
+    model = ArmResidualRegressor(ARM, orders=8).fit(X, y).linear_model_
     n = len(model.coef)
     assert len(model.terms.harmonics) >= 5
     assert np.count_nonzero(model.half) <= n * (n + 1) / 2

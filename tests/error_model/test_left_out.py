@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.stats import norm as normal
-from scipy.stats import t as student
 
-from sklearn_raacmm import JointHarmonicRegressor
+from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import LinearOptions, Terms, fit_linear_model, term_columns
-from sklearn_raacmm.error_model._fading import Fading, find_fading
-from sklearn_raacmm.error_model._left_out import (
-    errors_left_out,
-    interval_scales,
-    leave_out,
-)
+from sklearn_raacmm.error_model import Fading, Terms, term_columns
+from sklearn_raacmm.error_model._fading import find_fading
+from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
+from sklearn_raacmm.error_model._left_out import _blocks, leave_out
 from sklearn_raacmm.utils import centred
 
 LOUD = Terms(np.array([(1, 1), (2, 1), (3, 2)]), False, True, False)
@@ -59,10 +54,8 @@ def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_p
     for seed in range(6):
         test, truth, y, train = draw(seed)
         y = centred(y, test.groups) if single_point else y
-        model = JointHarmonicRegressor(
-            test.arm, max_order=2, gravity=False, wobble=False, prior_sd=12.0
-        )
-        model.set_params(offsets=single_point, loss="squared")
+        model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics"])
+        model.set_params(offsets=single_point)
         model.fit(test.data[train], y[train], groups=test.groups[train])
         linear = model.linear_model_
         mean, std = linear.predict(test.data, return_std=True)
@@ -90,7 +83,7 @@ def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_p
 def test_a_motion_of_the_base_is_no_uncertainty():
     """It is most of the posterior of a single-point test, and none of what the test can show."""
     test, _, y, _ = draw(3)
-    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False, wobble=False)
+    model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics"])
     linear = model.fit(test.data, centred(y, test.groups), groups=test.groups).linear_model_
     columns = linear.columns(test.data)
     whole = np.sqrt(np.square(columns @ linear.half).sum(axis=2))
@@ -108,69 +101,62 @@ def test_a_motion_of_the_base_is_no_uncertainty():
     assert_allclose(np.std(draws, axis=0).mean(), std.mean(), rtol=0.05)
 
 
-def test_models_without_a_block_are_those_of_a_fit_without_it():
-    """Against fits of the other rows, with the variances and harmonics held."""
+@pytest.mark.parametrize("single_point", [False, True])
+def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
+    """Against ridge regression on the other rows in closed form, at the variances of the whole."""
     test, _, y, _ = draw(1)
-    options = LinearOptions(2, None, None, False, True, False, 12.0, "squared")
-    y = centred(y, test.groups)
-    weights = np.ones(len(y))
-    model, _ = fit_linear_model(test.arm, test.data, y, weights, test.groups, [], options)
-    left_out = leave_out(model, options, test.data, y, weights, test.groups, test.groups, 4)
-    assert sorted(np.concatenate([rows for rows, _ in left_out]).tolist()) == list(range(len(y)))
-    for rows, rest in left_out:
-        other = np.setdiff1d(np.arange(len(y)), rows)
-        assert not set(test.groups[rows]) & set(test.groups[other])
-        A = centred(rest.columns(test.data[other]), test.groups[other])
-        A = A.reshape(-1, len(rest.coef)) / model.noise_sd
-        n = 2 * len(rest.terms.harmonics)
-        prior = np.r_[np.full(n, 12.0), np.full(len(rest.coef) - n, model.prior_sd["kinematics"])]
-        covariance = np.linalg.inv(A.T @ A + np.diag(prior**-2.0))
-        coef = covariance @ A.T @ (y[other].ravel() / model.noise_sd)
-        columns = centred(rest.columns(test.data[rows]), test.groups[rows])
-        # The scale is held in the model and at its prior here: a position does not show it.
-        assert_allclose(columns @ rest.coef, columns @ coef, atol=2e-5)
-    errors, std = errors_left_out(left_out, test.data, y, test.groups)
-    assert 0.7 < np.sqrt(np.mean(errors**2 / (std**2 + model.noise_variance))) < 1.3
+    y = centred(y, test.groups) if single_point else y
+    weights = np.random.default_rng(0).uniform(0.5, 2, len(y))
+    rows = Rows(test.arm, test.data, y, weights, test.groups if single_point else None)
+    terms = Terms(np.empty((0, 2), int), False, True, False)
+    fitted = fit_linear_model(rows, terms, with_field=False)
+    found, model = leave_out(fitted, terms, test.groups, weights), fitted.model
+    blocks = _blocks(test.arm.forward(test.data), test.groups, weights)
+    assert len(np.unique(blocks)) == 10
+    columns = model.columns(test.data)
+    robust = weights * fitted.pose_weight
+    for block in range(10):
+        of, other = blocks == block, blocks != block
+        assert not set(test.groups[of]) & set(test.groups[other])
+        A, z = columns[other], y[other]
+        if single_point:
+            codes = np.unique(test.groups[other], return_inverse=True)[1]
+            A, z = centred(A, codes, robust[other]), centred(z, codes, robust[other])
+        A = (np.sqrt(robust[other])[:, None, None] * A).reshape(-1, A.shape[2]) / model.noise_sd
+        z = (np.sqrt(robust[other])[:, None] * z).ravel() / model.noise_sd
+        prior = model.prior_sd["kinematics"]
+        covariance = np.linalg.inv(A.T @ A + np.eye(A.shape[1]) / prior**2)
+        errors = y[of] - columns[of] @ (covariance @ A.T @ z)
+        if single_point:
+            # The scale is held in the model and at its prior here: a position does not show it.
+            codes = np.unique(test.groups[of], return_inverse=True)[1]
+            assert_allclose(found.errors[of], centred(errors, codes, weights[of]), atol=2e-5)
+            continue
+        assert_allclose(found.errors[of], errors, atol=1e-8)
+        assert_allclose(found.correction[of], y[of] - errors, atol=1e-8)
+        spread = np.sqrt(np.einsum("ncp,pq,ncq->nc", columns[of], covariance, columns[of]))
+        assert_allclose(found.std[of], spread, rtol=1e-6)
+        assert_allclose(found.spread[of], spread, rtol=1e-6)
 
 
-@pytest.mark.parametrize("freedom", [3, 100])
-def test_scales_are_found(freedom):
-    """Errors of known scales, drawn: intervals of 95 % hold 95 % of them."""
-    rng = np.random.default_rng(0)
-    noise, std = np.full((3000, 3), 0.01), rng.uniform(0.001, 0.03, (3000, 3))
-    scale = np.sqrt(0.5 * noise**2 + 6.0 * std**2)
-    errors = scale * rng.standard_t(freedom, (3000, 3))
-    of_noise, of_std = interval_scales(errors, noise, std, np.ones(3000))
-    width = np.sqrt((of_noise * noise) ** 2 + (of_std * std) ** 2)
-    assert np.mean(np.abs(errors) < 1.96 * width) == pytest.approx(0.95, abs=0.01)
-    assert of_std / of_noise == pytest.approx(np.sqrt(12), rel=0.3)
-    once = interval_scales(errors[:500], noise[:500], std[:500], np.full(500, 2.0))
-    twice = np.r_[0:500, 0:500]
-    again = interval_scales(errors[twice], noise[twice], std[twice], np.ones(1000))
-    assert_allclose(once, again, rtol=1e-2)
-
-
-def test_prior_of_the_scale_gives_way_to_what_is_shown():
-    """Deviations that noise hides leave the factor at its prior; clear ones find their own."""
-    rng = np.random.default_rng(0)
-    noise, std, ones = np.full((900, 3), 0.01), np.full((900, 3), 0.001), np.ones(900)
-    errors = rng.normal(scale=0.01, size=(900, 3))
-    of_noise, hidden = interval_scales(errors, noise, std, ones, 0.05, 0.7)
-    assert of_noise == pytest.approx(1.0, abs=0.1)
-    assert hidden / of_noise == pytest.approx(np.exp(0.35), rel=0.1)
-    errors = rng.normal(scale=0.01, size=(900, 3))
-    _, shown = interval_scales(errors, noise / 1000, 2 * noise, ones, 0.5, 0.7)
-    assert shown == pytest.approx(0.5, rel=0.1)
+def test_repeats_and_weights_have_the_same_blocks():
+    """Of neighbouring positions, by their mean points."""
+    test, *_ = draw(2)
+    weights = np.random.default_rng(0).integers(1, 4, len(test.data))
+    points, rows = test.arm.forward(test.data), np.repeat(np.arange(len(test.data)), weights)
+    once = _blocks(points, test.groups, weights.astype(float))
+    assert_array_equal(once[rows], _blocks(points[rows], test.groups[rows], np.ones(len(rows))))
+    assert all(len(np.unique(once[test.groups == i])) == 1 for i in range(16))
 
 
 def test_intervals_hold_where_a_cause_is_missing():
     """Simulated arms with errors that no column has: posterior too sure, intervals right."""
     raw, honest = [], []
-    for seed in range(6):
+    for seed in range(4):
         test = make_single_point(24, 12, machine="gravity", random_state=seed)
         y = test.points - test.simulation.true_points
         train = np.isin(test.groups, np.random.default_rng(seed).permutation(24)[:16])
-        model = JointHarmonicRegressor(test.arm, max_order=3, gravity=False, wobble=False)
+        model = ArmResidualRegressor(test.arm, orders=3, causes=["kinematics"])
         model.fit(test.data[train], y[train], groups=test.groups[train])
         error = np.abs(y[~train] - model.linear_model_.predict(test.data[~train])[0])
         _, std = model.predict(test.data[~train], return_std=True, with_noise=True)
@@ -193,7 +179,7 @@ def test_fading_is_wieners_factor_beyond_what_is_known():
     y, weights = np.full((3, 3), 0.1), np.ones(3)
     assert find_fading(y, std, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0, 0.0)
     single_point = np.ones((9, 3)), np.ones((9, 3)), np.ones(9), np.arange(9) // 3
-    assert find_fading(*single_point).factor == 0.6
+    assert find_fading(*single_point).factor == 0.5
     assert find_fading(*single_point, widening=1.6).factor == pytest.approx(0.8)
     assert find_fading(*single_point, widening=4.0).factor == 1.0
     assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
@@ -202,7 +188,7 @@ def test_fading_is_wieners_factor_beyond_what_is_known():
 
 def test_distance_std_is_that_of_the_difference():
     test, _, y, _ = draw(2)
-    model = JointHarmonicRegressor(test.arm, max_order=2, gravity=False, wobble=False)
+    model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics"])
     model.fit(test.data, y, groups=test.groups)
     linear, X1, X2 = model.linear_model_, test.data[:20], test.data[-20:]
     line = test.arm.forward(X2) - test.arm.forward(X1)
@@ -214,14 +200,3 @@ def test_distance_std_is_that_of_the_difference():
     assert_array_equal(model.distance_std(X1, X1), 0)
     with pytest.raises(ValueError, match="X1 has 20 poses and X2 has 19"):
         model.distance_std(X1, X2[1:])
-
-
-def test_scale_and_tails_are_those_that_scipy_fits():
-    """Noise alone: the factor is that of the most likely Student variable, found by SciPy."""
-    errors = 0.02 * np.random.default_rng(0).standard_t(5, (1500, 3))
-    freedom, _, scale = student.fit(errors.ravel(), floc=0)
-    noise = np.full(errors.shape, 0.01)
-    found, _ = interval_scales(errors, noise, np.zeros(errors.shape), np.ones(1500))
-    # The prior pulls a little towards normal errors.
-    width = student.ppf(0.975, freedom) / normal.ppf(0.975) * scale
-    assert 0.01 * found == pytest.approx(width, rel=0.01)

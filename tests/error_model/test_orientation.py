@@ -7,9 +7,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from sklearn import config_context
+from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_validate
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, JointHarmonicRegressor, calibrate
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     Terms,
@@ -17,14 +18,13 @@ from sklearn_raacmm.error_model._columns import (
     term_names,
     turn_columns,
 )
-from sklearn_raacmm.export import from_json, to_json
 
 ARMS = {
     "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
     "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
 }
 NONE = np.empty((0, 2), int)
-SMALL = {"max_order": 2, "gravity": False, "wobble": False}
+SMALL = {"orders": 2, "causes": ["kinematics"]}
 
 
 def orientation(arm, theta):
@@ -124,15 +124,14 @@ def rms(errors):
 
 def test_orientations_show_what_points_do_not(measured):
     arm, theta, y, turns, new, y_new, turns_new = measured
-    model = JointHarmonicRegressor(arm, **SMALL)
+    model = ArmResidualRegressor(arm, **SMALL)
     by_points = model.fit(theta, y)
     left = turns_new - by_points.predict_orientation(new)
     assert rms(left) < 0.95 * rms(turns_new)  # joints 2 and 5 are known, 6 is not
     points_only = rms(y_new - by_points.predict(new))
-    both = JointHarmonicRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
+    both = ArmResidualRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
     error = turns_new - both.predict_orientation(new)
     assert rms(error) < 0.15 * rms(left)
-    assert both.linear_model_ is both.orientation_model_  # it is better for points, too
     assert (6, 2) in both.harmonics_[["joint", "order"]].tolist()
     assert rms(y_new - both.predict(new)) < points_only
     # Each is weighed by its noise, and both noises are found.
@@ -144,21 +143,28 @@ def test_orientations_show_what_points_do_not(measured):
     assert 0.4 < rms(error / std) < 1.6
     noisy = both.predict_orientation(new, return_std=True, with_noise=True)[1]
     assert_allclose(noisy, np.hypot(std, both.linear_model_.turn_noise))
-    again = from_json(to_json(both))
-    assert_array_equal(again.predict_orientation(new), mean)
 
 
-def test_the_guarded_model_has_them_by_its_first_stage(measured):
-    arm, theta, y, turns, new, _, _ = measured
-    first = JointHarmonicRegressor(**SMALL)
-    for use in ("harmonics", "none"):
-        model = ArmResidualRegressor(arm, harmonics=first, use=use)
-        model.fit(theta, y, orientation_residuals=turns)
-        found, std = model.predict_orientation(new, return_std=True)
-        alone = JointHarmonicRegressor(arm, **SMALL).fit(theta, y, orientation_residuals=turns)
-        expected, expected_std = alone.predict_orientation(new, return_std=True)
-        assert_allclose(found, expected * (use != "none"))
-        assert_allclose(std, expected_std)
+def test_orientations_fade_with_the_points(measured):
+    arm, theta, y, turns, new, *_ = measured
+    model = ArmResidualRegressor(arm, fade=20.0, **SMALL)
+    model.fit(theta, y, orientation_residuals=turns)
+    plain = clone(model).set_params(fade=0).fit(theta, y, orientation_residuals=turns)
+    share = model.fading(new)
+    assert share.min() < 0.9
+    expected = share[:, None] * plain.predict_orientation(new)
+    assert_allclose(model.predict_orientation(new), expected, rtol=1e-9)
+
+
+def test_no_turn_where_the_correction_does_not_help():
+    arm, rng = ARMS["standard"], np.random.default_rng(2)
+    theta, groups = rng.uniform(-2, 2, (120, 6)), np.arange(120) % 8
+    model = ArmResidualRegressor(arm, **SMALL)
+    model.fit(theta, rng.normal(size=(120, 3)), groups=groups)
+    assert not model.helps_
+    found, std = model.predict_orientation(theta, return_std=True)
+    assert not found.any()
+    assert np.all(std > 0)
 
 
 def test_points_and_orientation_have_the_same_cause():
@@ -170,7 +176,7 @@ def test_points_and_orientation_have_the_same_cause():
     error[:, 4] = -25 * ARCSEC * np.sin(2 * theta[:, 4])
     y = arm.forward(theta + error) - arm.forward(theta)
     y += rng.normal(scale=1e-4, size=y.shape)
-    model = JointHarmonicRegressor(arm, kinematics=False, **SMALL).fit(theta, y)
+    model = ArmResidualRegressor(arm, orders=2, causes=[]).fit(theta, y)
     turns = turned_by(orientation(arm, theta + error), orientation(arm, theta))
     assert rms(turns - model.predict_orientation(theta)) < 0.01 * rms(turns)
     correction = Rotation.from_rotvec(model.predict_orientation(theta)).as_matrix()
@@ -209,7 +215,7 @@ def test_from_a_calibration(measured):
 def test_weights_folds_and_routing(measured):
     arm, theta, y, turns, *_ = measured
     groups = np.arange(len(y)) % 6
-    model = JointHarmonicRegressor(arm, offsets=False, **SMALL)
+    model = ArmResidualRegressor(arm, offsets=False, **SMALL)
     weights = np.random.default_rng(0).integers(0, 3, len(y))
     weighted = model.fit(theta, y, sample_weight=weights, orientation_residuals=turns)
     expected = weighted.predict_orientation(theta)
@@ -231,7 +237,7 @@ def test_weights_folds_and_routing(measured):
 
 def test_what_is_refused(measured):
     arm, theta, y, turns, *_ = measured
-    model = JointHarmonicRegressor(arm, **SMALL)
+    model = ArmResidualRegressor(arm, **SMALL)
     for given, message in [
         (turns[:, :2], r"must be 300 rotation vectors in rad, shape \(300, 3\), got \(300, 2\)"),
         (turns[:5], r"got \(5, 3\)"),

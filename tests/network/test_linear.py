@@ -8,9 +8,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network._blocks import ArrayChunks, chunked_problem
 from sklearn_raacmm.network._candidates import _projected_triangle
 from sklearn_raacmm.network._kernels import kernel_matrix
-from sklearn_raacmm.network._blocks import ArrayChunks, chunked_problem
 from sklearn_raacmm.network._likelihood import Data, left_out, log_likelihood
 from sklearn_raacmm.network._linear import RIDGES, linear_evidence
 from sklearn_raacmm.network._rows import merge, prepare, view_of

@@ -30,7 +30,6 @@ from sklearn_raacmm.network._least_squares import (
 from sklearn_raacmm.network._rows import merge, prepare
 from sklearn_raacmm.network._selection import forward_selection
 
-
 WIDE = RadialFunctions("gaussian", 0.0, 0.5)
 
 

@@ -5,13 +5,14 @@ import warnings
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
 )
 from sklearn_raacmm.residuals import refuse_points
@@ -23,10 +24,10 @@ POINTS = ARM.forward(ANGLES)
 TRACKER = Rotation.from_rotvec([0.4, -0.7, 1.1])
 SHIFT = np.array([2500.0, -900.0, 400.0])
 
-LINEAR = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
+LINEAR = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"])
 DOORS = {
     "linear model": LINEAR,
-    "both stages": ArmResidualRegressor(ARM, harmonics=LINEAR, use="harmonics"),
+    "both stages": clone(LINEAR).set_params(regressor=LinearRegression()),
     "on angles": CylindricalResidualTarget(azimuth=ARM.azimuth),
     "in a pipeline": make_pipeline(
         PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget()
@@ -98,7 +99,7 @@ def test_offsets_may_be_of_any_size():
     """References in a drawing's frame: what is left within positions are residuals."""
     groups = np.arange(60) % 6
     offsets = 300.0 * np.random.default_rng(1).normal(size=(6, 3))
-    model = JointHarmonicRegressor(ARM, max_order=1, gravity=False, offsets=True)
+    model = ArmResidualRegressor(ARM, orders=1, causes=["kinematics", "wobble"], offsets=True)
     model.fit(ANGLES, RESIDUALS + offsets[groups], groups=groups)
     with pytest.raises(ValueError, match="y are no residuals"):
         model.fit(ANGLES, POINTS[::-1], groups=groups)
@@ -108,7 +109,7 @@ def test_slipped_rows_are_left_to_the_loss():
     """A tenth of the rows far off: half of all residuals say what they are."""
     y = RESIDUALS.copy()
     y[::10] += 900.0
-    model = JointHarmonicRegressor(ARM, max_order=1, gravity=False, wobble=False)
+    model = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"])
     assert np.all(model.fit(ANGLES, y).pose_weight_[::10] == 0)
 
 

@@ -1,0 +1,102 @@
+"""Data of arms in folds, which the benchmarks of the arm's model share.
+
+The real data are looked for in ``../shared/data`` beside the project, or in the folder that the
+environment variable SKLEARN_RAACMM_DATA names. Every real fold calibrates the arm on its own
+training rows.
+"""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import numpy as np
+from sklearn.cluster import KMeans
+from sklearn.model_selection import GroupKFold
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
+from sklearn_raacmm.datasets import make_single_point
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
+
+
+def arm_model(arm, **options):
+    """The linear model of an arm with its guards."""
+    return ArmResidualRegressor(arm, **options)
+
+
+def readers():
+    """The tests' readers of the real data."""
+    spec = importlib.util.spec_from_file_location("readers", ROOT / "tests" / "conftest.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def read_ur10(series, data_home=DATA):
+    """Angles in rad, points in mm and number of the goal of a UR10's series "A" or "B"."""
+    name = {"A": "measurements_grid.csv", "B": "measurements_joint_configurations.csv"}[series]
+    data = readers().read_ur10(Path(data_home) / "ur10_tracker" / name)
+    return data.angles, data.points, data.groups
+
+
+def read_panda(name, data_home=DATA):
+    """Angles in rad, socket and placement of each pose of a Panda."""
+    data = readers().read_panda(Path(data_home) / "panda_ball_socket" / name)
+    return data.angles, data.groups, data.placements
+
+
+def ur10_folds(split, n_rows, data_home=DATA):
+    """Arm, angles, residuals, groups and training rows of five folds of series A.
+
+    `split` is "goal", goal positions at random, or "space", neighbouring ones.
+    """
+    angles, points, goals = read_ur10("A", data_home)
+    rng = np.random.default_rng(0)
+    rows = np.sort(rng.permutation(len(angles))[:n_rows])
+    angles, points, goals = angles[rows], points[rows], goals[rows]
+    if split == "goal":
+        fold = (rng.permutation(goals.max() + 1) % 5)[goals]
+    else:
+        labels, index = np.unique(goals, return_inverse=True)
+        means = np.stack([points[index == i].mean(axis=0) for i in range(len(labels))])
+        fold = KMeans(5, n_init=5, random_state=0).fit_predict(means)[index]
+    yield from tracked_folds(angles, points, goals, fold)
+
+
+def ur10b_folds(data_home=DATA):
+    """The same of series B, by region."""
+    angles, points, _ = read_ur10("B", data_home)
+    fold = KMeans(5, n_init=1, random_state=0).fit_predict(points)
+    regions = KMeans(60, n_init=1, random_state=0).fit_predict(points)  # it has no goals
+    yield from tracked_folds(angles, points, regions, fold)
+
+
+def tracked_folds(angles, points, groups, fold):
+    """Arm, angles, residuals, groups and training rows of each of five folds."""
+    for k in range(5):
+        train = fold != k
+        result = calibrate(
+            Arm.from_name("ur10", probe=(0, 0, 109)), angles[train], points=points[train]
+        )
+        measured = (points - result.base_translation) @ result.base_rotation
+        yield result.arm, angles, result.arm.forward(angles) - measured, groups, train
+
+
+def panda_folds(name, data_home=DATA):
+    """The same of a Panda, each placement left out once."""
+    angles, sockets, placements = read_panda(name, data_home)
+    for placement in np.unique(placements):
+        train = placements != placement
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements[train])]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, angles[train], sockets[train], lengths=lengths).arm
+        yield arm, angles, position_residuals(arm.forward(angles), sockets), sockets, train
+
+
+def simulated_folds(mix):
+    """The same of a simulated arm: ten positions of 40 poses in five folds."""
+    cone = make_single_point(10, 40, machine=mix, random_state=0)
+    for train, _ in GroupKFold(5).split(cone.data, groups=cone.groups):
+        mask = np.isin(np.arange(len(cone.data)), train)
+        yield cone.arm, cone.data, cone.target, cone.groups, mask

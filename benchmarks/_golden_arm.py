@@ -1,0 +1,286 @@
+"""Golden numbers of the arm: its model, what happens after the lab, and calibration.
+
+Each function takes the folder of the real data and returns numbers by name. Lengths are in mm.
+"""
+
+import time
+from functools import partial
+
+import numpy as np
+from _arm_folds import (
+    arm_model,
+    panda_folds,
+    read_panda,
+    read_ur10,
+    simulated_folds,
+    ur10_folds,
+    ur10b_folds,
+)
+from bench_after_the_lab import mean_deviation, one_draw
+from bench_calibrate import simulated as simulated_cones
+from bench_check import knock, poses_of_simulated_arm
+from bench_transfer import Robot
+
+from sklearn_raacmm import (
+    Arm,
+    calibrate,
+    check_correction,
+    position_residuals,
+    transfer_correction,
+    update_correction,
+)
+from sklearn_raacmm.datasets import make_single_point
+
+N_ROWS = 1500  # poses of the UR10 of which a model is made
+WITHIN = 1.96  # standard deviations of an interval of 95 %
+
+
+def of_folds(name, folds, tracked=False):
+    """What the model with default parameters leaves in the folds, and what it consists of."""
+    lefts, inside, models = [], [], []
+    for arm, angles, y, groups, train in folds:
+        model = arm_model(arm).fit(angles[train], y[train], groups=groups[train])
+        mean, std = model.predict(angles[~train], return_std=True, with_noise=True)
+        left = y[~train] - mean
+        left = left if tracked else position_residuals(left, groups[~train])
+        lefts.append(np.linalg.norm(left, axis=1))
+        inside.append(np.abs(left) < WITHIN * std)
+        models.append(model)
+    left = np.concatenate(lefts)
+    orders = [model.harmonics_["order"].max(initial=0) for model in models]
+    return {
+        f"{name}: mean deviation": left.mean(),
+        f"{name}: largest deviation": left.max(),
+        f"{name}: share inside 95 %": np.concatenate(inside).mean(),
+        f"{name}: columns, mean of folds": np.mean([len(m.linear_model_.coef) for m in models]),
+        f"{name}: highest order of a fold": max(orders),
+        f"{name}: fading factor, mean of folds": np.mean([m.fading_.factor for m in models]),
+        f"{name}: fading size, mean of folds": np.mean([m.fading_.size_mm for m in models]),
+    }
+
+
+MIXES = ("typical", "gravity", "eccentricity")
+
+
+def simulated(data_home):
+    """The model on three simulated arms; and learnt in one corner of each and used elsewhere."""
+    found, ratios = {}, []
+    for mix in MIXES:
+        found |= of_folds(f"simulated {mix}", simulated_folds(mix))
+    for mix in MIXES:
+        test = make_single_point(24, 15, machine=mix, random_state=1)
+        x, y, z = (test.simulation.positions - test.simulation.machine.shoulder).T
+        distance = np.sqrt(x**2 + y**2 + z**2)
+        for away in (np.abs(np.arctan2(y, x)), z, distance, -distance):
+            train = np.isin(test.groups, np.argsort(away)[:8])
+            model = arm_model(test.arm)
+            model.fit(test.data[train], test.target[train], groups=test.groups[train])
+            left = test.target[~train] - model.predict(test.data[~train])
+            left = mean_deviation(position_residuals(left, test.groups[~train]))
+            ratios.append(left / mean_deviation(test.target[~train]))
+    return found | {
+        "learnt in a corner: deviation elsewhere over uncorrected, mean": np.mean(ratios),
+        "learnt in a corner: deviation elsewhere over uncorrected, worst": np.max(ratios),
+    }
+
+
+def pandas(data_home):
+    """The model on real arms in single-point tests, each placement left out once."""
+    found = {}
+    for name in ("panda_2", "panda_3", "panda_6", "panda_7"):
+        found |= of_folds(name, panda_folds(name, data_home))
+    return found
+
+
+def ur10(data_home):
+    """The model on a real robot and a tracker."""
+    found = {}
+    for split, name in (("goal", "UR10 A by goal"), ("space", "UR10 A by region")):
+        found |= of_folds(name, ur10_folds(split, N_ROWS, data_home), tracked=True)
+    return found | of_folds("UR10 B by region", ur10b_folds(data_home), tracked=True)
+
+
+def model_of_series_a(data_home):
+    """A calibration and a model of poses of series A, and the other poses and points."""
+    angles, points, _ = read_ur10("A", data_home)
+    rows, others = np.split(np.random.default_rng(0).permutation(len(angles)), [2 * N_ROWS])
+    nominal = Arm.from_name("ur10", probe=(0, 0, 93))
+    first = calibrate(nominal, angles[rows], points=points[rows])
+    model = arm_model(first.arm).fit(angles[rows], first.residuals_mm)
+    return first, model, angles[others], points[others]
+
+
+def update(data_home):
+    """A model of series A, registered and updated on series B: medians of three draws."""
+    first, model, _, _ = model_of_series_a(data_home)
+    angles, points, _ = read_ur10("B", data_home)
+    found = {}
+    for n in (10, 60):
+        draws = []
+        for seed in range(3):
+            known = np.zeros(len(angles), bool)
+            known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
+            draws.append(one_draw(model, first.arm, angles, points, known)[0])
+        bare, _, registered, updated = np.median(draws, axis=0)
+        name = f"A to B, {n} poses"
+        found |= {f"{name}: no correction": bare, f"{name}: registered": registered}
+        found |= {f"{name}: updated": updated}
+    test = make_single_point(12, 20, random_state=0)
+    old, new, rest = test.groups < 8, test.groups == 8, test.groups > 8
+    model = arm_model(test.arm)
+    model.fit(test.data[old], test.target[old], groups=test.groups[old])
+    fresh = update_correction(model, test.data[new], test.target[new], groups=test.groups[new])
+    left = test.target[rest] - fresh.predict(test.data[rest])
+    left = mean_deviation(position_residuals(left, test.groups[rest]))
+    return found | {"update by one position, simulated: mean deviation": left}
+
+
+def knocks(name, arm, model, poses, arcsecs, runs=20):
+    """Shares of alarms and of causes named rightly; `poses(run)` gives angles and residuals."""
+    found, p_values = {}, []
+    of_arm = {f"knock of {size} arc seconds": (knock(arm, size), ()) for size in arcsecs}
+    for size in arcsecs[-1:]:
+        of_arm[f"knock of {size} arc seconds, refitted"] = knock(arm, size), ("base", "probe")
+    of_arm["5 K warmer"] = (lambda q, rng, run: (-arm.forward(q) * 11.7e-6 * 5, "scale")), ()
+    for run in range(2 * runs):
+        p_values.append(check_correction(model, *poses(run)).p_value)
+    found[f"check, {name}, no change: alarms"] = np.mean(np.less(p_values, 0.01))
+    found[f"check, {name}, no change: mean p value"] = np.mean(p_values)
+    for what, (change, refitted) in of_arm.items():
+        alarms = right = 0
+        for run in range(runs):
+            angles, y = poses(run)
+            # Of a knock of joint 1 or 5 nothing may be left beside a fitted base and probe.
+            moved, cause = change(angles, None, 1 + run % 3 if refitted else run)
+            result = check_correction(model, angles, y + moved, refitted=refitted)
+            alarms += not result.holds
+            right += not result.holds and result.suspect == cause
+        found[f"check, {name}, {what}: alarms"] = alarms / runs
+        found[f"check, {name}, {what}: named rightly"] = right / runs
+    return found
+
+
+def check(data_home):
+    """Checks with 40 poses, on a simulated arm and on other poses of the real UR10."""
+    arm = Arm.from_name("aacmm6")
+    poses = partial(poses_of_simulated_arm, arm)
+    found = knocks("simulated", arm, arm_model(arm).fit(*poses(10**6, 500)), poses, (2, 5))
+    first, model, angles, points = model_of_series_a(data_home)
+
+    def others(run):
+        some = np.random.default_rng([3, run]).choice(len(angles), 40, replace=False)
+        return angles[some], first.residuals(angles[some], points[some])
+
+    return found | knocks("UR10", first.arm, model, others, (10, 20))
+
+
+def transfer(data_home):
+    """New arms that start from two earlier ones of their make: simulated robots, and a Panda."""
+    rng = np.random.default_rng(0)
+    earlier = [Robot(0, 100 + i).learn(600, rng) for i in range(2)]
+    far, found = rng.uniform(-2, 2, (500, 6)), {}
+    for n in (20, 100):
+        left = []
+        for seed in range(3):
+            robot, rng = Robot(0, seed), np.random.default_rng([5, seed])
+            new = rng.uniform(-2, 2, (n, 6))
+            own = calibrate(robot.nominal, new, points=robot.measure(new, rng))
+            true = own.residuals(far, robot.measure(far, rng, 0.0))
+            moved = transfer_correction(earlier, own.arm, new, own.residuals_mm)
+            left.append(mean_deviation(true - moved.predict(far)))
+        found[f"transfer, robots, {n} poses: mean deviation"] = np.mean(left)
+    nominal = Arm.from_name("panda", probe=(0, 0, 138))
+    angles, sockets, _ = read_panda("panda_3", data_home)
+    old = calibrate(nominal, angles, sockets)
+    y = old.residuals(angles, groups=sockets)
+    model = arm_model(old.arm).fit(angles, y, groups=sockets)
+    angles, sockets, placements = read_panda("panda_2", data_home)
+    known = np.isin(placements, np.unique(placements)[:3])
+    own = calibrate(nominal, angles[known], sockets[known])
+    y = own.residuals(angles[known], groups=sockets[known])
+    moved = transfer_correction(model, own.arm, angles[known], y, groups=sockets[known])
+    left = own.residuals(angles[~known], groups=sockets[~known]) - moved.predict(angles[~known])
+    left = mean_deviation(position_residuals(left, sockets[~known]))
+    gain = moved.updates_[0]["gain_nats"]
+    name = "transfer, panda_3 to panda_2"
+    return found | {
+        f"{name}: mean deviation": left,
+        f"{name}: gain in nats": gain,
+    }
+
+
+def calibration(data_home):
+    """Calibration: known lengths, single-point tests, a tracker."""
+    arm = Arm.from_name("aacmm6")
+    found = {}
+    angles, _, groups = simulated_cones(arm, 1000, 20)
+    test = make_single_point(12, 30, random_state=0)
+    places = test.simulation.positions
+    pairs = [(i, i + 1) for i in range(0, 6, 2)]
+    known = [(i, j, np.linalg.norm(places[i] - places[j]), 0.01) for i, j in pairs]
+    ends = np.array([(i, j) for i in range(6, 12) for j in range(6, i)])
+    true = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1)
+    for name, lengths in (("no lengths", ()), ("three lengths", known)):
+        result = calibrate(test.nominal_arm, test.data, test.groups, lengths=lengths)
+        points = result.arm.forward(test.data)
+        centres = np.stack([points[test.groups == i].mean(axis=0) for i in range(12)])
+        error = np.linalg.norm(centres[ends[:, 0]] - centres[ends[:, 1]], axis=1) - true
+        name = f"calibrate, simulated, {name}"
+        found |= {
+            f"{name}: scatter": result.scatter_after_mm,
+            f"{name}: error of other lengths": np.abs(error).mean(),
+            f"{name}: relative sd of the scale": result.scale_sd,
+        }
+    result = calibrate(arm, angles, groups)
+    found["calibrate, twenty sockets: scatter"] = result.scatter_after_mm
+    found["calibrate, twenty sockets: prior sd of lengths"] = result.prior_sd["length_mm"]
+    for name in ("panda_2", "panda_3"):
+        angles, sockets, placements = read_panda(name, data_home)
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        result = calibrate(nominal, angles, sockets, lengths=lengths)
+        found[f"calibrate, {name}: scatter"] = result.scatter_after_mm
+        found[f"calibrate, {name}: prior sd of lengths"] = result.prior_sd["length_mm"]
+        found[f"calibrate, {name}: outliers"] = len(result.outliers)
+    angles, points, _ = read_ur10("A", data_home)
+    rows, rest = np.split(np.random.default_rng(0).permutation(len(angles)), [N_ROWS])
+    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
+    result = calibrate(nominal, angles[rows], points=points[rows])
+    left = result.residuals(angles[rest], points[rest])
+    found["calibrate, UR10 and tracker: other poses"] = mean_deviation(left)
+    found["calibrate, UR10 and tracker: standard deviation"] = result.sigma_mm
+    return found
+
+
+def seconds(data_home):
+    """CPU seconds of fits, each the least of three or two: they are printed, not compared."""
+    test = make_single_point(10, 30, random_state=0)
+    angles, points, _ = read_ur10("A", data_home)
+    rows = np.random.default_rng(0).permutation(len(angles))[: 2 * N_ROWS]
+    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
+
+    def cpu_seconds(repeats, arm, *args, **kwargs):
+        times = []
+        for _ in range(repeats):
+            start = time.process_time()
+            arm_model(arm).fit(*args, **kwargs)
+            times.append(time.process_time() - start)
+        return min(times)
+
+    few = test.data, test.target
+    many = first.arm, angles[rows], first.residuals_mm
+    return {
+        "fit of 300 simulated poses": cpu_seconds(3, test.arm, *few, groups=test.groups),
+        "fit of 3000 poses of the UR10": cpu_seconds(2, *many),
+    }
+
+
+SECTIONS = {
+    "simulated": simulated,
+    "pandas": pandas,
+    "ur10": ur10,
+    "update": update,
+    "check": check,
+    "transfer": transfer,
+    "calibration": calibration,
+}

@@ -1,0 +1,101 @@
+"""Golden numbers: what a redesign must keep, written by one command and compared by it.
+
+    python benchmarks/golden.py --compare
+
+measures again what ``benchmarks/golden.json`` holds and prints a table of name, before, now and
+their ratio, in which a star marks what has moved by more than 0.5 %. ``--write`` puts what was
+measured into the file. ``--only`` takes some of the sections: the arm's model on "simulated" arms,
+real "pandas" and the "ur10", "update" and registration, "check", "transfer", "calibration" and the
+"network". CPU seconds depend on the machine: they are shown beside the numbers and not compared.
+Everything runs on one thread. Without the network it takes two minutes.
+
+The real data are looked for in ``../shared/data`` beside the project, or in the folder that
+SKLEARN_RAACMM_DATA names.
+"""
+
+import argparse
+import importlib.util
+import json
+import os
+import time
+import warnings
+
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+from pathlib import Path
+
+import numpy as np
+from _arm_folds import DATA
+from _golden_arm import SECTIONS, seconds
+
+FILE = Path(__file__).with_name("golden.json")
+MOVED = 0.005  # a move keeps the numbers to rounding; a fold of two mechanisms may cost this much
+
+if importlib.util.find_spec("_golden_network"):
+    from _golden_network import numbers
+
+    SECTIONS = {**SECTIONS, "network": numbers}
+
+
+def measured(names, data_home):
+    """Numbers by section, and CPU seconds of each section and of two fits."""
+    found, spent = {}, {}
+    for name in names:
+        start = time.process_time()
+        # In full precision a file would differ by what another processor rounds differently.
+        numbers_of_section = SECTIONS[name](data_home)
+        found[name] = {k: float(f"{v:.6g}") for k, v in numbers_of_section.items()}
+        spent[f"section {name}"] = round(time.process_time() - start, 1)
+        print(f"{name}: {len(found[name])} numbers, {spent[f'section {name}']} CPU s", flush=True)
+    spent |= {name: round(value, 2) for name, value in seconds(data_home).items()}
+    return found, spent
+
+
+def line(name, before, now, is_compared):
+    """One line of the table, and whether the number has moved."""
+    if before is None or now is None:
+        ratio, moved = "", is_compared
+    else:
+        close = np.isclose(before, now, rtol=MOVED, atol=1e-12)
+        ratio, moved = f"{now / before:.4f}" if before else "", is_compared and not close
+    cells = ["-" if value is None else f"{value:.6g}" for value in (before, now)]
+    return f"{name:66}{cells[0]:>12}{cells[1]:>12}{ratio:>9}{' *' if moved else ''}", moved
+
+
+def compare(before, found, spent):
+    """Print before and now; return how many numbers have moved."""
+    print(f"\n{'':66}{'before':>12}{'now':>12}{'ratio':>9}")
+    n_moved = n = 0
+    for section, now in found.items():
+        old = before["numbers"].get(section, {})
+        for name in {**old, **now}:
+            text, moved = line(name, old.get(name), now.get(name), True)
+            n, n_moved = n + 1, n_moved + moved
+            print(text)
+    for name, value in spent.items():
+        print(line(f"CPU s, {name}", before["cpu_seconds"].get(name), value, False)[0])
+    print(f"\n{n_moved} of {n} numbers have moved by more than {MOVED:.1%}.")
+    return n_moved
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--compare", action="store_true", help="with the file (the default)")
+    parser.add_argument("--write", action="store_true", help="put the numbers into the file")
+    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS))
+    parser.add_argument("--data-home", default=DATA, help="folder of the real data")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")  # of few poses, and of what has faded
+    before = {"numbers": {}, "cpu_seconds": {}}
+    if FILE.exists():
+        before = json.loads(FILE.read_text(encoding="utf-8"))
+    found, spent = measured(options.only, options.data_home)
+    compare(before, found, spent)
+    if options.write:
+        before["numbers"] |= found
+        before["cpu_seconds"] |= spent
+        FILE.write_text(json.dumps(before, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,230 @@
+"""A linear error model that has changed: conditioned on new poses, in its own columns."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
+from sklearn_raacmm.correction._new_poses import place_columns
+from sklearn_raacmm.error_model import LinearModel, constrained, observed_columns
+from sklearn_raacmm.inference import Prior, condition, interval_scales
+from sklearn_raacmm.utils import centred
+
+# Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
+# They may lie where the model is less complete, or be of another arm, which a warning then says.
+_LOG_NOISE = (0.0, 4.0)
+# Noise that every measurement has, mm: without any, rounding would decide beside the millimetres
+# of base and tool.
+LEAST_NOISE_MM = 1e-4
+# Up to this order a harmonic changes by as much as harmonics were expected to be. When all orders
+# did, and the update faded, 60 poses left 0.277 mm where both rules leave 0.162
+# (benchmarks/bench_after_the_lab.py).
+_LOW_ORDERS = 8
+# Orders that every joint may show after a change, whether or not it did before; see
+# `with_low_orders`.
+_NEW_ORDERS = 2
+# Poses in the range of the new ones that are tried for how much a change leaves open there: a
+# number for speed.
+_TRIED = 200
+
+
+class Changed(NamedTuple):
+    """A linear model that has changed."""
+
+    model: LinearModel
+    tau: dict  # how much each part has changed
+    noise_sd: float  # mm
+    pose_weight: np.ndarray  # (n,) what the loss left of the weight of each pose
+
+
+def changed_model(linear, poses, log_noise=_LOG_NOISE):
+    """Linear model brought up to date with new poses.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        The old one: its posterior is the prior.
+    poses : NewPoses
+        Turns are used where the model was fitted to turns, too.
+    log_noise : (float, float)
+        Bounds of the logarithm of the noise in units of the old model's.
+
+    Returns
+    -------
+    Changed
+    """
+    prior = prior_of(linear, log_noise)
+    linear = with_low_orders(linear)
+    arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
+    turn_mm = linear.turn_mm if poses.turns is not None else 0.0
+    shown = poses.residuals
+    if turn_mm:
+        shown = np.hstack([shown, turn_mm * poses.turns])
+    columns = observed_columns(arm, angles, linear.terms, turn_mm)
+    place = _place_seen(arm, angles, codes is None, turn_mm)
+    columns, place, shown = (centred(part, codes, weights) for part in (columns, place, shown))
+    after = condition(prior, columns, place, shown, weights)
+    p, fold = len(linear.coef), _into_kinematics(linear, codes is None, turn_mm)
+    half = after.half[:p] + fold @ after.half[p:]
+    # As many columns as rows hold the same covariance.
+    half = np.linalg.qr(half.T, mode="r").T if half.shape[1] > p else half
+    left_out = after.left_out
+    noise_scale, std_scale = interval_scales(*left_out, np.ones(len(left_out.errors)))
+    model = replace(
+        linear,
+        coef=after.mean[:p] + fold @ after.mean[p:],
+        half=half,
+        gauge_free_half=half,
+        noise_variance=after.noise_sd**2,
+        noise_scale=noise_scale,
+        std_scale=std_scale,
+    )
+    if codes is not None:  # what the same test shows at other positions in the same range
+        tried = poses_in_range(angles[weights > 0], arm.n_joints)
+        free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
+        model = replace(model, gauge_free_half=free.gauge_free_half)
+    return Changed(model, after.tau, after.noise_sd, after.row_weight)
+
+
+def prior_of(linear, log_noise=_LOG_NOISE):
+    """What is known before new poses of the coefficients of a model with its low orders."""
+    linear = with_low_orders(linear)
+    return Prior(
+        mean=linear.coef,
+        half=linear.half,
+        part=parts_of(linear),
+        size=_change_sizes(linear),
+        free_sd=REGISTERED_PLACE_MM,
+        noise_variance=max(linear.noise_variance, LEAST_NOISE_MM**2),
+        log_noise=log_noise,
+    )
+
+
+def poses_in_range(angles, n_joints):
+    """Poses whose joints stand anywhere in the ranges that some poses are from.
+
+    Extra columns, of tools perhaps, are as they were.
+    """
+    low, high = angles.min(axis=0), angles.max(axis=0)
+    # Of n uniform numbers the extremes lie this far inside their range on the average.
+    beyond = (high - low) / max(len(angles) - 1, 1)
+    rng = np.random.default_rng(0)
+    tried = rng.uniform(low - beyond, high + beyond, (_TRIED, angles.shape[1]))
+    tried[:, n_joints:] = angles[rng.integers(len(angles), size=_TRIED), n_joints:]
+    return tried
+
+
+def harmonics_of(linear):
+    """Joint and order of each harmonic of a model, as a list of pairs."""
+    return [tuple(pair) for pair in np.asarray(linear.terms.harmonics).tolist()]
+
+
+def with_harmonics(linear, pairs):
+    """The same model with these harmonics among its columns: 0, and known to be, where it has none.
+
+    Parameters
+    ----------
+    linear : LinearModel
+    pairs : list of (int, int)
+        Joint and order of each: those of the model and others.
+
+    Returns
+    -------
+    LinearModel
+    """
+    known, place = harmonics_of(linear), {pair: i for i, pair in enumerate(pairs)}
+    # Column of the new model of each column of the old one.
+    waves = np.array([[2 * place[pair], 2 * place[pair] + 1] for pair in known], dtype=int).ravel()
+    n_rest = len(linear.coef) - len(waves)
+    columns = np.r_[waves, 2 * len(pairs) + np.arange(n_rest)]
+
+    def spread(values):
+        new = np.zeros((2 * len(pairs) + n_rest, *values.shape[1:]))
+        new[columns] = values
+        return new
+
+    gains = np.zeros(len(pairs))
+    gains[[place[pair] for pair in known]] = linear.log_bayes_factor
+    return replace(
+        linear,
+        terms=linear.terms._replace(harmonics=np.array(pairs, dtype=int).reshape(-1, 2)),
+        coef=spread(linear.coef),
+        half=spread(linear.half),
+        gauge_free_half=spread(linear.gauge_free_half),
+        log_bayes_factor=gains,
+    )
+
+
+def with_low_orders(linear):
+    """The same model with the orders 1 and 2 of every joint among its columns.
+
+    What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
+    free orders cost more than they find. With 8 of them a change of one eccentricity left 1.1 to 2
+    times as much; 33 updates of simulated robots that change in many ways were equal in the mean
+    (benchmarks/bench_months.py).
+    """
+    if "harmonics" not in linear.prior_sd:
+        return linear
+    wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, _NEW_ORDERS + 1)}
+    return with_harmonics(linear, sorted({*harmonics_of(linear), *wanted}))
+
+
+def families_of(linear):
+    """Family of each column, (n_columns,)."""
+    waves = ["harmonics"] * (2 * len(linear.terms.harmonics))
+    return np.array(waves + linear.term_table()["family"].tolist())
+
+
+def parts_of(linear):
+    """What each column may change together with: its family, or the harmonics of one joint."""
+    parts = families_of(linear).astype(object)
+    joints = np.repeat(np.asarray(linear.terms.harmonics).reshape(-1, 2)[:, 0], 2)
+    parts[: len(joints)] = [f"harmonics of joint {joint + 1}" for joint in joints]
+    return parts
+
+
+def _change_sizes(linear):
+    """What a tau of 1 lets each column change by, (n_columns,).
+
+    A low order may appear where there was none: it changes by what harmonics were expected to be
+    before any data. A high one, the tooth of a gear, changes by as much as there is of it.
+    """
+    sizes = np.array([linear.prior_sd[name] for name in families_of(linear)])
+    pairs = np.asarray(linear.terms.harmonics, dtype=int).reshape(-1, 2)
+    waves = slice(0, 2 * len(pairs))
+    amplitude = np.linalg.norm(linear.coef[waves].reshape(-1, 2), axis=1) / np.sqrt(2)
+    high = np.repeat(pairs[:, 1] > _LOW_ORDERS, 2)
+    sizes[waves] = np.where(high, np.minimum(np.repeat(amplitude, 2), sizes[waves]), sizes[waves])
+    return sizes
+
+
+def _place_seen(arm, angles, with_base, turn_mm):
+    """Columns of the place at points and, if `turn_mm` is not 0, at turns: (n, 3 or 6, 3 or 9)."""
+    place = place_columns(arm, angles, with_base)
+    if not turn_mm:
+        return place
+    turns = np.zeros_like(place)
+    if with_base:
+        turns[:, :, 6:] = turn_mm / reach_mm(arm) * np.eye(3)
+    return np.concatenate([place, turns], axis=1)
+
+
+def _into_kinematics(linear, with_base, turn_mm):
+    """Coefficients (n_columns, 3 or 9) that do what a move of tool and base does."""
+    arm, terms = linear.arm, linear.terms
+    fold = np.zeros((len(linear.coef), 9 if with_base else 3))
+    if not terms.kinematics:
+        return fold
+    angles = np.zeros((40, arm.n_joints + len(terms.extra)))  # extra columns move no kinematics
+    angles[:, : arm.n_joints] = np.random.default_rng(0).uniform(-np.pi, np.pi, (40, arm.n_joints))
+    of = families_of(linear) == "kinematics"
+    columns = observed_columns(arm, angles, terms, turn_mm)[:, :, of]
+    place = _place_seen(arm, angles, with_base, turn_mm)
+    rows = columns.shape[0] * columns.shape[1]
+    fold[of] = np.linalg.lstsq(columns.reshape(rows, -1), place.reshape(rows, -1), rcond=1e-9)[0]
+    return fold

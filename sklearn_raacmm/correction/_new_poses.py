@@ -1,0 +1,91 @@
+"""New poses that a fitted correction is updated, checked or transferred with."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import NamedTuple
+
+import numpy as np
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses, check_turns
+from sklearn_raacmm.utils import check_points, check_weights, encode_groups
+
+
+class NewPoses(NamedTuple):
+    """New poses, checked."""
+
+    angles: np.ndarray  # (n, n_joints + n_extra) rad, then the extra columns
+    residuals: np.ndarray  # (n, 3) mm, without the correction
+    weights: np.ndarray  # (n,)
+    codes: np.ndarray | None  # (n,) position of each, where positions have unknown offsets
+    turns: np.ndarray | None = None  # (n, 3) residuals of the orientation, rad
+
+    @classmethod
+    def checked(cls, model, X, y, groups, sample_weight, turns=None):
+        """New poses of a fitted model; each fault gets one clear sentence."""
+        angles = check_poses(model, X)
+        y = check_points(y, 3)
+        if len(y) != len(angles):
+            raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
+        if groups is None and model.linear_model_.offsets:
+            raise ValueError(
+                "The model has an unknown offset at every position: give groups, the position of "
+                "each new pose."
+            )
+        codes = None if groups is None else encode_groups(groups, len(y))[1]
+        turns = check_turns(turns, len(y), codes)
+        if turns is not None and not model.linear_model_.turn_mm:
+            raise ValueError(
+                "orientation_residuals were given, but the model was fitted without any: leave "
+                "them out, or fit it again."
+            )
+        return cls(angles, y, check_weights(sample_weight, angles), codes, turns)
+
+    @property
+    def n_coordinates(self):
+        """Coordinates of the poses that count, less three for each unknown offset."""
+        used = self.weights > 0
+        n_offsets = 0 if self.codes is None else len(np.unique(self.codes[used]))
+        return int(3 * (np.count_nonzero(used) - n_offsets))
+
+    @property
+    def n_free(self):
+        """Freedoms of base and tool that the poses show: of a single-point test, the tool's."""
+        return 9 if self.codes is None else 3
+
+    @property
+    def too_few(self):
+        """Why nothing can be learnt from these poses, or an empty string."""
+        if self.n_coordinates > self.n_free:
+            return ""
+        return (
+            f"{len(self.angles)} new poses give {self.n_coordinates} coordinates, fewer than would "
+            f"show more than the {self.n_free} freedoms of base and tool"
+        )
+
+
+def linear_model_of(model, done, in_use=True):
+    """The linear model of a fitted correction, which has to be in use or not."""
+    is_model = isinstance(model, ArmResidualRegressor)
+    if is_model:
+        check_is_fitted(model)
+    if not is_model or (in_use and not model.helps_):
+        raise TypeError(
+            f"{type(model).__name__} holds no linear model in use and cannot be {done}: it has no "
+            "posterior of causes. It can be registered, by calibrate(..., correction=model)."
+        )
+    return model.linear_model_
+
+
+def place_columns(arm, angles, with_base):
+    """What moves of the tool and shifts and turns of the base do to the probe, (n, 3, 3 or 9)."""
+    angles = angles[:, : arm.n_joints]  # without extra columns
+    tool = arm.frames(angles)[:, -1, :3, :3]
+    if not with_base:  # of a single-point test the base shows nothing
+        return tool
+    points = arm.forward(angles)
+    shift = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
+    turn = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2) / reach_mm(arm)
+    return np.concatenate([tool, shift, turn], axis=2)

@@ -1,0 +1,568 @@
+"""The errors of an arm, cause by cause, as one estimator that knows how far it can be trusted."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from numbers import Integral, Real
+
+import numpy as np
+from sklearn.base import MultiOutputMixin, RegressorMixin, clone
+from sklearn.utils.validation import has_fit_parameter
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model._checks import check_fit, check_poses, check_turns
+from sklearn_raacmm.error_model._columns import CAUSES, Terms
+from sklearn_raacmm.error_model._extra import with_references
+from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
+from sklearn_raacmm.error_model._fit import fit_linear_model
+from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._structures import offered_harmonics
+from sklearn_raacmm.residuals import CylindricalResidualTarget
+from sklearn_raacmm.utils import (
+    HasMethods,
+    Interval,
+    StrOptions,
+    VersionedEstimator,
+    centred,
+    check_flags,
+    encode_groups,
+    fit_context,
+    one_blas_thread,
+    whole_fit,
+)
+
+
+class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
+    r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
+
+    An encoder's error is a periodic function of its own angle,
+
+    .. math:: \delta\theta_j = \sum_k a_{jk} \cos k\theta_j + b_{jk} \sin k\theta_j,
+
+    and reaches the probe through the arm's Jacobian: one pair of numbers serves x, y and z, at
+    every pose. Which orders k are there (an eccentric disc gives 1 and 2, gears give others) is
+    found, not assumed. Beside the harmonics the model holds the causes
+
+    - gravity: every link and joint yields about its three axes in proportion to the torque of each
+      load beyond it, from the arm's geometry;
+    - kinematics: small changes of the arm's static parameters, which calibration had to guess while
+      it took the other errors for noise;
+    - wobble: every axis tilts once and twice a turn about the two directions across it.
+
+    Subtract what `predict` returns from the measured point to correct it. The correction fades
+    where little is known, and is 0 where it did not help at positions that were left out.
+
+    Parameters
+    ----------
+    arm : Arm, default=None
+        The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
+
+    angle_unit : {"rad", "deg"}, default="rad"
+        Unit of the joint angles in `X`. Everything else is in mm and rad in either case.
+
+    extra : list of str, default=()
+        What the columns of `X` after the angles are, one name for each: other causes of errors that
+        were written down with the angles. Each goes through the arm's geometry and is judged by the
+        evidence.
+
+        - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
+          and zero offsets drift in proportion to it.
+        - "direction J": the direction from which joint J came, 1 from smaller angles and -1 from
+          larger ones: its backlash.
+        - "payload": a weight at the probe. "force x", "force y", "force z": a force on the probe in
+          the base frame, such as the probing force. All frames yield in proportion to the torque.
+        - "tool": the number of the probe, where several are in use: each has offsets of its own.
+
+        Numbers count from their mean over the training data, in whatever unit they are in.
+
+    orders : int, array-like of int, or one array-like of int per joint, default=400
+        Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
+        at multiples of their ratio. The higher an order, the more it has to explain to be taken. A
+        joint is offered no more orders than it shows different angles. 0 offers none. A list offers
+        these orders only, for all joints or for each.
+
+    causes : list of {"gravity", "kinematics", "wobble"}, default=("gravity", "kinematics", \
+            "wobble")
+        Which of these causes are in the model.
+
+    offsets : bool or "auto", default="auto"
+        Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
+        are deviations from the position's own mean, as in a single-point test; it has not where
+        `y` was measured against a tracker. "auto" finds out: the positions' mean residuals are
+        zero, or not.
+
+    fade : float or "auto", default="auto"
+        Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
+        standard deviation at this pose and r the root mean square of the training residuals, both
+        as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
+        all. "auto": 1, or where positions have offsets half of the factor by which errors at
+        positions left out widen s, up to 1. There t is twice the deviation that 99 % of the
+        training poses stay below; elsewhere 0.
+
+    regressor : estimator, default=None
+        A second stage: fitted on joint angles in rad to what the linear model leaves, in the
+        cylindrical frame of the probe (see :class:`CylindricalResidualTarget`), such as
+        ``make_pipeline(PoseFeatures(arm), RBFNetRegressor())``. It fades with the linear model.
+        None: no second stage, which has been as good on every real arm tried.
+
+    Attributes
+    ----------
+    linear_model_ : LinearModel
+        The fitted numbers as one value: columns, coefficients and their covariance. The attributes
+        below show what is in it.
+
+    harmonics_ : structured ndarray of shape (n_chosen,)
+        The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
+        `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
+        and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
+        raises the log evidence beside all others. Parts of a smooth function are among them; theirs
+        is about 0 each.
+
+    terms_ : structured ndarray of shape (n_terms,)
+        The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
+        that one arc second spans at the stretched arm's reach; for loads in arc seconds under the
+        torque of the load at that reach.
+
+    prior_sd_ : dict
+        Standard deviation of the coefficients of each family in these units.
+
+    noise_sd_ : float
+        Standard deviation of a coordinate about the model, mm.
+
+    offsets_ : bool
+        Whether offsets were fitted.
+
+    n_determined_ : float
+        Effective number of coefficients that the data determine.
+
+    coef_ : ndarray of shape (n_columns,)
+        Coefficients in the order of the model's columns: cosine and sine of each of
+        `column_harmonics_`, then those of `terms_`.
+
+    column_harmonics_ : ndarray of shape (n_chosen, 2)
+        Joint from 1 and order of the harmonics in that order.
+
+    regressor_ : CylindricalResidualTarget or None
+        The fitted second stage.
+
+    fading_ : Fading
+        How corrections fade: `factor`, `size_mm` (r) and `known_mm` (t).
+
+    helps_ : bool
+        Whether the linear model helped at positions left out; `predict` returns 0 where it did not.
+        True where `groups` were not given.
+
+    judgement_ : Judgement or None
+        The numbers behind it: `mean_before_mm`, `mean_after_mm`, `gain_se_mm`, `n_positions`,
+        `helps`. None where nothing was left out.
+
+    pose_weight_ : ndarray of shape (n_samples,)
+        What the robust weights left of each training pose: 0 for outliers, and for rows of weight
+        0.
+
+    arm_ : Arm
+        The arm in use.
+
+    n_features_in_ : int
+        Number of joints, and of extra columns.
+
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
+        Names of the columns of `X`, where they are all text.
+
+    See Also
+    --------
+    RBFNetRegressor : For what is smooth in the pose and not in this model.
+    learn_correction : Calibrates an arm, fits this model, and judges both.
+
+    Notes
+    -----
+    Coefficients have normal priors of mean zero, one variance a family, found with the noise by
+    maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
+    least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
+    the rise is more than the price of its order k, ``2 log(k)`` nats. Where the data ask for it,
+    all orders up to 48 are there together, with one small variance that falls with the order
+    (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its angle,
+    of which little is known where there are no poses.
+
+    Where poses lie farther off than 5.5 standard deviations, all are weighed by Tukey's biweight
+    [1]_, which gives those none, and the model is fitted again.
+
+    Offsets are exact fixed effects: means over the position are taken out of the columns, too. A
+    common scale of all lengths then leaves no trace in the data, so that without known lengths the
+    scale of the model is set to that of the calibrated arm: over the training positions, corrected
+    distances are as long as uncorrected ones on the average (an inner constraint, as geodesists
+    have it in free networks). Without kinematics no column takes up what calibration left, the
+    other causes strain the volume in its place, and holding the scale is no cure: `fit` warns.
+    Known lengths are observations of their own, beside the noise of the two mean points.
+
+    The posterior's standard deviations suppose that the model is complete. Of ten blocks of
+    neighbouring positions, left out in turn, the errors show how much larger they have to be. The
+    same errors say whether the correction helps: if their mean over positions is less than without
+    correction by more than the standard error of the difference. With fewer than four positions
+    intervals stay as they are, and the correction has to help at each of them.
+
+    The harmonic form is that of encoder eccentricity; the composition of the model is our own.
+
+    References
+    ----------
+    .. [1] A. E. Beaton, J. W. Tukey, "The fitting of power series, meaning polynomials, illustrated
+       on band-spectroscopic data", Technometrics 16(2), 1974, 147-185.
+
+    Examples
+    --------
+    An eccentric encoder at joint 2, 6 arc seconds, and gear teeth at joint 4, 17 to the turn:
+
+    >>> import numpy as np
+    >>> from sklearn_raacmm import Arm, ArmResidualRegressor
+    >>> arm = Arm.from_name("aacmm6")
+    >>> rng = np.random.default_rng(0)
+    >>> theta = rng.uniform(-2, 2, (300, 6))
+    >>> error = np.zeros_like(theta)
+    >>> error[:, 1] = 6 * np.cos(theta[:, 1] - 0.5)
+    >>> error[:, 3] = 4 * np.sin(17 * theta[:, 3])
+    >>> error *= np.pi / 180 / 3600
+    >>> y = np.einsum("nij,nj->ni", arm.jacobian(theta), error)
+    >>> y += rng.normal(scale=0.003, size=y.shape)
+    >>> model = ArmResidualRegressor(arm, causes=[]).fit(theta, y)
+    >>> model.harmonics_[["joint", "order"]][:2].tolist()
+    [(2, 1), (4, 17)]
+    >>> model.harmonics_["amplitude_arcsec"][:2].round(1).tolist()
+    [6.1, 4.0]
+    """
+
+    _parameter_constraints: dict = {
+        "arm": [Arm, None],
+        "angle_unit": [StrOptions({"rad", "deg"})],
+        "extra": ["array-like"],
+        "orders": [Interval(Integral, 0, 1000, closed="both"), "array-like"],
+        "causes": ["array-like"],
+        "offsets": ["boolean", StrOptions({"auto"})],
+        "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "regressor": [HasMethods(["fit", "predict"]), None],
+    }
+
+    def __init__(
+        self,
+        arm=None,
+        *,
+        angle_unit="rad",
+        extra=(),
+        orders=400,
+        causes=CAUSES,
+        offsets="auto",
+        fade="auto",
+        regressor=None,
+    ):
+        self.arm = arm
+        self.angle_unit = angle_unit
+        self.extra = extra
+        self.orders = orders
+        self.causes = causes
+        self.offsets = offsets
+        self.fade = fade
+        self.regressor = regressor
+
+    @one_blas_thread
+    @fit_context(prefer_skip_nested_validation=True)
+    @whole_fit
+    def fit(
+        self,
+        X,
+        y,
+        *,
+        sample_weight=None,
+        groups=None,
+        lengths=(),
+        orientation_residuals=None,
+    ):
+        """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
+
+        y : array-like of shape (n_samples, 3)
+            Cartesian residuals in mm, measured minus reference, in the arm's base frame.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights; an integer weight is worth that many repeats of the row. Rows of weight 0
+            change nothing.
+
+        groups : array-like of shape (n_samples,), default=None
+            Label of the position of each sample: for the judgement, and for the offsets.
+
+        lengths : iterable of (label, label, length, standard deviation), default=()
+            Known distances between two positions, mm, as in :func:`calibrate`: where positions have
+            offsets, only they tell the model of what happens between positions.
+
+        orientation_residuals : array-like of shape (n_samples, 3), default=None
+            How far the orientation that the arm shows is turned from the measured one: rotation
+            vectors in rad, in the arm's base frame, as
+            :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
+            probe and turn the last link: they are three more rows of each pose, weighed by the
+            noise that they show beside that of the points.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If X has not one column per joint and extra name, or y not three, something is NaN or
+            infinite, a weight is negative or all are 0, the model has no columns at all, a cause is
+            not known, or ``offsets=True`` comes without `groups`; if y are the probe's points, or
+            half of them longer than a twentieth of the arm's reach; if lengths name unknown
+            positions, are not positive, or come without offsets; if orientations come with offsets,
+            or are no small rotation vectors.
+
+        Warns
+        -----
+        UserWarning
+            If the angles are most likely in the other unit: larger than two turns in rad, or all
+            within one turn of radians in degrees; if positions have offsets but neither kinematics
+            nor `lengths` are given; if ``offsets="auto"`` finds none although the positions' means
+            are smaller than chance makes them; if the weights add up to less than a tenth or more
+            than a hundred times the number of rows; if nearly all of `y` is one motion of the base:
+            the reference is then most likely in another frame.
+        """
+        rows = check_fit(self, X, y, sample_weight, groups, lengths)
+        arm, used = rows.arm, rows.weights > 0
+        turns = check_turns(orientation_residuals, len(used), rows.codes)
+        positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
+        positions = np.unique(positions[used], return_inverse=True)[1].ravel()
+        rows = rows.at(used)
+        extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
+        offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
+        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
+        with_field = isinstance(self.orders, Integral)
+        fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
+        left_out = leave_out(fitted, terms, positions, rows.weights)
+        model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
+        mean, std = model.predict(rows.X, return_std=True)
+        robust = rows.weights * fitted.pose_weight
+        rest = robust, rows.codes
+        self.fading_ = find_fading(rows.y, std, *rest, self.fade, model.std_scale)
+        self.judgement_ = None
+        if groups is not None and left_out is not None:
+            self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
+        self.helps_ = self.judgement_ is None or self.judgement_.helps
+        self.linear_model_ = model
+        self.pose_weight_ = np.zeros(len(used))
+        self.pose_weight_[used] = fitted.pose_weight
+        self.regressor_ = None
+        if self.regressor is not None:
+            left = centred(rows.y - mean * self.helps_, rows.codes, robust)
+            self.regressor_ = self._fitted_second_stage(rows, left, robust)
+
+    def _fitted_second_stage(self, rows, left, weights):
+        """The second stage, fitted to what the linear model leaves where no pose is an outlier."""
+        arm, kept = rows.arm, weights > 0
+        stage = CylindricalResidualTarget(clone(self.regressor), azimuth=arm.azimuth)
+        takes_weights = has_fit_parameter(self.regressor, "sample_weight")
+        options = {"sample_weight": weights[kept]} if takes_weights else {}
+        return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
+
+    # The fitted numbers in readable form; all of them are those of `linear_model_`.
+
+    @property
+    def harmonics_(self):
+        return self.linear_model_.harmonic_table()
+
+    @property
+    def terms_(self):
+        return self.linear_model_.term_table()
+
+    @property
+    def column_harmonics_(self):
+        return np.add(self.linear_model_.terms.harmonics, (1, 0))
+
+    @property
+    def coef_(self):
+        return self.linear_model_.coef
+
+    @property
+    def coef_sd_(self):
+        return self.linear_model_.coef_sd
+
+    @property
+    def prior_sd_(self):
+        return self.linear_model_.prior_sd
+
+    @property
+    def noise_sd_(self):
+        return self.linear_model_.noise_sd
+
+    @property
+    def n_determined_(self):
+        return self.linear_model_.n_determined
+
+    @property
+    def offsets_(self):
+        return self.linear_model_.offsets
+
+    @property
+    def arm_(self):
+        return self.linear_model_.arm
+
+    def predict(self, X, return_std=False, with_noise=False):
+        """Predict residuals.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
+
+        return_std : bool, default=False
+            Also return the standard deviation of the correction before it fades.
+
+        with_noise : bool, default=False
+            Add the noise of a measured coordinate to the standard deviation: of the residual that
+            a new measurement shows, rather than of the correction.
+
+        Returns
+        -------
+        residuals : ndarray of shape (n_samples, 3)
+            dx, dy and dz in mm: subtract them from the measured points.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviations in mm, where asked for: 1.96 of them make an interval of 95 % at
+            positions that were left out of the fit, as far as these could be tried. Far from the
+            training poses they grow. Where positions have offsets they are those of what such a
+            test can show: a motion of the base is left out. They are those of the linear model; a
+            second stage does not change them.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If X has another number of columns than in `fit`, holds NaN or infinity, or has a tool
+            that the training data did not have.
+
+        Warns
+        -----
+        UserWarning
+            If the angles are most likely in the other unit: larger than two turns in rad, or all
+            within one turn of radians in degrees; if most of the corrections
+            are reduced to less than a tenth.
+        """
+        check_flags(return_std=return_std, with_noise=with_noise)
+        X = check_poses(self, X)
+        fades = self.fading_.factor > 0
+        mean, std = self.linear_model_.predict(X, return_std or fades)
+        mean = mean * self.helps_ + self.second_stage(X)
+        if fades:
+            share = self.fading_.share(std)
+            if self.helps_:
+                warn_where_unknown(share)
+            mean = share[:, None] * mean
+        return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+
+    def second_stage(self, angles):
+        """What the second stage adds, before it fades.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints + n_extra)
+            In rad, whatever `angle_unit` is.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3)
+            In mm; 0 where there is no second stage.
+        """
+        if self.regressor_ is None:
+            return np.zeros((len(angles), 3))
+        return self.regressor_.predict(angles[:, : self.arm_.n_joints])
+
+    def predict_orientation(self, X, return_std=False, with_noise=False):
+        """Predict how far the last link is turned from where the arm shows it.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        return_std : bool, default=False
+            Also return standard deviations.
+
+        with_noise : bool, default=False
+            Add the noise of a measured component to them, where orientations were in the fit.
+
+        Returns
+        -------
+        turns : ndarray of shape (n_samples, 3)
+            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
+            times the orientation that the arm shows is the corrected one. Faded as the correction
+            of the points is, and 0 where that is.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviations in rad, where asked for.
+
+        Notes
+        -----
+        A model that was fitted to points only knows of the orientation what the same causes do to
+        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
+        goes through the probe.
+        """
+        check_flags(return_std=return_std, with_noise=with_noise)
+        X, model = check_poses(self, X), self.linear_model_
+        mean, std = model.predict_turn(X, return_std)
+        mean = mean * self.helps_
+        if self.fading_.factor > 0:
+            share = self.fading_.share(model.predict(X, return_std=True)[1])
+            if self.helps_:
+                warn_where_unknown(share)
+            mean = share[:, None] * mean
+        if not return_std:
+            return mean
+        noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
+        return mean, np.hypot(model.std_scale * std, noise)
+
+    def fading(self, X):
+        """Share of the correction that `predict` returns at each pose.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
+
+        Returns
+        -------
+        share : ndarray of shape (n_samples,)
+            1 where nothing is faded, towards 0 where nothing is known.
+        """
+        X = check_poses(self, X)
+        return self.fading_.share(self.linear_model_.predict(X, return_std=True)[1])
+
+    def distance_std(self, X1, X2):
+        """Standard deviation of corrected lengths between two poses each, without noise.
+
+        Parameters
+        ----------
+        X1, X2 : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`, at the two ends.
+
+        Returns
+        -------
+        std : ndarray of shape (n_samples,)
+            In mm, before the correction fades.
+
+        Raises
+        ------
+        ValueError
+            If X1 and X2 have different numbers of rows, or as in `predict`.
+        """
+        X1, X2 = check_poses(self, X1), check_poses(self, X2)
+        if len(X1) != len(X2):
+            raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
+        return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)
+
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.target_tags.single_output = False
+        tags.regressor_tags.poor_score = True
+        return tags

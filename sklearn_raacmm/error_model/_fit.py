@@ -1,0 +1,291 @@
+"""The fit of the linear error model, from arrays to a `LinearModel`."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model._columns import (
+    FAMILIES,
+    factored_columns,
+    term_names,
+)
+from sklearn_raacmm.error_model._gauge import constrained, length_equations, without_motions
+from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._structures import least_of_the_idle, structures_of
+from sklearn_raacmm.error_model._waves import candidate_sums
+from sklearn_raacmm.inference import (
+    Problem,
+    State,
+    beside_field,
+    combined,
+    search,
+    sums_of_pairs,
+)
+from sklearn_raacmm.utils import TUKEY_CUT, centred, chunks, stage, tukey_weights
+
+# Rounds of robust weights at one choice, and choices with what the weights have become: lines that
+# were chosen while outliers counted fully are a worse beginning than none. Weights that change by
+# less than this have settled.
+_ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
+# Steps of the variances where they are nearly right: others follow, with the robust weights.
+_REFIT_STEPS = 5
+# Where less than this share of the poses is concerned, sums over them cost less than new ones: of
+# candidates that are asked for later both are needed (``benchmarks/bench_fit.py``).
+_FEW_POSES = 0.4
+# Columns of the poses are kept between the rounds where they are at most so many numbers (80 MB).
+_KEPT_COLUMNS, _POSES = 10_000_000, 256
+# Points and turns are weighed anew by what the model leaves of them, at most so often, and until
+# the ratio of their noises changes by less than this share.
+_TURN_ROUNDS, _SETTLED_TURNS = 4, 0.1
+
+
+class Rows(NamedTuple):
+    """What a model is fitted to."""
+
+    arm: Arm
+    X: np.ndarray  # (n, n_joints + n_extra) angles in rad, then the extra columns
+    y: np.ndarray  # (n, 3) residuals in mm; (n, 6) with those of the orientation times `turn_mm`
+    weights: np.ndarray  # (n,)
+    codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
+    lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
+    turn_mm: float = 0.0  # see `observed_columns`
+
+    def at(self, which):
+        """Some of the rows, with positions counted from 0 and the lengths that are left."""
+        codes, lengths = self.codes, self.lengths
+        if codes is not None:
+            present, codes = np.unique(codes[which], return_inverse=True)
+            codes = codes.ravel()
+            place = {code: i for i, code in enumerate(present.tolist())}
+            lengths = [
+                (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
+            ]
+        return self._replace(
+            X=self.X[which],
+            y=self.y[which],
+            weights=self.weights[which],
+            codes=codes,
+            lengths=tuple(lengths),
+        )
+
+    def weighted(self, factor):
+        """The rows with their weights times a factor, without those of no weight."""
+        rows = self._replace(weights=self.weights * factor)
+        kept = rows.weights > 0
+        return rows if kept.all() else rows.at(kept)
+
+    def sums(self, terms):
+        """Sums over the rows, the harmonics of `terms` being the candidates; known lengths."""
+        rows = self.arm, self.X, self.y, self.weights, self.codes
+        sums = candidate_sums(*rows, terms.harmonics, terms, self.turn_mm)
+        if self.codes is None:
+            return sums, None
+        sums, lengths = without_motions(sums, self.arm, terms), None
+        if self.lengths:
+            poses = self.X, self.weights, self.codes
+            lengths = length_equations(self.arm, *poses, terms, self.lengths)
+        return sums, lengths
+
+    def sums_after(self, sums, old, new, terms):
+        """The `sums` at the factors `new`, from those at `old`: few rows are summed up again."""
+        touched = old != new
+        if not touched.any():
+            return sums
+        if self.codes is not None:
+            touched = np.isin(self.codes, self.codes[touched])
+        # Rows that all had no weight, or all lose it, have no sums of their own.
+        empty = any(not np.any(factor[touched]) for factor in (old, new))
+        if self.lengths or empty or touched.mean() > _FEW_POSES:
+            return self.weighted(new).sums(terms)
+        rows = self.at(touched)
+        less, more = (rows.weighted(factor[touched]).sums(terms)[0] for factor in (old, new))
+        return combined((sums[0], less, more), (1, -1, 1)), None
+
+
+class Fitted(NamedTuple):
+    """A fitted model, how it was found, and what the robust weights left of each row."""
+
+    model: LinearModel
+    state: State
+    pose_weight: np.ndarray  # (n,)
+    rows: Rows  # with the orientations that were fitted
+
+
+@stage("linear error model")
+def fit_linear_model(rows, terms, with_field, turns=None):
+    """Fit the model, with robust weights of the poses.
+
+    Parameters
+    ----------
+    rows : Rows
+        Of weights above 0.
+    terms : Terms
+        Its harmonics are those that are offered.
+    with_field : bool
+        Whether all low orders together may be a smooth function of each angle.
+    turns : ndarray of shape (n, 3), default=None
+        Residuals of the orientation, rotation vectors in rad: three more rows of each pose, which
+        are weighed by the noise that they show beside that of the points.
+
+    Returns
+    -------
+    Fitted
+    """
+    if turns is None:
+        return _worth_their_price(rows, terms, with_field)
+    terms = terms._replace(target=True)
+    left, size, found = (rows.y, turns), 0.0, None
+    for _ in range(_TURN_ROUNDS):
+        weights = rows.weights if found is None else rows.weights * found.pose_weight
+        rms = [np.sqrt(weights @ np.square(part).sum(axis=1)) for part in left]
+        last, size = size, rms[0] / max(rms[1], 1e-12 * max(rms[0], 1e-300))
+        if abs(size - last) < _SETTLED_TURNS * size:
+            break
+        both = rows._replace(y=np.hstack([rows.y, size * turns]), turn_mm=size)
+        found = _worth_their_price(both, terms, with_field)
+        model = found.model
+        left = rows.y - model.predict(rows.X)[0], turns - model.predict_turn(rows.X)[0]
+    return found
+
+
+def _worth_their_price(rows, terms, with_field):
+    """Fit with those families of extra columns that are worth their price."""
+    idle = frozenset()
+    while True:
+        structures = structures_of(rows.arm, terms, with_field, idle)
+        state, factor = _fit(rows, terms, structures)
+        least = least_of_the_idle(state, structures.family, idle)
+        if least is None:
+            break
+        idle |= {least}
+    model = model_of(rows.weighted(factor), terms, state)
+    if np.any(factor < 1):
+        noise = model.noise_variance / _share_of_noise(rows.y.shape[1])
+        model = replace(model, noise_variance=noise)
+    return Fitted(model, state, factor, rows)
+
+
+def _share_of_noise(n):
+    """What the weights of the poses leave of the noise variance, of normal errors in n coordinates.
+
+    E[w d^2] / (n E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution; beyond
+    the limit c the density is next to nothing.
+    """
+    c2 = TUKEY_CUT**2
+    moment = np.cumprod([1.0, n, n + 2, n + 4])  # E[d^0], E[d^2], E[d^4], E[d^6]
+    whole = moment[0] - 2 * moment[1] / c2 + moment[2] / c2**2
+    return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
+
+
+def _fit(rows, terms, structures):
+    """Choose structures and weights by turns: the state, and the factors of the weights."""
+    factor = np.ones(len(rows.weights))
+    sums, state = rows.sums(terms), None
+    for _ in range(_MAX_CHOICES):
+        start = factor
+        state = search(Problem(sums[0], structures, sums[1]), state)
+        state, factor, sums = _settled(rows, terms, structures, sums, state, factor)
+        if not state.with_field:
+            beside = beside_field(Problem(sums[0], structures, sums[1]), state)
+            if beside is not None:
+                state, factor, sums = _settled(rows, terms, structures, sums, beside, factor)
+        if np.all(factor == start):
+            break
+    return state, factor
+
+
+def _settled(rows, terms, structures, sums, state, factor):
+    """A choice with robust weights that have settled: state, weights, and sums at these weights."""
+    pairs, before = state.pairs, factor
+    few = terms._replace(harmonics=terms.harmonics[pairs])
+    share = None if structures.share is None else structures.share[pairs]
+    structures = structures._replace(price=structures.price[pairs], share=share)
+    lines = np.flatnonzero(np.isin(pairs, state.lines))
+    expected, some = _expected_of(rows, few), (sums_of_pairs(sums[0], pairs), None)
+    for _ in range(_ROUNDS):
+        old, new = factor, _pose_weights(rows, expected(state), factor)
+        factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
+        if np.all(factor == old):
+            break
+        some = rows.sums_after(some, old, factor, few)
+        problem = Problem(some[0], structures, some[1])
+        start = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+        found = problem.with_variances(start, _REFIT_STEPS)
+        state = found._replace(lines=state.lines, pairs=pairs)
+    return state, factor, rows.sums_after(sums, before, factor, terms)
+
+
+def _pose_weights(rows, expected, factor):
+    """Tukey's weights of the poses, by what is left of them beside their position's mean."""
+    left = centred(rows.y - expected, rows.codes, rows.weights * factor)
+    return tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
+
+
+def _expected_of(rows, terms):
+    """Rule by which states of these terms expect the residuals that they were fitted to."""
+    n_waves, n_columns = 2 * len(terms.harmonics), 3 * len(term_names(rows.arm, terms)[0])
+    parts = list(chunks(len(rows.X), _POSES))
+
+    def columns(part):
+        made = [factored_columns(rows.arm, rows.X[part], terms)]
+        if rows.turn_mm:
+            made.append(factored_columns(rows.arm, rows.X[part], terms, of_turns=True))
+        return made
+
+    small = len(rows.X) * (n_waves + n_columns) <= _KEPT_COLUMNS
+    kept = [columns(part) for part in parts] if small else None
+
+    def expected(state):
+        coef = np.roll(state.coef, n_waves)
+        found = []
+        for i, part in enumerate(parts):
+            made = columns(part) if kept is None else kept[i]
+            both = [one.dot(coef) * (rows.turn_mm if j else 1.0) for j, one in enumerate(made)]
+            found.append(np.hstack(both))
+        return np.concatenate(found)
+
+    return expected
+
+
+def model_of(rows, terms, state):
+    """The fitted value of a state: columns in the order harmonics by joint, other terms.
+
+    Parameters
+    ----------
+    rows : Rows
+        That it was fitted to.
+    terms : Terms
+        Its harmonics are the candidates of the state.
+    state : State
+
+    Returns
+    -------
+    LinearModel
+    """
+    offered, terms = terms.harmonics, terms._replace(harmonics=terms.harmonics[state.pairs])
+    n_waves = 2 * len(state.pairs)
+    order = np.roll(np.arange(len(state.coef)), n_waves)
+    half = state.half[order]
+    families = np.unique(term_names(rows.arm, terms)[1]).tolist()
+    line = len(FAMILIES) - 2
+    families += [line] * bool(len(offered)) + [line + 1] * state.with_field
+    model = LinearModel(
+        arm=rows.arm,
+        terms=terms,
+        coef=state.coef[order],
+        half=half,
+        noise_variance=state.noise_variance,
+        prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
+        offsets=rows.codes is not None,
+        n_determined=float(state.determined.sum()),
+        log_bayes_factor=state.gains,
+        gauge_free_half=half,
+        turn_mm=rows.turn_mm,
+    )
+    poses = rows.X, rows.weights, rows.codes
+    return constrained(model, *poses, keep_scale=not rows.lengths)

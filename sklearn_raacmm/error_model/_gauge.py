@@ -1,0 +1,236 @@
+"""What positions do not show: motions of the base, the scale, and fields that depend on the place.
+
+A single-point test compares poses that reach one point. It shows nothing of a motion of the base,
+of a common scale of all lengths, or of a base that bends under the arm's load: they move all poses
+that reach a point by the same vector. Known lengths between positions show a part of it.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm, points_of
+from sklearn_raacmm.error_model._columns import Terms, scale_direction, term_columns, term_names
+from sklearn_raacmm.inference import Extra
+from sklearn_raacmm.utils import chunks, group_means, group_sums, group_weights
+
+# Columns that move the arm as a whole: the first axis stands still in the base.
+_BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
+# Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
+_CHUNK = 512
+# Poses at which fields are compared with columns: three equations each, for some 200 columns.
+_POSES = 150
+# Share of a field that columns may leave for it to be one of theirs: bending about the second
+# joint's axis is one only nearly where that axis is not quite horizontal
+# (``tests/error_model/test_place_fields.py``).
+_LEFT = 0.01
+# Size of a column, relative to the largest, that moves nothing.
+_NOTHING = 1e-6
+
+
+def without_motions(sums, arm, terms):
+    """Sums that know nothing of a motion of the base and of a common scale of all lengths.
+
+    Residuals of a single-point test are the deviations of the points themselves. A turn of the base
+    turns them, and a scale multiplies them: an arm of no size would explain them all, and with many
+    rows and a wide prior the evidence prefers it. To first order in the errors neither can be seen,
+    so both are taken out.
+
+    Parameters
+    ----------
+    sums : Sums
+        Of positions with offsets.
+    arm : Arm
+    terms : Terms
+
+    Returns
+    -------
+    Sums
+    """
+    if not terms.kinematics:
+        return sums
+    terms = terms._replace(harmonics=np.empty((0, 2), dtype=int))
+    names, _ = term_names(arm, terms)
+    moving = ["base_x", "base_y", "base_alpha", "base_beta", "d1", "theta_offset1"]
+    if arm.convention == "modified":  # these come before the first joint
+        moving += ["a1", "alpha1", "beta1"]
+    columns = np.eye(len(names))[:, [names.index(name) for name in moving]]
+    motions = np.linalg.qr(np.column_stack([columns, scale_direction(arm, terms)]))[0]
+    keep = np.eye(len(motions)) - motions @ motions.T
+    return sums._replace(
+        gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
+    )
+
+
+def length_equations(arm, angles, weights, codes, terms, lengths):
+    """Known lengths between positions as rows of the linear model.
+
+    The mean points of two positions, corrected, are a known length apart: the difference of their
+    corrections along the line between them is what the measured length is too long.
+
+    Parameters
+    ----------
+    arm, angles, weights, codes, terms
+        As for :func:`candidate_sums`.
+    lengths : list of (int, int, float, float)
+        Two positions, their known distance and its standard deviation, mm.
+
+    Returns
+    -------
+    Extra
+    """
+    first, second, length, sd = (np.array(part) for part in zip(*lengths, strict=True))
+    used, ends = np.unique([first, second], return_inverse=True)
+    ends = ends.reshape(2, -1)
+    rows = np.isin(codes, used)
+    angles, weights, codes = angles[rows], weights[rows], np.searchsorted(used, codes[rows])
+    total = group_weights(codes, weights)
+    points = group_means(points_of(arm, angles[:, : arm.n_joints]), codes, weights)
+    columns = _mean_columns(arm, angles, weights, codes, terms)
+    line = points[ends[1]] - points[ends[0]]
+    measured = np.linalg.norm(line, axis=1)
+    line /= measured[:, None]
+    difference = columns[ends[1]] - columns[ends[0]]
+    return Extra(
+        np.einsum("lc,lcp->lp", line, difference),
+        measured - length,
+        np.square(sd),
+        1 / total[ends[0]] + 1 / total[ends[1]],
+    )
+
+
+def _mean_columns(arm, angles, weights, codes, terms):
+    """Mean of the model's columns over each position, (n_positions, 3, n_columns)."""
+    total = group_weights(codes, weights)
+    sums = 0.0
+    for rows in chunks(len(angles), _CHUNK):
+        columns = term_columns(arm, angles[rows], terms)
+        sums = sums + group_sums(columns, codes[rows], weights[rows], len(total))
+    return sums / total[:, None, None]
+
+
+def constrained(model, X, weights, codes, keep_scale=True):
+    """Model without what positions with offsets cannot show: the scale, and where the base stands.
+
+    Positions with offsets do not show a common scale of all lengths, and whatever the prior makes
+    of it would be an error in proportion to every length: the distances between positions are left
+    as the calibration has them, on the average (an inner constraint, as geodesists have it in free
+    networks).
+
+    Along the fields that the positions do not show the posterior is the prior, and other columns
+    imitate them at the positions of the test. With M the mean columns over the positions and
+    F = M W those of the fields W, ``G = lstsq(F, M)`` is the field in every column, and
+    ``A - A W G`` are the columns without it: `gauge_free_half` is the root with these.
+
+    Parameters
+    ----------
+    model : LinearModel
+    X : ndarray of shape (n, n_joints + n_extra)
+        Training poses.
+    weights : ndarray of shape (n,)
+    codes : ndarray of shape (n,) or None
+        Position of each row, from 0; None where positions have no offsets.
+    keep_scale : bool, default=True
+        Whether no known lengths show the scale.
+
+    Returns
+    -------
+    LinearModel
+        The same one where positions have no offsets or it has no columns of the kinematics.
+    """
+    if codes is None:
+        return model
+    arm, terms = model.arm, model.terms
+    columns = _mean_columns(arm, X, weights, codes, terms)
+    if keep_scale and terms.kinematics:
+        points = group_means(points_of(arm, X[:, : arm.n_joints]), codes, weights)
+        spread = points - points.mean(axis=0)
+        size = np.square(spread).sum()
+        if size > 0:
+            scale_of = np.einsum("gc,gcp->p", spread, columns) / size
+            unit = scale_direction(arm, terms)
+            coef = model.coef - unit * (scale_of @ model.coef)
+            half = model.half - np.outer(unit, scale_of @ model.half)
+            model = replace(model, coef=coef, half=half)
+    fields = place_fields(arm, terms) if keep_scale else _base_motions(model)
+    half = model.half
+    if fields.shape[1]:
+        flat = columns.reshape(-1, columns.shape[2])
+        half = half - fields @ np.linalg.lstsq(flat @ fields, flat @ half, rcond=1e-9)[0]
+    return replace(model, gauge_free_half=half)
+
+
+def _base_motions(model):
+    """Coefficients of the six motions of the base, (n_columns, 6)."""
+    names, _ = term_names(model.arm, model.terms)
+    n_waves = 2 * len(model.terms.harmonics)
+    base = [n_waves + names.index(name) for name in _BASE_MOTIONS if name in names]
+    return np.eye(len(model.coef))[:, base]
+
+
+def place_fields(arm, terms):
+    """Coefficients whose effect is the same at all poses that reach a point.
+
+    Parameters
+    ----------
+    arm : Arm
+    terms : Terms
+
+    Returns
+    -------
+    ndarray of shape (n_columns, k)
+        One column for each field that the model can make, of up to ten: see `_fields`. Those of
+        harmonics and of extra columns are 0.
+    """
+    own = _fields_of_others(arm, terms.gravity, terms.kinematics, terms.wobble)
+    n = 2 * len(terms.harmonics) + len(term_names(arm, terms)[0])
+    found = np.zeros((n, own.shape[1]))
+    start = 2 * len(terms.harmonics)
+    found[start : start + len(own)] = own
+    return found
+
+
+def _fields(points):
+    """Three shifts, three turns, a scale, a stretch across z, and the base bent about x and y.
+
+    The torque of a weight at (x, y, z) is y about the x axis of the base, and -x about y. The
+    second joint's axis is horizontal and turns with the arm: to bend about it is the two together
+    with a stretch, for it lies above the base.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3)
+
+    Returns
+    -------
+    ndarray of shape (3 n, 10)
+        Each of length 1.
+    """
+    x, y, z = points.T
+    none = np.zeros_like(x)
+    fields = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+    fields += [np.cross(axis, points) for axis in np.eye(3)]
+    bends = (x, y, none), (none, -y * z, y * y), (x * z, none, -x * x)
+    fields += [points, *(np.column_stack(bend) for bend in bends)]
+    flat = np.stack(fields, axis=2).reshape(3 * len(points), -1)
+    return flat / np.linalg.norm(flat, axis=0)
+
+
+@lru_cache(maxsize=64)
+def _fields_of_others(arm: Arm, gravity, kinematics, wobble):
+    """The same for the columns that are neither harmonics nor extra."""
+    terms = Terms(np.empty((0, 2), dtype=int), gravity, kinematics, wobble)
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, arm.n_joints))
+    fields = _fields(points_of(arm, angles))
+    columns = term_columns(arm, angles, terms).reshape(len(fields), -1)
+    size = np.linalg.norm(columns, axis=0)
+    size = np.where(size > _NOTHING * size.max(initial=0.0), size, np.inf)
+    coef = np.linalg.lstsq(columns / size, fields, rcond=1e-10)[0]
+    left = np.linalg.norm(fields - columns / size @ coef, axis=0)
+    found = (coef / size[:, None])[:, left < _LEFT]
+    found.setflags(write=False)
+    return found

@@ -1,0 +1,173 @@
+"""The list of structures that a model of the arm may have, and what each costs.
+
+Families of causes are always in; harmonics are lines that have to be worth their price; a smooth
+function of every joint's angle, all low orders together, is the field.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from numbers import Integral
+
+import numpy as np
+
+from sklearn_raacmm.error_model._columns import FAMILIES, FAMILIES_OF_EXTRA, term_names
+from sklearn_raacmm.inference import Structures
+
+# What a harmonic costs per logarithm of its order.
+_PRICE_PER_LOG_ORDER = 2.0
+# Orders up to this may be there all together, small, and smaller the higher they are: a smooth
+# function of the joint's angle. Order at which the decay begins; price in nats: any from 8 to 64
+# leaves about the same (``benchmarks/bench_prices.py --field``).
+_FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
+# Log evidence that a family of extra columns has to add, in nats: a user may name causes that are
+# none (``benchmarks/bench_extra.py``: noise as the extra column came to at most 5 in 30 fits, a
+# true cause that helped at positions left out to 22 or more).
+_PRICE_OF_EXTRA = 10.0
+# Prior variance of a family that is not worth its price: its coefficients are nothing.
+_IDLE_VARIANCE = 1e-12
+# One degree, in square arc seconds: beyond it an arm's errors are not linear; directions that the
+# data do not show would carry the variance beyond all bounds by their rounding.
+_LARGEST_VARIANCE = 3600.0**2
+# Angles nearer to each other than this, in rad, count as one: the rounding of files.
+_SAME_ANGLE = 1e-6
+
+
+def offered_harmonics(angles, orders):
+    """Harmonics that a fit may take.
+
+    Parameters
+    ----------
+    angles : ndarray of shape (n, n_joints)
+        Of the training poses, in rad.
+    orders : int, array-like of int, or one array-like per joint
+        Highest order: a joint at m different angles is offered none above m, for there the waves of
+        lower orders are the same. Or the orders themselves, for all joints or for each.
+
+    Returns
+    -------
+    ndarray of shape (n_pairs, 2)
+        Joint from 0 and order, sorted.
+
+    Raises
+    ------
+    ValueError
+        If orders are not whole numbers of 1 or more, or a list has not one entry per joint.
+    """
+    n_joints = angles.shape[1]
+    if isinstance(orders, Integral):
+        steps = np.round(angles / _SAME_ANGLE)
+        named = [range(1, min(orders, len(np.unique(column))) + 1) for column in steps.T]
+    else:
+        named = _named_orders(orders, n_joints)
+    pairs = [(joint, order) for joint, own in enumerate(named) for order in own]
+    return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _named_orders(orders, n_joints):
+    """Orders of each joint, sorted."""
+    orders = list(orders)
+    if not any(np.iterable(order) for order in orders):
+        orders = [orders] * n_joints
+    if len(orders) != n_joints:
+        raise ValueError(
+            f"orders has {len(orders)} lists, but the arm has {n_joints} joints: give one list for "
+            "all joints, or one for each."
+        )
+    for joint, own in enumerate(orders, start=1):
+        bad = [k for k in own if not isinstance(k, Integral) or isinstance(k, bool) or k < 1]
+        if bad:
+            raise ValueError(
+                f"orders must be whole numbers of 1 or more, got {bad[0]!r} for joint {joint}."
+            )
+    return [np.unique(np.array(list(own), dtype=int)).tolist() for own in orders]
+
+
+def structures_of(arm, terms, with_field, idle=frozenset()):
+    """Families, lines and field of a model with some columns.
+
+    Parameters
+    ----------
+    arm : Arm
+    terms : Terms
+        Its harmonics are those that are offered.
+    with_field : bool
+        Whether there may be a field: not where the user has said which orders there are.
+    idle : set of int
+        Families of extra columns that have proved not to be worth their price.
+
+    Returns
+    -------
+    Structures
+        Its variances are in the order of `FAMILIES`.
+
+    Raises
+    ------
+    ValueError
+        If there are no columns.
+    """
+    family, order = term_names(arm, terms)[1], terms.harmonics[:, 1]
+    if not len(order) and not len(family):
+        raise ValueError("The model has no columns: no orders are offered and no causes are named.")
+    given = np.full(len(FAMILIES), np.nan)
+    given[list(idle)] = _IDLE_VARIANCE
+    return Structures(
+        family=family,
+        price=order_price(order),
+        share=smooth_shares(order) if with_field and len(order) else None,
+        field_price=_PRICE_OF_FIELD,
+        given=given,
+        largest=_LARGEST_VARIANCE,
+    )
+
+
+def order_price(order):
+    """Price of a harmonic of order k in nats: ``2 log(k)``, for the odds fall with its square.
+
+    Every encoder is a little eccentric, so that order 1 is free; an order of 400 costs 12 nats. On
+    simulated arms factors from 1.5 to 2.5 and an order 2 that is free leave the same within 0.5 %,
+    and the same as the three rules that this one replaces (``benchmarks/bench_prices.py``).
+
+    Parameters
+    ----------
+    order : ndarray of shape (n_pairs,)
+
+    Returns
+    -------
+    ndarray of shape (n_pairs,)
+    """
+    return _PRICE_PER_LOG_ORDER * np.log(order)
+
+
+def smooth_shares(order):
+    """Prior variance of each order as a part of the field, relative to that of order 0.
+
+    ``(1 + (k / 16)^2)^-2``, the spectrum of functions that can be differentiated; 0 above order 48.
+
+    Parameters
+    ----------
+    order : ndarray of shape (n_pairs,)
+
+    Returns
+    -------
+    ndarray of shape (n_pairs,)
+    """
+    share = (1 + np.square(order / _DECAY_FROM)) ** -2.0
+    return np.where(order <= _FIELD_ORDER, share, 0.0)
+
+
+def least_of_the_idle(state, family, idle):
+    """Family of extra columns that is least worth its price, or None where all are worth it.
+
+    Parameters
+    ----------
+    state : State
+    family : ndarray of shape (m,)
+        Family of each column that is always in.
+    idle : set of int
+        Families that have been put aside by now.
+    """
+    there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - idle
+    gains = {f: state.gain_of(np.flatnonzero(family == f)) for f in there}
+    least = min(gains, key=gains.get, default=None)
+    return least if least is not None and gains[least] < _PRICE_OF_EXTRA else None

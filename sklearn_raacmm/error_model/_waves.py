@@ -1,0 +1,308 @@
+r"""Sums over poses for the harmonics of every joint, many orders at once.
+
+The columns of a harmonic of joint j are :math:`T_j \cos k\theta_j` and :math:`T_j \sin k\theta_j`,
+with :math:`T_j` the joint's column of the Jacobian. All orders share :math:`T_j`, so that the inner
+products with any other columns R need two steps: the contraction :math:`s = w\, T_j \cdot R` over
+x, y and z, and the sums :math:`\sum_n s_n \exp(i k \theta_n)` for all orders k. Few orders are
+summed up as they stand. For many of them every :math:`s_n` is spread over the nearest points of a
+fine grid of angles, by a smooth kernel; the fast Fourier transform of the grid, divided by that of
+the kernel, holds all orders to the last digits of double precision (a nonuniform fast Fourier
+transform [1]_). The time then hardly depends on the number of orders.
+
+Of the Gram matrix of all candidates only the 2 x 2 blocks on its diagonal are summed up beforehand,
+and the rows of those candidates that the choice asks for.
+
+References
+----------
+.. [1] A. H. Barnett, J. Magland, L. af Klinteberg, "A parallel nonuniform fast Fourier transform
+   library based on an exponential of semicircle kernel", SIAM J. Sci. Comput. 41(5), 2019,
+   C479-C504.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import next_fast_len, rfft
+from scipy.sparse import csr_array
+
+from sklearn_raacmm.error_model._columns import observed_columns
+from sklearn_raacmm.inference import GramRows, Sums
+from sklearn_raacmm.utils import chunk_size, chunks
+
+# Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
+_CHUNK = 1024
+# Gram rows summed up at a time, at most: 40 MB of grids for 400 orders of six joints.
+_LARGEST_BATCH = 192
+# Divides the sums of positions without weight.
+_TINY = 1e-300
+# Orders and poses from which on the grid is faster: ``benchmarks/bench_fit.py`` with 96 columns.
+_MANY_ORDERS, _MANY_POSES = 128, 256
+# Points of the grid for each order up to the highest, points under the kernel, and how sharp the
+# kernel is beside the sharpest that the grid allows. With 1000 orders the error is that of the
+# phase of the highest one; 13 points under the kernel leave ten times as much
+# (``tests/error_model/test_wave_sums.py``).
+_PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
+# Nodes of the integral that is the kernel's own transform: to the last digit with half of them.
+_NODES = 64
+
+
+def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
+    """Sum up what the choice of harmonics needs.
+
+    Parameters
+    ----------
+    arm : Arm
+    angles : ndarray of shape (n, n_joints + n_extra)
+        In rad; then the extra columns.
+    y : ndarray of shape (n, 3) or (n, 6)
+        Residuals in mm; then those of the orientation in rad times `turn_mm`.
+    weights : ndarray of shape (n,)
+        Where positions have no offsets also changes of weights, which may be negative.
+    codes : ndarray of shape (n,) or None
+        Position of each row, from 0, where positions have offsets. Offsets are taken out exactly,
+        by the deviations from weighted means (Frisch-Waugh theorem).
+    offered : ndarray of shape (n_pairs, 2)
+        Joint from 0 and order of each candidate, sorted by joint.
+    terms : Terms
+        The columns that are always in; its harmonics are not used.
+    turn_mm : float, default=0
+        See :func:`observed_columns`.
+
+    Returns
+    -------
+    Sums
+        The first column of a pair is the cosine.
+    """
+    poses = _sorted_poses(angles, y, weights, codes)
+    spans = _joint_spans(offered)
+    n_joints = len(arm.a)
+    every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
+    terms = terms._replace(harmonics=every_turn)
+    turns = np.empty((*y.shape, n_joints))
+    gram, own = 0.0, np.zeros((3, len(offered)))
+    cross = [_WaveSums(orders, len(y)) for _, orders, _ in spans]
+    for rows, starts in poses.parts:
+        columns = observed_columns(arm, poses.angles[rows], terms, turn_mm)
+        turns[rows] = columns[:, :, : 2 * n_joints : 2]  # the cosines of order 0
+        columns = np.concatenate([columns[:, :, 2 * n_joints :], poses.y[rows, :, None]], axis=2)
+        weighted = _weighted_deviations(columns, poses.weights[rows], starts)
+        flat = columns.reshape(-1, columns.shape[2])
+        gram = gram + flat.T @ weighted.reshape(flat.shape)
+        for sums, (joint, _, _) in zip(cross, spans, strict=True):
+            share = np.einsum("ncm,nc->nm", weighted, turns[rows, :, joint])
+            sums.add(poses.angles[rows, joint], share)
+        own += _own_blocks(turns[rows], poses.angles[rows], poses.weights[rows], starts, spans)
+    cross = _products(cross, len(gram))
+
+    def rows_of(pairs):
+        pairs, size = offered[pairs], _LARGEST_BATCH
+        parts = [pairs[i : i + size] for i in range(0, len(pairs), size)]
+        return np.concatenate([_gram_rows(poses, turns, spans, part) for part in parts])
+
+    n_observations = float(y.shape[1]) * (poses.weights.sum() - poses.n_groups)
+    return Sums(
+        gram[:-1, :-1],
+        gram[:-1, -1],
+        cross[:-1],
+        own,
+        cross[-1],
+        float(gram[-1, -1] if codes is None else max(gram[-1, -1], 0.0)),
+        n_observations if codes is None else max(n_observations, 0.0),
+        GramRows(rows_of, 2 * len(offered)),
+    )
+
+
+class _Poses(NamedTuple):
+    """Poses sorted by position, in chunks of whole positions."""
+
+    angles: np.ndarray
+    y: np.ndarray
+    weights: np.ndarray
+    parts: list  # (rows, first row of each position in the chunk or None)
+    n_groups: int
+
+
+def _sorted_poses(angles, y, weights, codes):
+    """Whole positions stay together, so that a chunk knows the means that it takes out."""
+    if codes is None:
+        parts = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
+        return _Poses(angles, y, weights, parts, 0)
+    order = np.argsort(codes, kind="stable")
+    first = np.flatnonzero(np.diff(codes[order], prepend=-1))
+    ends, parts, begin = np.append(first[1:], len(angles)), [], 0
+    limit = chunk_size(_CHUNK)
+    for i, end in enumerate(ends):
+        last = i + 1 == len(ends)
+        if last or ends[i + 1] - first[begin] > limit:
+            parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
+            begin = i + 1
+    return _Poses(angles[order], y[order], weights[order], parts, len(first))
+
+
+def _joint_spans(offered):
+    """(joint, orders, columns) for each joint with candidates."""
+    joints = offered[:, 0]
+    if np.any(np.diff(joints) < 0):
+        raise ValueError("The harmonics offered must be sorted by joint.")
+    spans = []
+    for joint in np.unique(joints).tolist():
+        low, high = np.searchsorted(joints, [joint, joint + 1])
+        spans.append((joint, offered[low:high, 1], slice(low, high)))
+    return spans
+
+
+def _weighted_deviations(columns, weights, starts):
+    """Weights times deviations from the position's mean: one side of a product is enough."""
+    weighted = weights[:, None, None] * columns
+    if starts is not None:
+        total = np.maximum(np.add.reduceat(weights, starts), _TINY)[:, None, None]
+        mean = np.add.reduceat(weighted, starts, axis=0) / total
+        counts = np.diff(starts, append=len(weights))
+        weighted -= weights[:, None, None] * np.repeat(mean, counts, axis=0)
+    return weighted
+
+
+def _products(sums, n_columns):
+    """Inner products of the columns with all candidates, (m, 2 n_pairs)."""
+    if not sums:
+        return np.empty((n_columns, 0))
+    return np.concatenate([joint_sums.result() for joint_sums in sums], axis=1)
+
+
+def _own_blocks(turns, angles, weights, starts, spans):
+    """cos'cos, sin'sin and cos'sin of each candidate, (3, n_pairs)."""
+    out = np.empty((3, sum(len(orders) for _, orders, _ in spans)))
+    for joint, orders, pairs in spans:
+        turn, theta = turns[:, :, joint], angles[:, joint]
+        size = weights * np.square(turn).sum(axis=1)
+        double = _sums_of_doubles(theta, size, orders)
+        cc, ss = 0.5 * (size.sum() + double.real), 0.5 * (size.sum() - double.real)
+        cs = 0.5 * double.imag
+        if starts is not None:
+            means = waves(theta, orders)
+            total = np.maximum(np.add.reduceat(weights, starts), _TINY)
+            for component in range(turn.shape[1]):
+                sums = np.add.reduceat((weights * turn[:, component])[:, None] * means, starts)
+                sums /= np.sqrt(total)[:, None]
+                cc -= np.square(sums.real).sum(axis=0)
+                ss -= np.square(sums.imag).sum(axis=0)
+                cs -= (sums.real * sums.imag).sum(axis=0)
+        out[:, pairs] = cc, ss, cs
+    return out
+
+
+def _gram_rows(poses, turns, spans, pairs):
+    """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
+    found = [_WaveSums(orders, len(poses.angles)) for _, orders, _ in spans]
+    (joints, order), twice = pairs.T, np.repeat(pairs[:, 0], 2)
+    for rows, starts in poses.parts:
+        angles, turn, weights = poses.angles[rows], turns[rows], poses.weights[rows]
+        phase = order * angles[:, joints]
+        wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
+        columns = None
+        if starts is not None:
+            columns = _weighted_deviations(turn[:, :, twice] * wave[:, None], weights, starts)
+        for sums, (joint, _, _) in zip(found, spans, strict=True):
+            if columns is None:  # the turns of the joints alone are contracted
+                along = np.einsum("ncj,nc->nj", turn, weights[:, None] * turn[:, :, joint])
+                share = np.take(along, twice, axis=1) * wave
+            else:
+                share = np.einsum("ncm,nc->nm", columns, turn[:, :, joint])
+            sums.add(angles[:, joint], share)
+    return _products(found, 2 * len(pairs))
+
+
+class _WaveSums:
+    """Sums over poses of columns times ``exp(i k theta)``, for the orders k of one joint.
+
+    Parameters
+    ----------
+    orders : ndarray of shape (n_orders,)
+        Sorted.
+    n_poses : int
+        That there will be in all.
+    """
+
+    def __init__(self, orders, n_poses):
+        self.orders, self._total = orders, 0.0
+        self._grid = _grid(int(orders[-1])) if _on_grid(orders, n_poses) else None
+
+    def add(self, theta, columns):
+        """Add some poses: angles (n,) in rad, columns (n, m)."""
+        if self._grid is None:
+            self._total = self._total + columns.T @ waves(theta, self.orders).view(float)
+        else:
+            self._total = self._total + _spread(theta, self._grid).T @ columns
+
+    def result(self):
+        """Real and imaginary part of each order by turns, (m, 2 n_orders)."""
+        if self._grid is None:
+            return self._total
+        found = rfft(np.ascontiguousarray(self._total.T), axis=1).take(self.orders, axis=1)
+        return np.conj(found * self._grid.correction[self.orders]).view(float)
+
+
+def _sums_of_doubles(theta, size, orders):
+    """Sums over poses of sizes (n,) times ``exp(2 i k theta)``, (n_orders,) complex."""
+    if not _on_grid(orders, len(theta)):
+        return size @ np.square(waves(theta, orders))
+    sums = _WaveSums(2 * orders, len(theta))
+    sums.add(theta, size[:, None])
+    return sums.result().view(complex).ravel()
+
+
+def _on_grid(orders, n_poses):
+    return len(orders) >= _MANY_ORDERS and n_poses >= _MANY_POSES
+
+
+def waves(theta, orders):
+    """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
+    n = np.count_nonzero(orders == np.arange(1, len(orders) + 1))
+    out = np.empty((len(theta), len(orders)), dtype=complex)
+    if n:
+        out[:, 0] = np.exp(1j * theta)
+    have = 1
+    while have < n:
+        more = min(have, n - have)
+        np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
+        have += more
+    if n < len(orders):
+        phase = theta[:, None] * orders[n:]
+        np.cos(phase, out=out.real[:, n:])
+        np.sin(phase, out=out.imag[:, n:])
+    return out
+
+
+class _Grid(NamedTuple):
+    size: int  # points around the circle
+    sharpness: float
+    correction: np.ndarray  # (highest + 1,) one over the transform of the kernel
+
+
+@lru_cache(maxsize=16)
+def _grid(highest):
+    size = next_fast_len(_PER_ORDER * highest, real=True)
+    sharpness = _SHARPNESS * np.pi * _WIDTH * (1 - highest / size)
+    nodes, shares = np.polynomial.legendre.leggauss(_NODES)
+    phase = np.outer(np.arange(highest + 1), nodes * _WIDTH * np.pi / size)
+    transform = np.cos(phase) @ (shares * _kernel(nodes, sharpness)) * _WIDTH / 2
+    return _Grid(size, sharpness, 1 / transform)
+
+
+def _kernel(x, sharpness):
+    """Exponential of a semicircle, between -1 and 1."""
+    return np.exp(sharpness * (np.sqrt(np.maximum(1 - x * x, 0.0)) - 1))
+
+
+def _spread(theta, grid):
+    """What each angle gives to the points of the grid around it, (n, size) sparse."""
+    at = np.mod(theta / (2 * np.pi), 1.0) * grid.size
+    points = np.ceil(at - _WIDTH / 2).astype(np.int32)[:, None] + np.arange(_WIDTH, dtype=np.int32)
+    values = _kernel((points - at[:, None]) * (2 / _WIDTH), grid.sharpness)
+    ends = np.arange(0, values.size + 1, _WIDTH, dtype=np.int32)
+    points %= grid.size
+    return csr_array((values.ravel(), points.ravel(), ends), shape=(len(theta), grid.size))

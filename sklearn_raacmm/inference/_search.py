@@ -1,0 +1,307 @@
+r"""Which structures are in: lines by orthogonal least squares on the evidence, the field by a gate.
+
+A line joins if that raises the log evidence by more than its price. Selection is that of orthogonal
+least squares, on the penalised Gram matrix instead of the columns, a pair at a time. Choice and
+variances take turns: lines join at the variances at hand, the variances follow the choice, and
+lines that the others have made needless leave, while the evidence less the prices rises.
+
+Lines that were not taken are not known to be absent: that each is small is all that is known. The
+field lets many pairs join together, each with a small share of one variance. It is tried where a
+bound of its gain promises enough, and stays if the evidence less the prices rises by its price.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg.blas import dtrsm
+
+from sklearn_raacmm.inference._linear import MAX_STEPS, SMALL_RISE, columns_of, root_of
+
+# Rounds of the choice at most; it stops by the evidence, and few problems take more than five.
+_MAX_ROUNDS = 10
+# Steps of the variances between two looks at which lines have become needless: 1 and 2 end alike.
+_STEPS_WHILE_LEAVING = 1
+# Of the next best candidates, how many are named as likely to be asked for next.
+_LIKELY = 48
+# The field is tried where this share of its price is promised; sizes of its variance that are tried
+# for that, relative to that of the lines.
+_LEAST_PROMISE, _FIELD_SIZES = 0.6, 10.0 ** np.arange(-4.0, 0.5, 0.5)
+
+
+def search(problem, state=None):
+    """Lines that are worth their price, and their variances.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State, default=None
+        Of nearly the same data: its variances are where the search begins, and if the field is in,
+        it stays; its lines then are where the choice begins, too. None: from nothing.
+
+    Returns
+    -------
+    State
+    """
+    if state is None:
+        best = problem.nothing()
+    else:
+        lines = state.lines if state.with_field else state.lines[:0]
+        best = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+        best = _settled(problem, best) if state.with_field else best
+    value = net_evidence(problem, best)
+    for _ in range(_MAX_ROUNDS):
+        lines = _extended(problem, best)
+        if len(lines) == len(best.lines):
+            break
+        state = problem.state(lines, best.with_field, best.variance, best.noise_variance)
+        state = _settled(problem, state)
+        last, value = value, net_evidence(problem, state)
+        if not value > last + SMALL_RISE:
+            break
+        best = state
+    return best
+
+
+def search_at(problem, state):
+    """Lines that are worth their price at the variances of a state, beside its field; no more.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+        Of a fit to more data.
+
+    Returns
+    -------
+    State
+    """
+    start = state.with_field, state.variance, state.noise_variance
+    lines = _extended(problem, state._replace(lines=state.lines[:0]))
+    return _pruned(problem, problem.state(lines, *start))
+
+
+def beside_field(problem, state):
+    """The choice beside the field, where the data speak for it.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+        Of lines alone.
+
+    Returns
+    -------
+    State or None
+        None where the field is not worth its price.
+    """
+    structures = problem.structures
+    if structures.share is None:
+        return None
+    size, rise = _promise(problem, state)
+    if rise < _LEAST_PROMISE * structures.field_price:
+        return None
+    variance = state.variance.copy()
+    variance[-1] = size
+    start = problem.state(state.lines, True, variance, state.noise_variance)
+    found = search(problem, start)
+    before = problem.with_variances(state)
+    if net_evidence(problem, found) < net_evidence(problem, before) + structures.field_price:
+        return None
+    return found
+
+
+def net_evidence(problem, state):
+    """Log evidence less the prices of the lines."""
+    return state.log_evidence - problem.structures.price[state.lines].sum()
+
+
+def _extended(problem, state):
+    """The lines of a state and those that raise the evidence by more than their price beside them.
+
+    With S the penalised Gram matrix of what is left of the columns beside the chosen ones and r
+    their products with what is left of y, a pair b raises the log evidence by
+    r_b' inv(S_b) r_b / 2 - log det(v S_b) / 2, v its prior variance.
+
+    S is never formed nor downdated as a whole: as in a pivoted Cholesky factorisation, the factor's
+    rows and the pairs' own 2 x 2 blocks suffice.
+    """
+    try:
+        left = _Leftover(problem, state)
+    except LinAlgError:  # so little noise that only rounding is left of the others
+        return state.lines
+    chosen, price = state.lines.tolist(), problem.structures.price[left.free]
+    alive = np.ones(len(left.free), dtype=bool)
+    while alive.any():
+        gain, sound = left.gains()
+        alive &= sound
+        net = np.where(alive, gain - price, -np.inf)
+        best = int(np.argmax(net))
+        if not net[best] > 0:
+            break
+        likely = np.argsort(-net, kind="stable")[: min(_LIKELY, np.count_nonzero(net > 0))]
+        alive[best] = False
+        try:
+            left.take(best, likely.tolist())
+        except LinAlgError:
+            continue
+        chosen.append(int(left.free[best]))
+    return np.sort(np.array(chosen, dtype=int))
+
+
+def _settled(problem, state):
+    """The state at its own variances, without lines that are needless there.
+
+    The variances follow a few steps at a time while lines leave, and settle at the end.
+    """
+    steps = _STEPS_WHILE_LEAVING
+    while True:
+        state = problem.with_variances(state, steps)
+        left = _pruned(problem, state)
+        if len(left.lines) < len(state.lines):
+            state, steps = left, _STEPS_WHILE_LEAVING
+        elif steps < MAX_STEPS:
+            steps = MAX_STEPS
+        else:
+            return state
+
+
+def _pruned(problem, state):
+    """The state without lines whose loss the others make good; at its variances.
+
+    All of them but the best go at once, then that one where it is needless still: each of two
+    lines that are the same is needless beside the other.
+    """
+    while True:
+        is_line = np.isin(state.pairs, state.lines, assume_unique=True)
+        net = state.gains[is_line] - problem.structures.price[state.lines]
+        needless = np.count_nonzero(net <= 0)
+        if not needless:
+            return state
+        worst = np.argsort(net, kind="stable")[: max(needless - 1, 1)]
+        lines = np.delete(state.lines, worst)
+        state = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+
+
+def _promise(problem, state):
+    """Variance of the field beside chosen lines, and rise of the evidence that it may bring.
+
+    As though its columns were independent of each other: what one shows is counted again for those
+    that resemble it, so that the rise is rather too large, and one product per column is enough.
+    """
+    structures = problem.structures
+    try:
+        left = _Leftover(problem, state)
+    except LinAlgError:  # so little noise that only rounding is left
+        return 1.0, -np.inf
+    shares = structures.share[left.free]
+    some = shares > 0
+    of_lines = state.variance[structures.line]
+    size = np.maximum(left.own[:2, some] - 1 / of_lines, 0.0)
+    seen = np.square(left.r.reshape(-1, 2)[some].T)
+    sizes = of_lines * shares[some] * _FIELD_SIZES[:, None, None]
+    rises = seen * sizes / (1 + size * sizes) - np.log1p(size * sizes)
+    rises = 0.5 * rises.sum(axis=(1, 2))
+    best = int(np.argmax(rises))
+    return of_lines * _FIELD_SIZES[best], float(rises[best])
+
+
+class _Leftover:
+    """What the columns that are in leave of the candidates, at the variances of a state.
+
+    Arrays over candidates hold those that are not in at the beginning, `free`: of others nothing is
+    left, and nothing is asked.
+    """
+
+    def __init__(self, problem, state):
+        sums, noise, structures = problem.sums, state.noise_variance, problem.structures
+        self.sums, self.noise = sums, noise
+        pairs, shares = problem.pairs_and_shares(state.lines, state.with_field)
+        self.free = np.setdiff1d(np.arange(sums.own.shape[1]), pairs)
+        self.prior = state.variance[structures.line]
+        self.columns, chosen = columns_of(self.free), columns_of(pairs)
+        self.r = sums.candidate_moment[self.columns] / noise
+        self.own = sums.own[:, self.free] / noise + np.array([[1.0], [1.0], [0.0]]) / self.prior
+        self.extra = None
+        m = len(sums.gram)
+        self.size = m + len(chosen)
+        self.factor = np.empty((self.size + 64, len(self.columns)))
+        self.factor[:m] = sums.cross[:, self.columns]
+        self.factor[m : self.size] = sums.rows(pairs, (), self.free)
+        S = np.zeros((self.size, self.size))  # of which one triangle is used
+        S[:m, :m], S[:m, m:] = sums.gram, sums.cross[:, chosen]
+        S[m:, m:] = sums.rows(pairs, (), pairs)
+        S /= noise
+        r = np.concatenate([sums.moment, sums.candidate_moment[chosen]]) / noise
+        if problem.extra is not None:
+            r += self._add_extra(problem.extra, sums.cross.shape[1], chosen, S)
+        S[np.diag_indices(self.size)] += 1 / (state.variance @ shares)
+        if self.size and len(self.columns):
+            root = _root_of_parts(S, m)
+            # The transpose is in Fortran order: the factor is solved for in place.
+            dtrsm(1 / noise, root, self.factor[: self.size].T, side=1, overwrite_b=1)
+            self._explain(self.factor[: self.size], solve_triangular(root, r, trans="T"))
+
+    def _add_extra(self, extra, n_waves, chosen, S):
+        """Add what other observations say of all columns; of the chosen ones, their products."""
+        scale = 1 / np.sqrt(extra.variance + self.noise * extra.share)
+        rows, values = extra.rows * scale[:, None], extra.values * scale
+        known = rows[:, np.r_[n_waves : rows.shape[1], chosen]]
+        self.extra = rows[:, self.columns]
+        S += known.T @ known
+        self.factor[: self.size] += self.noise * (known.T @ self.extra)
+        first, second = self.extra[:, ::2], self.extra[:, 1::2]
+        both = (first, first), (second, second), (first, second)
+        self.own += [(a * b).sum(axis=0) for a, b in both]
+        self.r += self.extra.T @ values
+        return known.T @ values
+
+    def _explain(self, rows, solved):
+        """Take off what rows of the factor explain; `solved` are their products with y."""
+        first, second = rows[:, ::2], rows[:, 1::2]
+        squares = np.einsum("kc,kc->c", rows, rows)
+        self.own -= [squares[::2], squares[1::2], np.einsum("kc,kc->c", first, second)]
+        self.r -= solved @ rows
+
+    def take(self, candidate, likely):
+        """Choose a candidate; LinAlgError if only rounding is left of it."""
+        columns = columns_of([candidate])
+        pairs, others = self.free[[candidate]], self.free[np.asarray(likely, dtype=int)]
+        rows = self.sums.rows(pairs, others.tolist(), self.free) / self.noise
+        if self.extra is not None:
+            rows += self.extra[:, columns].T @ self.extra
+        known = self.factor[: self.size]
+        rows -= known[:, columns].T @ known
+        block = rows[:, columns]
+        root = cholesky(0.5 * (block + block.T) + np.eye(2) / self.prior, check_finite=False)
+        solved = solve_triangular(root, self.r[columns], trans="T", check_finite=False)
+        rows = solve_triangular(root, rows, trans="T", check_finite=False)
+        if self.size + 2 > len(self.factor):
+            self.factor = np.concatenate([self.factor, np.empty_like(self.factor)])
+        self.factor[self.size : self.size + 2] = rows
+        self.size += 2
+        self._explain(rows, solved)
+
+    def gains(self):
+        """Rise of the log evidence by each free candidate, and whether it can be trusted."""
+        (a, d, o), x, z = self.own, self.r[::2], self.r[1::2]
+        determinant = a * d - o * o
+        volume = determinant * self.prior**2
+        # A posterior wider than the prior is rounding.
+        sound = volume >= 1 - 1e-6
+        safe = np.where(sound, determinant, 1.0)
+        gain = 0.5 * (x * x * d - 2 * x * z * o + z * z * a) / safe
+        return gain - 0.5 * np.log(np.where(sound, np.maximum(volume, 1.0), 1.0)), sound
+
+
+def _root_of_parts(S, m):
+    """Upper Cholesky factor of S, whose first m columns may hold rounding, but not the others."""
+    root = np.zeros(S.shape, order="F")
+    root[:m, :m] = first = root_of(S[:m, :m]) if m else S[:m, :m]
+    beside = solve_triangular(first, S[:m, m:], trans="T", check_finite=False) if m else S[:m, m:]
+    left = S[m:, m:] - beside.T @ beside
+    root[:m, m:] = beside
+    if len(left):
+        root[m:, m:] = cholesky(0.5 * (left + left.T), check_finite=False)
+    return root

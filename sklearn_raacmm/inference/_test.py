@@ -1,0 +1,120 @@
+"""Score tests: which causes explain what is left of rows whose covariance is known."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2
+
+# A direction that the rows show by less than this part of the cause itself, or of the strongest
+# direction, is rounding and not tested; a nuisance that is that much smaller than the largest one.
+_TAKEN_UP, _UNSEEN, _ROUNDING = 1e-6, 1e-8, 1e-10
+# A cause that explains less than this share of what is too much leaves the most of it unexplained.
+# Judged by benchmarks/bench_check.py, which counts the causes that are named rightly.
+_LEAST_SHARE = 0.3
+
+
+class Whitened:
+    """Rows divided by a root of their covariance, without what nuisances do to them.
+
+    Parameters
+    ----------
+    root : ndarray of shape (m, m)
+        Lower root of the covariance.
+    nuisance : ndarray of shape (m, k)
+        Columns whose coefficients may be anything.
+
+    Attributes
+    ----------
+    freedom : int
+        Rows less the nuisances that they show.
+
+    Examples
+    --------
+    Two numbers of which only the difference says something:
+
+    >>> import numpy as np
+    >>> from sklearn_raacmm.inference import Whitened
+    >>> whiten = Whitened(2 * np.eye(2), np.ones((2, 1)))
+    >>> whiten(np.array([8.0, 4.0])).round(12).tolist(), whiten.freedom
+    ([1.0, -1.0], 1)
+    """
+
+    def __init__(self, root, nuisance):
+        self.root = root
+        basis = self.scaled(nuisance)
+        if basis.size:
+            u, size, _ = np.linalg.svd(basis, full_matrices=False)
+            basis = u[:, size > _ROUNDING * size.max()]
+        self.basis = basis
+        self.freedom = len(root) - basis.shape[1]
+
+    def scaled(self, values):
+        """Values divided by the root, the nuisances among them."""
+        return solve_triangular(self.root, values, lower=True, check_finite=False)
+
+    def __call__(self, values):
+        """Values divided by the root, less what the nuisances explain of them."""
+        values = self.scaled(values)
+        return values - self.basis @ (self.basis.T @ values)
+
+
+def score_tests(causes, whiten, residual):
+    """Test the size of all residuals, and for each cause whether it is there.
+
+    What of a cause is not taken up by the nuisances spans some directions. If the covariance is
+    right, the squares of the residuals along these are a chi-squared variable (C. R. Rao, Proc.
+    Camb. Phil. Soc. 44, 1948).
+
+    Parameters
+    ----------
+    causes : dict of str to ndarray of shape (m, k)
+        What each cause does to the rows.
+    whiten : Whitened
+    residual : ndarray of shape (m,)
+
+    Returns
+    -------
+    tests : structured ndarray
+        `cause`, `statistic`, `freedom` and `p_value`: of "noise", all residuals, first, then of
+        each cause that the rows show.
+    """
+    left = whiten(residual)
+    rows = [("noise", left @ left, whiten.freedom)]
+    for name, columns in causes.items():
+        alone = np.linalg.norm(whiten.scaled(columns))
+        u, size, _ = np.linalg.svd(whiten(columns), full_matrices=False)
+        # What the nuisances take up all of is rounding.
+        seen = u[:, size > max(_TAKEN_UP * alone, _UNSEEN * size.max(initial=0.0))]
+        if seen.shape[1]:
+            rows.append((name, np.square(seen.T @ left).sum(), seen.shape[1]))
+    dtype = [("cause", "U24"), ("statistic", "f8"), ("freedom", "i4"), ("p_value", "f8")]
+    tests = np.array([(*row, 0.0) for row in rows], dtype=dtype)
+    tests["p_value"] = chi2.sf(tests["statistic"], tests["freedom"])
+    return tests
+
+
+def best_cause(tests):
+    """The cause that explains most for its numbers (BIC), or "noise" if it leaves too much.
+
+    Where the best cause leaves residuals no better than before it is not the cause.
+
+    Parameters
+    ----------
+    tests : structured ndarray
+        Of :func:`score_tests`.
+
+    Returns
+    -------
+    str
+    """
+    whole, causes = tests[0], tests[1:]
+    if not len(causes):
+        return "noise"
+    worth = causes["statistic"] - causes["freedom"] * np.log(whole["freedom"])
+    best = int(np.argmax(worth))
+    too_much = whole["statistic"] - whole["freedom"]  # what the residuals exceed expectation by
+    if worth[best] <= 0 or causes["statistic"][best] < _LEAST_SHARE * too_much:
+        return "noise"
+    return str(causes["cause"][best])

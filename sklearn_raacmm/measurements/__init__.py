@@ -1,0 +1,8 @@
+"""What was measured, and what is to be said about it."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.measurements._moved_seats import MOVED, find_steps, warn_of_moved_seats
+
+__all__ = ["MOVED", "find_steps", "warn_of_moved_seats"]

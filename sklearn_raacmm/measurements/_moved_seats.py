@@ -1,0 +1,314 @@
+"""Steps in the residuals of one position: its socket, or the arm's base, moved during the test."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.utils import chunks, encode_groups, warn_user
+
+# Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
+# beyond ten a slow change of the residuals counts as much as a step.
+_WINDOWS, _LEAST = (3, 5, 10), 3
+# Squared size of a step over its variance from which on it is one, 5.5 standard deviations of a
+# coordinate with ten poses on either side. The largest of 12 000 poses of a UR10 whose reference
+# cannot have moved is 112; the two sockets of a Panda that did move have 889 and 521.
+_LIMIT = 150.0
+# Ratios that are looked at, their quantile that is compared (a moved one of four positions does not
+# change it much), and what it is of independent normal errors.
+_TRIED, _QUANTILE, _USUAL = 200, 0.7, 4.8
+# Orders of the rows that are tried, and how many of them may look as orderly as the one given:
+# of rows that were shuffled the order means nothing.
+_ORDERS, _AS_ORDERLY = 1999, 4
+# Rows beside the step whose order is tried: the table of their distances stays small.
+_BESIDE = 100
+# Rows closer than this in joint space, in rad, are one pose that was recorded several times.
+_SAME_POSE = 0.01
+# Squared length of a normal error in three coordinates, in the median, in units of its variance.
+_MEDIAN_SQUARE = 2.366
+# Distances of poses are told apart in so many classes, of at least so many pairs each.
+_CLASSES, _PAIRS = 10, 50
+# Standard deviations of a coordinate beyond which a pose that differs from its neighbours in the
+# order of the test is left out: more than in the fit, for among the neighbours there may be a step.
+_OUTLIER = 8.0
+# No arm measures with less noise, in mm: rounding is no step.
+_LEAST_NOISE_MM = 1e-3
+# Positions, and steps of each, that the sentence names.
+_NAMED = 3
+# How the sentence begins: who fits to a part of the rows filters it, for its rows have other
+# numbers there.
+MOVED = "The fixed point seems to have moved during the test:"
+
+
+class Step(NamedTuple):
+    """A step of the residuals between two rows of one position."""
+
+    code: int
+    before: int  # the last row before it
+    after: int  # the first row after it
+    size_mm: float
+
+
+def find_steps(left, angles, codes, noise_variance=0.0):
+    r"""Steps of residuals in the order of the rows, position by position.
+
+    What a model leaves at two poses of one position differs the more, the farther the poses are
+    apart, but it does not jump between two rows while poses as far apart elsewhere agree. With A
+    and B the poses before and after a possible step, :math:`\gamma(h)` half of the mean square
+    difference of two poses at the distance h in joint space (the semivariogram, from medians of all
+    positions), the difference of the two means has the variance
+
+    .. math:: 2 \bar\gamma(A, B) - \bar\gamma(A, A) - \bar\gamma(B, B)
+
+    in every coordinate. Positions are divided at the largest ratio, then their parts.
+
+    Parameters
+    ----------
+    left : ndarray of shape (n, 3)
+        What the model leaves of the residuals, mm; a constant of each position plays no part.
+    angles : ndarray of shape (n, n_joints)
+        In rad.
+    codes : ndarray of shape (n,)
+        Position of each row, from 0; the rows of a position in the order in which they were taken.
+    noise_variance : float, default=0
+        Of a coordinate, mm^2: no two poses are expected to agree more closely.
+
+    Returns
+    -------
+    list of Step
+        In the order of positions and rows.
+
+    Notes
+    -----
+    Rows of the same pose in a row are one. A pose that differs from the median of the five about
+    it is an outlier, not a step. Where the order of the rows means nothing, as after shuffling,
+    neighbours in it differ as much as others do; nothing is then found.
+    """
+    poses = _Poses.of(left, angles, codes)
+    poses = poses.at(np.bincount(poses.codes)[poses.codes] >= 2 * _LEAST)
+    if not len(poses.codes):
+        return []
+    spread = _Spread.of(poses, noise_variance)
+    alone = _alone(poses, _OUTLIER * np.sqrt(spread.half[-1]))
+    kept = poses.at(~alone)
+    spread = spread.as_wide_as(kept)
+    found = []
+    for code in np.unique(kept.codes[_contrasts(kept, spread, _LIMIT) > _LIMIT]).tolist():
+        one = kept.at(kept.codes == code)
+        cuts, clearest = _cuts(one, spread)
+        if not cuts:
+            continue
+        sizes = _sizes(one.left, cuts)
+        if _in_order(poses.at(poses.codes == code), one.first[clearest[0]], max(sizes)):
+            rows = [(int(one.last[k - 1]), int(one.first[k])) for k in cuts]
+            found += [Step(code, *pair, size) for pair, size in zip(rows, sizes, strict=True)]
+    return found
+
+
+def warn_of_moved_seats(left, angles, weights, groups, noise_variance):
+    """Name positions that have moved during the test, in one warning.
+
+    Parameters
+    ----------
+    left, angles, noise_variance
+        As for `find_steps`, of all rows.
+    weights : ndarray of shape (n,)
+        Rows without weight do not count.
+    groups : array-like of shape (n,)
+        Label of the position of each row.
+    """
+    labels, codes = encode_groups(groups)
+    rows = np.flatnonzero(weights > 0)
+    steps = find_steps(left[rows], angles[rows], codes[rows], noise_variance)
+    if not steps:
+        return
+    moved = sorted({step.code for step in steps})
+    named = []
+    for code in moved[:_NAMED]:
+        of = [step for step in steps if step.code == code]
+        largest = sorted(sorted(of, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
+        parts = [
+            f"{step.size_mm:.3g} mm between rows {rows[step.before]} and {rows[step.after]}"
+            for step in largest
+        ]
+        more = f" and {len(of) - _NAMED} more times" * (len(of) > _NAMED)
+        named.append(f"position {labels[code].item()!r} by {', by '.join(parts)}{more}")
+    more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
+    warn_user(
+        f"{MOVED} {'; '.join(named)}{more} (rows counted from 0). No model of the arm can follow "
+        "that: fasten the socket and the arm's base and measure again, or give the rows after each "
+        "step a label of their own."
+    )
+
+
+class _Poses(NamedTuple):
+    """Poses, position by position, in the order of their rows."""
+
+    left: np.ndarray  # (n, 3) mm
+    place: np.ndarray  # (n, 2 n_joints) cosines and sines of the angles
+    codes: np.ndarray  # (n,)
+    first: np.ndarray  # (n,) first and last row of each pose
+    last: np.ndarray
+
+    @classmethod
+    def of(cls, left, angles, codes):
+        """Sort rows by position; rows in a row at the same pose become one."""
+        rows = np.argsort(codes, kind="stable")
+        place = np.hstack([np.cos(angles[rows]), np.sin(angles[rows])])
+        way = np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1)
+        stretch = np.floor(np.cumsum(way) / _SAME_POSE)
+        new = np.diff(stretch, prepend=-1) != 0
+        new[1:] |= np.diff(codes[rows]) != 0
+        first = np.flatnonzero(new)
+        if not len(first):
+            return cls(left, place, codes, rows, rows)
+        size = np.diff(first, append=len(rows))[:, None]
+        mean = np.add.reduceat(left[rows], first, axis=0) / size
+        last = rows[np.r_[first[1:], len(rows)] - 1]
+        return cls(mean, place[first], codes[rows][first], rows[first], last)
+
+    def at(self, which):
+        return _Poses(*(values[which] for values in self))
+
+
+class _Spread(NamedTuple):
+    """Half of the mean square difference of a coordinate at two poses, by their distance."""
+
+    edges: np.ndarray  # distances between which a class lies
+    half: np.ndarray  # mm^2
+
+    @classmethod
+    def of(cls, poses, noise_variance):
+        """Find it from all pairs that windows may hold, by medians: steps are in few of them."""
+        distance, square = [], []
+        for lag in range(1, 2 * max(_WINDOWS)):
+            same = np.flatnonzero(poses.codes[lag:] == poses.codes[:-lag])
+            for values, out in ((poses.place, distance), (poses.left, square)):
+                out.append(np.square(values[same + lag] - values[same]).sum(axis=1))
+        distance, square = np.sqrt(np.concatenate(distance)), np.concatenate(square)
+        n = max(min(_CLASSES, len(distance) // _PAIRS), 1)
+        edges = np.quantile(distance, np.arange(1, n) / n)
+        of = np.searchsorted(edges, distance)
+        medians = [np.median(square[of == i]) if np.any(of == i) else 0.0 for i in range(n)]
+        half = np.maximum.accumulate(np.array(medians) / (2 * _MEDIAN_SQUARE))
+        return cls(edges, np.maximum(half, max(noise_variance, _LEAST_NOISE_MM**2)))
+
+    def as_wide_as(self, poses):
+        """The same, such that most differences of runs of poses are as large as expected.
+
+        A model that is far from complete leaves errors that change faster in some directions of
+        joint space than the distance tells.
+        """
+        tried = np.linspace(0, len(poses.codes), _TRIED, endpoint=False).astype(int)
+        ratio = _contrasts(poses, self, 0.0, np.unique(tried))
+        ratio = ratio[ratio >= 0]
+        wider = np.quantile(ratio, _QUANTILE) / _USUAL if len(ratio) else 1.0
+        return self._replace(half=self.half * max(wider, 1.0))
+
+    def of_difference(self, place, n_before):
+        """Variance of a coordinate of the difference of the means of two runs of poses."""
+        apart = np.linalg.norm(place[:, None] - place, axis=2)
+        half = self.half[np.searchsorted(self.edges, apart)]
+        np.fill_diagonal(half, 0.0)
+        a, b = slice(n_before), slice(n_before, None)
+        found = 2 * half[a, b].mean() - half[a, a].mean() - half[b, b].mean()
+        return max(found, self.of_noise(n_before, len(place) - n_before))
+
+    def of_noise(self, n_before, n_after):
+        """The least that it is."""
+        return self.half[0] * (1 / n_before + 1 / n_after)
+
+
+def _alone(poses, limit):
+    """Poses that differ from the median of the five about them: a step of three is kept."""
+    start, end = _ends(poses.codes)
+    middle = np.clip(np.arange(len(start)), start + 2, end - 3)
+    about = np.median(poses.left[middle[:, None] + np.arange(-2, 3)], axis=1)
+    return np.linalg.norm(poses.left - about, axis=1) > limit
+
+
+def _ends(codes):
+    """First row of the position of each row, and the row behind its last."""
+    first = np.flatnonzero(np.diff(codes, prepend=-1) != 0)
+    size = np.diff(first, append=len(codes))
+    return np.repeat(first, size), np.repeat(first + size, size)
+
+
+def _contrasts(poses, spread, limit, k=None):
+    """Squared step before each pose over its variance; a bound of it where that is below `limit`.
+
+    The largest of three lengths of the windows; negative where a position has too few poses on
+    one side.
+    """
+    k = np.arange(len(poses.codes)) if k is None else k
+    start, end = (ends[k] for ends in _ends(poses.codes))
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(poses.left, axis=0)])
+    largest = np.full(len(k), -np.inf)
+    for window in _WINDOWS:
+        low, high = np.maximum(start, k - window), np.minimum(end, k + window)
+        before, after = np.maximum(k - low, 1), high - k
+        step = (sums[high] - sums[k]) / after[:, None] - (sums[k] - sums[low]) / before[:, None]
+        square = np.square(step).sum(axis=1)
+        square[(k - start < _LEAST) | (end - k < _LEAST)] = -1.0
+        bound = square / spread.of_noise(before, after)
+        for i in np.flatnonzero(bound > np.maximum(limit, largest)):
+            variance = spread.of_difference(poses.place[low[i] : high[i]], before[i])
+            bound[i] = square[i] / variance
+        largest = np.maximum(largest, bound)
+    return largest
+
+
+def _cuts(poses, spread):
+    """First poses behind the steps of one position, in their order, and that of the clearest."""
+    found, parts = [], [(0, len(poses.codes))]
+    while parts:
+        low, high = parts.pop()
+        if high - low < 2 * _LEAST:
+            continue
+        ratio = _contrasts(poses.at(slice(low, high)), spread, _LIMIT)
+        k = int(np.argmax(ratio))
+        if ratio[k] > _LIMIT:
+            k = _sharpest(poses.left, low, low + k, high)
+            found.append(k)
+            parts += [(low, k), (k, high)]
+    return sorted(found), found[:1]
+
+
+def _sharpest(left, low, k, high):
+    """Of the cuts near k that with the least distances from the medians on its two sides."""
+    width = max(_WINDOWS)
+    a, b = max(low, k - width), min(high, k + width)
+    tried = range(max(low + _LEAST, k - _LEAST), min(high - _LEAST, k + _LEAST) + 1)
+
+    def distances(i):
+        sides = np.split(left[a:b], [i - a])
+        return sum(np.linalg.norm(s - np.median(s, axis=0), axis=1).sum() for s in sides)
+
+    return min(tried, key=distances)
+
+
+def _sizes(left, cuts):
+    """How far the means on either side of each cut are apart, between it and its neighbours."""
+    parts = np.split(left, cuts)
+    ends = [(before[-max(_WINDOWS) :], after[: max(_WINDOWS)]) for before, after in pairwise(parts)]
+    return [float(np.linalg.norm(b.mean(axis=0) - a.mean(axis=0))) for a, b in ends]
+
+
+def _in_order(poses, row, size):
+    """Whether few other orders of the poses about a row make a way as short as theirs.
+
+    Outliers, farther off than the size of the step, count as though they were as far.
+    """
+    k = int(np.searchsorted(poses.first, row))
+    left = poses.left[max(0, k - _BESIDE) : k + _BESIDE]
+    apart = np.minimum(np.linalg.norm(left[:, None] - left, axis=2), size)
+    rng, n = np.random.default_rng(0), len(left)
+    way = apart[np.arange(n - 1), np.arange(1, n)].sum()
+    shorter = 0
+    for tried in chunks(_ORDERS, 200):
+        order = rng.permuted(np.tile(np.arange(n), (tried.stop - tried.start, 1)), axis=1)
+        shorter += np.count_nonzero(apart[order[:, :-1], order[:, 1:]].sum(axis=1) <= way)
+    return shorter <= _AS_ORDERLY

@@ -1,0 +1,480 @@
+"""The model of an arm: what it finds, what it refuses to do, and what it is worth on real arms."""
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    calibrate,
+    position_residuals,
+)
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.error_model import Terms
+from sklearn_raacmm.error_model._columns import ARCSEC
+from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
+from sklearn_raacmm.metrics import gauge_lengths
+
+ARMS = {
+    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
+    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
+}
+ALONE = {"causes": []}
+
+
+def draw_angles(arm, n, seed=0, width=2.0):
+    return np.random.default_rng(seed).uniform(-width, width, (n, arm.n_joints))
+
+
+def displaced(arm, angles, errors_arcsec):
+    """What small angle errors do to the probe, by forward kinematics rather than the Jacobian."""
+    return arm.forward(angles + errors_arcsec * ARCSEC) - arm.forward(angles)
+
+
+@pytest.fixture(scope="module")
+def eccentric():
+    """Simulated: eccentric encoders and teeth, 400 poses, 3 micrometres of noise."""
+    arm = ARMS["standard"]
+    theta = draw_angles(arm, 400, seed=1)
+    error = np.zeros_like(theta)
+    error[:, 1] = 6 * np.cos(theta[:, 1] - np.deg2rad(40))
+    error[:, 3] = 4 * np.cos(17 * theta[:, 3] + np.deg2rad(100))
+    error[:, 5] = 9 * np.sin(2 * theta[:, 5])
+    y = displaced(arm, theta, error)
+    return arm, theta, y + np.random.default_rng(2).normal(0, 0.003, y.shape), y
+
+
+def test_chance_does_not_look_like_a_harmonic():
+    """Of 40 fits to noise, few find more than the lowest orders, which cost next to nothing."""
+    arm = ARMS["standard"]
+    theta = draw_angles(arm, 100)
+    for highest in (5, 60):
+        counts = []
+        for seed in range(20):
+            y = np.random.default_rng(seed).normal(size=(100, 3))
+            model = ArmResidualRegressor(arm, orders=highest, **ALONE).fit(theta, y)
+            counts.append(np.count_nonzero(model.harmonics_["order"] > 2))
+            assert np.linalg.norm(model.predict(theta), axis=1).mean() < 0.4  # of noise: 1.6
+        assert np.count_nonzero(counts) <= 5
+
+
+# -- the regressor --------------------------------------------------------------------------------
+
+
+def test_finds_what_was_put_in(eccentric):
+    arm, theta, y, truth = eccentric
+    model = ArmResidualRegressor(arm, **ALONE).fit(theta, y)
+    table = np.sort(model.harmonics_, order="joint")
+    assert table[["joint", "order"]].tolist() == [(2, 1), (4, 17), (6, 2)]
+    sd = table["cos_sd_arcsec"]
+    assert_allclose(table["amplitude_arcsec"], [6, 4, 9], atol=4 * sd.max())
+    off = (table["phase_deg"] - [40, -100, 90] + 180) % 360 - 180
+    assert np.all(np.abs(off) < 4 * np.rad2deg(sd / table["amplitude_arcsec"]))
+    assert 0.0027 < model.noise_sd_ < 0.0033
+    rms = np.sqrt(np.mean((model.predict(theta) - truth) ** 2))
+    assert rms < 2 * model.noise_sd_ * np.sqrt(6 / y.size)
+
+
+def test_largest_harmonic_first(eccentric):
+    arm, theta, y, _ = eccentric
+    amplitude = ArmResidualRegressor(arm, **ALONE).fit(theta, y).harmonics_["amplitude_arcsec"]
+    assert np.all(np.diff(amplitude) <= 0)
+
+
+def test_the_number_offered_hardly_matters(eccentric):
+    arm, theta, y, _ = eccentric
+    few, many = (ArmResidualRegressor(arm, orders=k, **ALONE).fit(theta, y) for k in (20, 100))
+    assert_array_equal(few.column_harmonics_, many.column_harmonics_)
+    assert_allclose(few.coef_, many.coef_, rtol=1e-2)
+
+
+def test_standard_deviations_are_honest(eccentric):
+    """Over ten draws of the noise, the error of the prediction is what is said of it."""
+    arm, theta, _, truth = eccentric
+    model = ArmResidualRegressor(arm, orders=20)
+    new = draw_angles(arm, 30, seed=9)
+    error = np.zeros_like(new)
+    error[:, 1] = 6 * np.cos(new[:, 1] - np.deg2rad(40))
+    error[:, 3] = 4 * np.cos(17 * new[:, 3] + np.deg2rad(100))
+    error[:, 5] = 9 * np.sin(2 * new[:, 5])
+    expected = displaced(arm, new, error)
+    squares = []
+    for seed in range(10):
+        y = truth + np.random.default_rng(seed).normal(0, 0.003, truth.shape)
+        mean, std = model.fit(theta, y).predict(new, return_std=True)
+        squares.append(np.mean(((mean - expected) / std) ** 2))
+    assert 0.5 < np.mean(squares) < 2.0
+
+
+def test_uncertainty_grows_away_from_the_data(eccentric):
+    arm, theta, _, _ = eccentric
+    corner, error = 0.5 + 0.25 * theta, np.zeros_like(theta)
+    error[:, 1] = 6 * np.cos(corner[:, 1])
+    y = (
+        displaced(arm, corner, error)
+        + np.random.default_rng(0).normal(0, 0.003, theta.shape)[:, :3]
+    )
+    model = ArmResidualRegressor(arm).fit(corner, y)
+    inside = model.predict(corner, return_std=True)[1].mean()
+    outside = model.predict(-corner, return_std=True)[1].mean()
+    assert outside > 1.5 * inside
+
+
+def gauge_errors(gauge, correction, length):
+    errors = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs) - gauge.lengths
+    return errors[gauge.lengths == length]
+
+
+@pytest.fixture(scope="module", params=["gravity", "typical", "eccentricity"])
+def gauges(request):
+    """Simulated: cones, and gauges of 300 and 500 mm in other places."""
+    options = {"machine": request.param, "random_state": 4}
+    return make_single_point(10, 30, **options), make_gauge(n_poses=6, **options)
+
+
+def test_scale_stays_that_of_the_calibration(gauges):
+    cone, gauge = gauges
+    model = ArmResidualRegressor(cone.arm, orders=4)
+    model.fit(cone.data, cone.target, groups=cone.groups)
+    before, after = (
+        np.stack([points[cone.groups == i].mean(axis=0) for i in range(10)])
+        for points in (cone.points, cone.points - model.predict(cone.data))
+    )
+    # The best similarity from one to the other, by Umeyama's formula: its scale is 1.
+    a, b = before - before.mean(axis=0), after - after.mean(axis=0)
+    scale = np.linalg.svd(a.T @ b, compute_uv=False).sum() / np.square(a).sum()
+    assert scale == pytest.approx(1, abs=1e-7)
+    assert np.abs(after - before).max() > 1e-2
+    errors = [
+        np.abs(gauge_errors(gauge, correction, 500)).mean()
+        for correction in (0.0, model.predict(gauge.data))
+    ]
+    assert errors[1] < 0.8 * errors[0]
+    # What is said of the coefficients is said after this.
+    assert_allclose(model.terms_["value"], model.coef_[-len(model.terms_) :])
+    _, std = model.predict(cone.data[:5], return_std=True)
+    assert np.all(std > 0)
+
+
+def test_without_kinematics_lengths_are_not_promised(gauges):
+    cone, _ = gauges
+    model = ArmResidualRegressor(cone.arm, orders=1, causes=[])
+    with pytest.warns(UserWarning, match="nothing holds the distances between positions") as seen:
+        model.fit(cone.data, cone.target, groups=cone.groups)
+    assert seen[0].filename == __file__
+    # No offsets, or known lengths: no warning.
+    model.fit(cone.data, cone.points - cone.simulation.true_points, groups=cone.groups)
+    means = cone.simulation.positions
+    known = [(0, 1, float(np.linalg.norm(means[0] - means[1])), 0.01)]
+    model.fit(cone.data, cone.target, groups=cone.groups, lengths=known)
+
+
+def test_known_lengths_join_the_fit(gauges):
+    """Trained with the gauges of 300 mm, judged by those of 500 mm."""
+    cone, gauge = gauges
+    short = np.isin(gauge.groups, gauge.pairs[gauge.lengths == 300])
+    theta = np.vstack([cone.data, gauge.data[short]])
+    y = np.vstack([cone.target, gauge.target[short]])
+    groups = np.r_[cone.groups, 100 + gauge.groups[short]]
+    known = [(100 + a, 100 + b, 300.0, 0.003) for a, b in gauge.pairs[gauge.lengths == 300]]
+    model = ArmResidualRegressor(cone.arm, orders=4)
+    errors = [
+        np.abs(gauge_errors(gauge, correction, 500)).mean()
+        for correction in (
+            0.0,
+            clone(model).fit(theta, y, groups=groups, lengths=known).predict(gauge.data),
+        )
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_lengths_are_checked(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 20
+    model = ArmResidualRegressor(arm, orders=2, offsets=True)
+    with pytest.raises(ValueError, match="group 77, which has no samples"):
+        model.fit(theta, y, groups=groups, lengths=[(0, 77, 100, 0.1)])
+    with pytest.raises(ValueError, match=r"\(label, label, length, standard deviation\)"):
+        model.fit(theta, y, groups=groups, lengths=[(0, 1, 100)])
+    with pytest.raises(ValueError, match="lengths are for positions with offsets"):
+        model.set_params(offsets=False).fit(theta, y, groups=groups, lengths=[(0, 1, 100, 1)])
+
+
+def test_noise_is_right_beside_outliers():
+    """Monte Carlo: the weights of good poses took 7 % off the noise once there was an outlier."""
+    rng = np.random.default_rng(0)
+    arm, found = Arm.from_name("aacmm6"), []
+    terms = Terms(np.array([(j, k) for j in range(6) for k in (1, 2)]), False, False, False)
+    for _ in range(4):
+        theta = rng.uniform(-2, 2, (1500, 6))
+        y = rng.normal(scale=0.01, size=(1500, 3))
+        y[:5] += 1.0
+        fitted = fit_linear_model(Rows(arm, theta, y, np.ones(1500), None), terms, True)
+        assert np.all(fitted.pose_weight[:5] == 0)
+        found.append(fitted.model.noise_sd)
+    assert np.mean(found) == pytest.approx(0.01, rel=0.02)
+
+
+def test_slipped_poses_are_left_out(eccentric):
+    """As good as without them; where there are none, none is taken for one."""
+    arm, theta, y, truth = eccentric
+    groups = np.arange(len(y)) % 20
+    rng = np.random.default_rng(4)
+    bad = rng.random(len(y)) < 0.05
+    slipped = y + np.where(bad[:, None], rng.normal(0, 0.5, y.shape), 0.0)
+    model = ArmResidualRegressor(arm, orders=20)
+    new = draw_angles(arm, 200, seed=8)
+    for offsets in (False, True):
+        model.set_params(offsets=offsets)
+        clean = clone(model).fit(theta[~bad], y[~bad], groups=groups[~bad])
+        robust = clone(model).fit(theta, slipped, groups=groups)
+        assert np.all(robust.pose_weight_[bad & (np.abs(slipped - y).max(axis=1) > 0.1)] == 0)
+        assert np.mean(robust.pose_weight_[~bad]) > 0.8
+        expected = clean.predict(new)
+        # By less than the noise of one good pose, where a slip is 170 times as large.
+        assert np.abs(robust.predict(new) - expected).mean() < 0.001
+    same = model.set_params(offsets=False).fit(
+        theta, truth + np.random.default_rng(5).normal(0, 0.003, y.shape)
+    )
+    assert_array_equal(same.pose_weight_, 1)
+
+
+def test_few_poses_without_noise_are_no_reason_to_fail():
+    """Fifteen poses, hundreds of columns, a residual that they explain entirely."""
+    arm = ARMS["standard"]
+    for seed in range(5):
+        theta = draw_angles(arm, 15, seed=seed)
+        y = displaced(arm, theta, np.tile([0, 5.0, -3.0, 0, 0, 0], (15, 1)))
+        model = ArmResidualRegressor(arm).fit(theta, y)
+        assert np.linalg.norm(model.predict(theta) - y) < 0.05 * np.linalg.norm(y)
+
+
+def test_offsets_are_free(eccentric):
+    """A constant in every position, however large, changes nothing; without offsets it would."""
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 20
+    rng = np.random.default_rng(3)
+    moved = y + rng.normal(0, 1.0, (20, 3))[groups]
+    model = ArmResidualRegressor(arm, offsets=True, orders=4, causes=["kinematics"])
+    expected = clone(model).fit(theta, y, groups=groups)
+    found = clone(model).fit(theta, moved, groups=groups)
+    assert found.offsets_
+    assert_allclose(found.predict(theta), expected.predict(theta), atol=1e-6)
+    free = clone(model).set_params(offsets=False).fit(theta, moved, groups=groups)
+    assert np.abs(free.predict(theta) - expected.predict(theta)).max() > 0.01
+
+
+def test_offsets_auto(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.array(list("abcde"))[np.arange(len(y)) % 5]
+    model = ArmResidualRegressor(arm, orders=1, causes=["kinematics"])
+    assert not model.fit(theta, y).offsets_
+    assert not model.fit(theta, y, groups=groups).offsets_
+    centred = position_residuals(y, groups)
+    assert model.fit(theta, centred, groups=groups).offsets_
+    # Rounded to 1 micrometre, and three fifths of the rows of each position.
+    assert model.fit(theta, centred.round(3), groups=groups).offsets_
+    part = np.random.default_rng(1).random(len(y)) < 0.6
+    assert model.fit(theta[part], centred[part], groups=groups[part]).offsets_
+    centred[groups == "a"] += 0.1
+    with pytest.warns(UserWarning, match="but not all"):
+        assert not model.fit(theta, centred, groups=groups).offsets_
+
+
+def test_rows_without_weight_do_not_decide_when_the_others_have_settled():
+    """Fifteen rows of noise, some without weight, whose robust weights take several turns."""
+    rng = np.random.RandomState(42)
+    X = np.resize(rng.rand(15, 30).T, (6, 15)).T
+    y = np.tile(rng.randint(0, 3, 15)[:, None], 3).astype(float)
+    weights = rng.randint(0, 5, 15)
+    model = ArmResidualRegressor(Arm.from_name("aacmm6"), causes=["wobble"], orders=3)
+    used = weights > 0
+    assert 8 < used.sum() < 15
+    expected = clone(model).fit(X[used], y[used], sample_weight=weights[used]).predict(X)
+    model.fit(X, y, sample_weight=weights)
+    np.testing.assert_allclose(model.predict(X), expected, rtol=0, atol=1e-9)
+
+
+def test_weights_are_repeats(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 12
+    weights = np.random.default_rng(4).integers(0, 4, len(y))
+    model = ArmResidualRegressor(arm, orders=20, offsets=True)
+    weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
+    rows = np.random.default_rng(5).permutation(np.repeat(np.arange(len(y)), weights))
+    repeated = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
+    assert_array_equal(weighted.column_harmonics_, repeated.column_harmonics_)
+    assert_allclose(weighted.predict(theta), repeated.predict(theta), atol=1e-7)
+    assert_allclose(weighted.noise_sd_, repeated.noise_sd_, rtol=1e-6)
+
+
+def test_kinematic_errors_come_back_in_their_units():
+    arm = ARMS["standard"]
+    theta = draw_angles(arm, 300)
+    d, alpha = arm.d.copy(), arm.alpha.copy()
+    d[2] += 0.05
+    alpha[3] += 12 * ARCSEC
+    true = arm.replace(d=d, alpha=alpha)
+    y = arm.forward(theta) - true.forward(theta)
+    y += np.random.default_rng(0).normal(0, 0.002, y.shape)
+    model = ArmResidualRegressor(arm, causes=["kinematics"]).fit(theta, y)
+    value = dict(zip(model.terms_["name"], model.terms_["value"], strict=True))
+    sd = dict(zip(model.terms_["name"], model.terms_["sd"], strict=True))
+    length = ARCSEC * reach_mm(arm)
+    assert abs(value["d3"] * length + 0.05) < 4 * sd["d3"] * length < 0.02
+    assert abs(value["alpha4"] + 12) < 4 * sd["alpha4"] < 4
+    assert len(model.harmonics_) <= 1
+
+
+def test_no_error_no_correction():
+    arm = ARMS["modified"]
+    theta = draw_angles(arm, 40)
+    model = ArmResidualRegressor(arm, orders=5).fit(theta, np.zeros((40, 3)))
+    assert_array_equal(model.predict(theta), 0)
+    assert len(model.harmonics_) == 0
+
+
+def test_is_a_scikit_learn_estimator(eccentric):
+    arm, theta, y, _ = eccentric
+    groups = np.arange(len(y)) % 8
+    search = GridSearchCV(
+        ArmResidualRegressor(arm, **ALONE), {"orders": [1, 20]}, cv=GroupKFold(4)
+    ).fit(theta, y, groups=groups)
+    assert search.best_params_ == {"orders": 20}
+    model = search.best_estimator_
+    assert_array_equal(pickle.loads(pickle.dumps(model)).predict(theta), model.predict(theta))
+    with config_context(enable_metadata_routing=True):
+        routed = ArmResidualRegressor(arm, orders=2, offsets=True, causes=["kinematics"])
+        with pytest.raises(ValueError, match="offsets=True needs groups"):
+            routed.fit(theta, y)
+        routed.set_fit_request(groups=True, sample_weight=True)
+        routed.set_score_request(sample_weight=True)
+        scores = cross_validate(
+            routed,
+            theta,
+            y,
+            cv=GroupKFold(4),
+            params={"groups": groups, "sample_weight": np.ones(len(y))},
+            error_score="raise",
+        )
+    assert np.all(np.isfinite(scores["test_score"]))
+
+
+def test_errors(eccentric):
+    arm, theta, y, _ = eccentric
+    model = ArmResidualRegressor(arm)
+    for X, target, message in [
+        (theta[:, :5], y, "X has 5 columns, but the arm .* has 6 joints"),
+        (theta, y[:, :2], r"y has shape \(400, 2\); Cartesian residuals \(n_samples, 3\)"),
+        (theta, y[:, 0], r"y has shape \(400,\)"),
+        (theta[:10], y, "inconsistent numbers of samples"),
+        (np.full_like(theta, np.nan), y, "NaN"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            model.fit(X, target)
+    with pytest.raises(ValueError, match="at least one non-zero"):
+        model.fit(theta, y, sample_weight=np.zeros(400))
+    with pytest.raises(ValueError, match="groups names 3 samples, but there are 400"):
+        model.fit(theta, y, groups=[1, 2, 3])
+    with pytest.raises(ValueError, match="no columns"):
+        ArmResidualRegressor(arm, orders=0, **ALONE).fit(theta, y)
+    with pytest.warns(UserWarning, match="degrees"):
+        ArmResidualRegressor(arm, orders=1, **ALONE).fit(np.rad2deg(theta), y)
+
+
+def test_no_orders_need_be_offered():
+    """The other causes alone explain what they have done, and leave the noise."""
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-1.5, 1.5, (80, 6))
+    other = arm.replace(theta_offset=arm.theta_offset + 1e-4)
+    y = other.forward(theta) - arm.forward(theta) + rng.normal(scale=0.01, size=(80, 3))
+    model = ArmResidualRegressor(arm, orders=0, causes=["kinematics"]).fit(theta, y)
+    assert not len(model.harmonics_)
+    assert y.std() > 0.05
+    assert (y - model.predict(theta)).std() == pytest.approx(0.01, rel=0.2)
+
+
+def test_parameters_are_left_alone(eccentric):
+    arm, theta, y, _ = eccentric
+    model = ArmResidualRegressor(arm, orders=2, causes=["kinematics"])
+    before = {name: repr(value) for name, value in clone(model).get_params().items()}
+    model.fit(theta, y)
+    assert {name: repr(value) for name, value in model.get_params().items()} == before
+
+
+@pytest.mark.parametrize(
+    ("causes", "message"),
+    [
+        (
+            ["kinematics", "gears"],
+            "causes must be some of gravity, kinematics, wobble, got 'gears'",
+        ),
+        ("gravity", "'causes' parameter"),
+    ],
+)
+def test_unknown_causes_are_refused(eccentric, causes, message):
+    arm, theta, y, _ = eccentric
+    with pytest.raises(ValueError, match=message):
+        ArmResidualRegressor(arm, causes=causes).fit(theta, y)
+
+
+# -- real arms ------------------------------------------------------------------------------------
+
+
+def leave_placements_out(data):
+    """Mean deviation in every other placement, uncorrected and by models that never saw it."""
+    before, after = [], []
+    for placement in np.unique(data.placements)[::2]:
+        train = data.placements != placement
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(data.placements[train])]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=lengths).arm
+        y = position_residuals(arm.forward(data.angles), data.groups)
+        model = ArmResidualRegressor(arm)
+        model.fit(data.angles[train], y[train], groups=data.groups[train])
+        assert model.offsets_
+        left = y[~train] - model.predict(data.angles[~train])
+        left = position_residuals(left, data.groups[~train])
+        before.append(np.linalg.norm(y[~train], axis=1))
+        after.append(np.linalg.norm(left, axis=1))
+    return np.concatenate(before).mean(), np.concatenate(after).mean()
+
+
+def test_a_real_arm_at_unseen_placements(panda):
+    before, after = leave_placements_out(panda("panda_3"))
+    assert after < 0.85 * before
+
+
+@pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")
+def test_a_real_arm_with_outliers_is_not_made_worse(panda):
+    before, after = leave_placements_out(panda("panda_2"))
+    assert after < before
+
+
+def test_a_real_robot_at_unseen_goals(ur10):
+    """Every sixth pose; goal positions are either for training or for testing."""
+    rows = slice(None, None, 6)
+    theta, points, goals = ur10.angles[rows], ur10.points[rows], ur10.groups[rows]
+    train = np.random.default_rng(0).permutation(goals.max() + 1)[goals] % 4 > 0
+    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
+    result = calibrate(nominal, theta[train], points=points[train])
+    arm = result.arm
+    y = arm.forward(theta) - (points - result.base_translation) @ result.base_rotation
+    model = ArmResidualRegressor(arm).fit(theta[train], y[train], groups=goals[train])
+    assert not model.offsets_
+    before, after = (
+        np.linalg.norm(e, axis=1).mean()
+        for e in (y[~train], y[~train] - model.predict(theta[~train]))
+    )
+    assert after < 0.3 * before
+    # The teeth of the gears: 17 to the turn in shoulder and elbow.
+    found = set(model.harmonics_[["joint", "order"]].tolist())
+    assert {(1, 17), (2, 17), (3, 17)} <= found

@@ -1,0 +1,111 @@
+"""Checks of what the linear model is fitted on: offsets that are not used, ranges, no residuals."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.error_model._checks import _check_offsets, _check_vectors
+
+ARM = Arm.from_name("aacmm6")
+RNG = np.random.default_rng(0)
+ANGLES = RNG.uniform(-2, 2, (300, 6))
+GROUPS = np.arange(300) // 10
+NOISE = 0.05 * RNG.normal(size=(300, 3))
+
+
+def model(**options):
+    return ArmResidualRegressor(ARM, orders=1, causes=["kinematics"], **options)
+
+
+def test_positions_of_one_pose_each_have_no_offsets():
+    """Their deviations from themselves are rounding; means of one row say nothing of a mean."""
+    rng = np.random.default_rng(1)
+    for weights in (np.ones(300), rng.uniform(0.1, 3, 300), np.full(300, 0.3)):
+        groups = rng.permutation(300)
+        assert _check_offsets("auto", NOISE, weights, groups) is None
+        found = model().fit(ANGLES, NOISE, groups=groups, sample_weight=weights)
+        assert not found.offsets_
+        assert found.noise_sd_ == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize(("n_positions", "n_left"), [(60, 4), (100, 3)])
+def test_deviations_from_means_of_more_rows_are_warned_of(n_positions, n_left):
+    """Of ten rows at each position few are left: that all ten have mean 0 hardly shows."""
+    rng = np.random.default_rng(0)
+    groups = np.arange(10 * n_positions) // 10
+    y = position_residuals(0.05 * rng.normal(size=(len(groups), 3)), groups)
+    rows = np.arange(len(groups)) % 10 < n_left
+    angles, y, groups = rng.uniform(-2, 2, (np.sum(rows), 6)), y[rows], groups[rows]
+    with pytest.warns(UserWarning, match=r"mean residuals are 0\.[78]\d* times as large"):
+        assert not model().fit(angles, y, groups=groups).offsets_
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for offsets in (True, False):  # said by the user
+            assert model(offsets=offsets).fit(angles, y, groups=groups).offsets_ is offsets
+
+
+def test_residuals_against_a_reference_are_not_warned_of():
+    """Independent rows are the hardest case: neighbours that err alike have larger means."""
+    found = 0
+    for seed in range(500):
+        rng = np.random.default_rng(seed)
+        n, n_rows = rng.integers(30, 80), rng.integers(2, 12)
+        groups = np.arange(n_rows * n) % n
+        y = rng.normal(size=(n_rows * n, 3))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            assert _check_offsets("auto", y, np.ones(len(y)), groups) is None
+        found += len(caught)
+    assert found <= 2  # of a chance of one in a thousand
+
+
+@pytest.mark.parametrize("scale", [0.2, 10.0])
+def test_small_weights_do_not_decide_on_offsets(scale):
+    weights = np.full(300, scale)
+    for y, offsets in ((NOISE, False), (position_residuals(NOISE, GROUPS), True)):
+        found = model().fit(ANGLES, y, groups=GROUPS, sample_weight=weights)
+        assert found.offsets_ is offsets
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-200])
+def test_noise_is_not_made_from_nothing(size):
+    found = model().fit(ANGLES[:40], size * NOISE[:40])
+    assert found.noise_sd_ < 1e-10
+    mean, std = found.predict(ANGLES, return_std=True)
+    assert np.abs(mean).max() < 1e-25
+    assert np.all(np.isfinite(std))
+    assert std.max() < 1e-8
+
+
+@pytest.mark.parametrize("scale", [1 / 300, 1e-200, 1e4, 1e6])
+def test_weights_that_are_no_repeats_are_told(scale):
+    """With inverse variances nothing would be noise; too large ones ended in a LinAlgError."""
+    weights = scale * np.arange(1.0, 41)
+    estimator = ArmResidualRegressor(ARM, orders=2)
+    with pytest.warns(UserWarning, match=r"the 40 rows are worth .* rows"):
+        estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=weights)
+    with pytest.raises(ValueError, match=r"sample_weight holds 4e\+10, but a weight"):
+        estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=1e9 * np.arange(1.0, 41))
+
+
+def test_a_residual_of_ten_reaches_is_in_another_unit():
+    y = np.zeros((5, 3))
+    y[2, 1] = 9.9 * reach_mm(ARM)
+    assert _check_vectors(y, ARM) is y
+    y[2, 1] = 10.1 * reach_mm(ARM)
+    with pytest.raises(ValueError, match=r"y holds a residual of .* mm, but the arm reaches"):
+        _check_vectors(y, ARM)
+
+
+def test_residuals_of_which_most_are_zero_do_not_overflow():
+    """Their median distance is 0, so that no scale tells who is far off: all rows count."""
+    y = np.zeros((40, 3))
+    y[:10] = 0.1
+    angles = ANGLES[:40].copy()
+    angles[10:] = 0.0
+    fitted = ArmResidualRegressor(ARM, orders=3, causes=["gravity", "wobble"]).fit(angles, y)
+    assert np.isfinite(fitted.predict(ANGLES)).all()
+    np.testing.assert_array_equal(fitted.pose_weight_ <= 1, True)

@@ -1,0 +1,143 @@
+"""Columns of the linear model: what each cause does to the probe, by forward kinematics."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+
+from sklearn_raacmm import Arm
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.error_model import Terms, term_columns
+from sklearn_raacmm.error_model._columns import ARCSEC, term_names
+from sklearn_raacmm.error_model._gauge import length_equations
+
+ARMS = {
+    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
+    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
+}
+
+
+def draw_angles(arm, n, seed=0, width=2.0):
+    return np.random.default_rng(seed).uniform(-width, width, (n, arm.n_joints))
+
+
+def displaced(arm, angles, errors_arcsec):
+    """What small angle errors do to the probe, by forward kinematics rather than the Jacobian."""
+    return arm.forward(angles + errors_arcsec * ARCSEC) - arm.forward(angles)
+
+
+def turned(arm, angles, frame, axis, turn):
+    """Move the probe by turning frame `frame` about its axis by `turn` (n,) rad: by Rodrigues."""
+    frames = arm.frames(angles)
+    probe, origin = arm.forward(angles), frames[:, frame, :, 3]
+    rotation = Rotation.from_rotvec(turn[:, None] * frames[:, frame, :, axis])
+    return rotation.apply(probe - origin) + origin - probe
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_harmonic_columns_are_angle_errors(arm):
+    theta = draw_angles(arm, 20)
+    pairs = np.array([(j, k) for j in range(arm.n_joints) for k in (1, 2, 17)])
+    columns = term_columns(arm, theta, Terms(pairs, False, False, False))
+    for i, (joint, order) in enumerate(pairs):
+        for part, wave in enumerate((np.cos, np.sin)):
+            error = np.zeros_like(theta)
+            error[:, joint] = wave(order * theta[:, joint])
+            assert_allclose(columns[:, :, 2 * i + part], displaced(arm, theta, error), atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_kinematic_columns_are_changes_of_the_table(arm):
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), False, True, False)
+    names, _ = term_names(arm, terms)
+    columns = term_columns(arm, theta, terms)
+    for column, name in enumerate(names):
+        if name.startswith(("base", "beta")):
+            continue
+        if name.startswith("probe"):
+            field, index = "probe", "xyz".index(name[-1])
+        else:
+            field, index = name[:-1], int(name[-1]) - 1
+        step = ARCSEC * (1 if field in ("alpha", "theta_offset") else reach_mm(arm))
+        value = getattr(arm, field).copy()
+        value[index] += step
+        moved = arm.replace(**{field: value}).forward(theta) - arm.forward(theta)
+        assert_allclose(columns[:, :, column], moved, atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_kinematic_columns_place_the_base_and_turn_about_y(arm):
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), False, True, False)
+    names, _ = term_names(arm, terms)
+    columns = dict(zip(names, np.moveaxis(term_columns(arm, theta, terms), 2, 0), strict=True))
+    for axis, name in enumerate(("base_x", "base_y")):
+        assert_allclose(columns[name], np.tile(ARCSEC * reach_mm(arm) * np.eye(3)[axis], (20, 1)))
+    one = np.full(20, ARCSEC)
+    assert_allclose(columns["base_alpha"], turned(arm, theta, 0, 0, one), atol=1e-7)
+    assert_allclose(columns["base_beta"], turned(arm, theta, 0, 1, one), atol=1e-7)
+    for joint in range(arm.n_joints):
+        # about y of the frame whose x alpha turns about
+        frame = joint + (arm.convention == "standard")
+        assert_allclose(columns[f"alpha{joint + 1}"], turned(arm, theta, frame, 0, one), atol=1e-7)
+        assert_allclose(columns[f"beta{joint + 1}"], turned(arm, theta, frame, 1, one), atol=1e-7)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_gravity_columns_follow_potential_energy(arm):
+    """The torque of a load about an axis is what lifting it by a turn about that axis costs."""
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), True, False, False)
+    names, _ = term_names(arm, terms)
+    columns = term_columns(arm, theta, terms)
+    frames = arm.frames(theta)
+    small = 1e-6
+    for column, name in enumerate(names):
+        words = name.split()
+        place = arm.forward(theta) if words[2] == "probe" else frames[:, int(words[3]), :, 3]
+        frame, axis = int(words[-3]), "xyz".index(words[-1])
+        origin = frames[:, frame, :, 3]
+        lifted = Rotation.from_rotvec(small * frames[:, frame, :, axis]).apply(place - origin)
+        torque = -(lifted + origin - place)[:, 2] / small / reach_mm(arm)
+        expected = turned(arm, theta, frame, axis, torque * ARCSEC)
+        assert_allclose(columns[:, :, column], expected, atol=2e-7, err_msg=name)
+    # every load beyond every frame, about three axes
+    n = arm.n_joints
+    assert len(names) == len(set(names)) == 3 * (n + 1) * (n + 2) // 2
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_wobble_columns_tilt_the_joint_axis(arm):
+    theta = draw_angles(arm, 20)
+    terms = Terms(np.empty((0, 2), int), False, False, True)
+    names, _ = term_names(arm, terms)
+    columns = term_columns(arm, theta, terms)
+    for column, name in enumerate(names):
+        joint, axis = int(name.split()[1]) - 1, "xy".index(name.split(",")[0][-1])
+        wave = np.cos if "cos" in name else np.sin
+        order = int(name.split("(")[1][0])
+        frame = joint if arm.convention == "standard" else joint + 1
+        expected = turned(arm, theta, frame, axis, ARCSEC * wave(order * theta[:, joint]))
+        assert_allclose(columns[:, :, column], expected, atol=1e-7)
+
+
+def test_length_rows_are_changes_of_the_distance():
+    """Against the distance of the corrected mean points."""
+    arm = ARMS["modified"]
+    rng = np.random.default_rng(0)
+    theta, weights = draw_angles(arm, 60), rng.uniform(0.5, 2, 60)
+    codes = np.repeat(np.arange(4), 15)
+    terms = Terms(np.array([(0, 1), (3, 2)]), True, True, True)
+    found = length_equations(arm, theta, weights, codes, terms, [(0, 2, 100.0, 1), (3, 1, 90.0, 2)])
+    w = rng.normal(size=found.rows.shape[1])
+
+    def distances(points):
+        mean = [np.average(points[codes == i], 0, weights[codes == i]) for i in range(4)]
+        return np.array([np.linalg.norm(mean[0] - mean[2]), np.linalg.norm(mean[3] - mean[1])])
+
+    points = arm.forward(theta)
+    assert_allclose(found.values, distances(points) - [100, 90])
+    assert_array_equal(found.variance, [1, 4])
+    corrected = distances(points - term_columns(arm, theta, terms) @ (1e-3 * w))
+    assert_allclose(1e-3 * found.rows @ w, distances(points) - corrected, atol=1e-7)

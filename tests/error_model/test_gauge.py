@@ -1,0 +1,147 @@
+"""What a single-point test cannot show, and standard deviations of what it can."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm.error_model import Terms, term_columns
+from sklearn_raacmm.error_model._columns import term_names
+from sklearn_raacmm.error_model._fit import Rows
+from sklearn_raacmm.error_model._gauge import place_fields, without_motions
+from sklearn_raacmm.inference import Sums
+from sklearn_raacmm.utils import centred
+
+NAMES = ("aacmm6", "panda", "ur10")
+# Standard deviations of the causes of the simulated errors, by family (harmonics first), arcsec.
+SIZES = np.array([5.0, 10.0, 4.0, 2.0])
+NOISE_MM = 0.005
+
+
+def polynomials(points, gravity=True):
+    """The fields in closed form, (n, 3, k): motions, scale, and what the load at the probe bends.
+
+    The torque of a weight at p about the base's x axis is proportional to y, and about y to x. The
+    axis of the second joint is horizontal and turns with the arm: bending about it, above the base,
+    is the two and a stretch across the first axis.
+    """
+    x, y, z = points.T
+    nothing = np.zeros_like(x)
+    fields = [np.broadcast_to(e, points.shape) for e in np.eye(3)]
+    fields += [np.cross(e, points) for e in np.eye(3)] + [points]
+    if gravity:
+        fields += [
+            np.column_stack(field)
+            for field in ((x, y, nothing), (nothing, -y * z, y * y), (x * z, nothing, -x * x))
+        ]
+    return np.stack(fields, axis=2)
+
+
+def poses_at_points(arm, n_positions, n_poses, rng):
+    """Poses that reach the same point, by Newton's method from random ones."""
+    start = rng.uniform(-1.5, 1.5, (n_positions, arm.n_joints))
+    codes = np.repeat(np.arange(n_positions), n_poses)
+    target = arm.forward(start)[codes]
+    theta = start[codes] + rng.normal(0, 0.7, (len(codes), arm.n_joints))
+    for _ in range(60):
+        inverse = np.linalg.pinv(arm.jacobian(theta), rcond=0.01)
+        step = np.einsum("nij,nj->ni", inverse, target - arm.forward(theta))
+        theta = theta + np.clip(step, -0.2, 0.2)
+    there = np.linalg.norm(arm.forward(theta) - target, axis=1) < 1e-6
+    return theta[there], codes[there]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("gravity", [False, True])
+def test_fields_are_motions_scale_and_bends(name, gravity):
+    arm = Arm.from_name(name, probe=(5.0, -8.0, 120.0))
+    extra = (("temperature", (20.0,)), ("tool", (1.0, 2.0)))
+    terms = Terms(np.array([(1, 1), (2, 3)]), gravity, True, True, extra)
+    rng = np.random.default_rng(1)
+    theta, codes = poses_at_points(arm, 20, 6, rng)
+    X = np.column_stack([theta, np.full(len(theta), 25.0), np.ones(len(theta))])
+    moved = term_columns(arm, X, terms) @ place_fields(arm, terms)
+    size = np.linalg.norm(moved, axis=(0, 1))
+    # All poses that reach a point move alike, and each field is another one.
+    assert np.abs(centred(moved, codes) / size).max() < 1e-4
+    moved = (moved / size).reshape(-1, len(size))
+    expected = polynomials(arm.forward(theta), gravity).reshape(len(moved), -1)
+    assert moved.shape == expected.shape
+    left = expected - moved @ np.linalg.lstsq(moved, expected, rcond=None)[0]
+    assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(expected)
+    assert np.linalg.cond(moved) < 100
+
+
+def test_a_model_without_such_causes_has_no_fields():
+    arm = Arm.from_name("aacmm6")
+    terms = Terms(np.array([(1, 1), (2, 3)]), False, False, True)
+    assert place_fields(arm, terms).shape == (2 * 2 + 48, 0)
+    assert place_fields(arm, terms._replace(wobble=False)).shape == (4, 0)
+
+
+def errors_over_deviations(name, seed, single_point):
+    """Errors at positions left out over their standard deviations, of a model that is complete."""
+    arm, rng = Arm.from_name(name, probe=(5.0, -8.0, 120.0)), np.random.default_rng(seed)
+    theta, codes = poses_at_points(arm, 30, 12, rng)
+    terms = Terms(np.array([(1, 1), (1, 2), (2, 1), (3, 3), (4, 2)]), True, True, True)
+    family = np.r_[np.zeros(10, int), 1 + term_names(arm, terms)[1]]
+    columns = term_columns(arm, theta, terms)
+    truth = columns @ rng.normal(0, SIZES[family])
+    y = truth + rng.normal(0, NOISE_MM, truth.shape)
+    y = centred(y, codes) if single_point else y
+    train = codes % 3 > 0
+    model = ArmResidualRegressor(arm, orders=3)
+    model.fit(theta[train], y[train], groups=codes[train])
+    linear = model.linear_model_
+    error = linear.predict(theta)[0] - truth
+    if single_point:
+        labels = np.unique(codes[train])
+        fields = polynomials(arm.forward(theta) / 1000)
+        means = [
+            np.stack([part[codes == i].mean(axis=0) for i in labels]) for part in (fields, error)
+        ]
+        seen = means[0].reshape(-1, fields.shape[2])
+        error = error - fields @ np.linalg.lstsq(seen, means[1].ravel(), rcond=None)[0]
+    std = model.predict(theta, return_std=True)[1]
+    return (error / std)[~train]
+
+
+@pytest.mark.parametrize("single_point", [False, True])
+def test_deviations_are_right_on_three_arms(single_point):
+    """Monte Carlo: root mean square of error over deviation is 1, 95 % lie within 1.96."""
+    found = [
+        errors_over_deviations(name, seed, single_point) for name in NAMES for seed in range(4)
+    ]
+    sizes = np.sqrt([np.mean(np.square(z)) for z in found])
+    assert 0.9 < np.sqrt(np.mean(np.square(sizes))) < 1.1
+    assert np.mean([np.mean(np.abs(z) < 1.96) for z in found]) == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "panda"])
+def test_a_single_point_test_knows_nothing_of_base_and_scale(name):
+    """What is taken out moves all points as a rigid body of another size does, in seven ways."""
+    arm = Arm.from_name(name, probe=(10.0, -20.0, 150.0))
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-2, 2, (60, arm.n_joints))
+    terms = Terms(np.array([(2, 1)]), False, True, False)
+    n = len(term_names(arm, terms)[0])
+    sums = Sums(np.eye(n), np.zeros(n), np.zeros((n, 2)), None, None, 0.0, 0.0, None)
+    taken = np.eye(n) - without_motions(sums, arm, terms).gram
+    size, vectors = np.linalg.eigh(taken)
+    assert_allclose(size, size > 0.5, atol=1e-12)  # a projection
+    out = vectors[:, size > 0.5]
+    moved = (term_columns(arm, theta, terms)[:, :, 2:] @ out).reshape(180, -1)
+    points, one = arm.forward(theta), np.ones((60, 1))
+    motions = [np.kron(one, e[:, None]) for e in np.eye(3)]
+    motions += [np.cross(e, points).reshape(-1, 1) for e in np.eye(3)]
+    motions = np.column_stack([*motions, points.ravel()])
+    motions /= np.linalg.norm(motions, axis=0)
+    left = moved - motions @ np.linalg.lstsq(motions, moved, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9 * np.abs(moved).max()
+    assert np.linalg.matrix_rank(moved, tol=1e-9 * np.linalg.norm(moved)) == 7
+    codes = np.arange(60) // 15
+    y = rng.normal(size=(60, 3))
+    sums, _ = Rows(arm, theta, y, np.ones(60), codes).sums(terms)
+    assert_allclose(sums.gram @ out, 0, atol=1e-12 * sums.gram.max())
+    assert_allclose(sums.moment @ out, 0, atol=1e-12 * np.abs(sums.moment).max())
+    assert_allclose(out.T @ sums.cross, 0, atol=1e-12 * np.abs(sums.cross).max())

@@ -1,0 +1,342 @@
+"""Guards of the arm's model: judged where it was left out, faded, and what changes nothing."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.neighbors import KNeighborsRegressor
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
+from sklearn_raacmm.datasets import ArmErrors, make_single_point
+
+ARM = Arm.from_name("aacmm6")
+ARCSEC = np.pi / 180 / 3600
+
+
+def small(**options):
+    """A model that is quick to fit."""
+    return ArmResidualRegressor(ARM, orders=4, causes=["kinematics"], **options)
+
+
+@pytest.fixture(scope="module")
+def cones():
+    """Simulated: 24 positions by 20 poses; an eccentric encoder, a smooth error, noise."""
+    rng = np.random.default_rng(0)
+    centre = rng.uniform(-0.8, 0.8, (24, 6))
+    theta = np.repeat(centre, 20, axis=0) + rng.uniform(-0.4, 0.4, (480, 6))
+    groups = np.repeat(np.arange(24), 20)
+    error = np.zeros_like(theta)
+    error[:, 3] = 12 * ARCSEC * np.cos(3 * theta[:, 3])
+    truth = np.einsum("nij,nj->ni", ARM.jacobian(theta), error)
+    truth[:, 2] += 0.03 * np.exp(-np.square(theta[:, [2, 4]]).sum(axis=1))
+    return theta, truth + rng.normal(0, 0.01, truth.shape), groups, truth
+
+
+# -- judgement ------------------------------------------------------------------------------------
+
+
+def test_a_correction_that_helps_is_judged_by_what_was_left_out(cones):
+    theta, y, groups, _ = cones
+    model = small().fit(theta, y, groups=groups)
+    found = model.judgement_
+    assert model.helps_
+    assert found.helps
+    assert found.n_positions == 24
+    # Without correction these are the residuals themselves, position by position of equal size.
+    assert found.mean_before_mm == pytest.approx(np.linalg.norm(y, axis=1).mean())
+    assert found.mean_before_mm - found.mean_after_mm > 3 * found.gain_se_mm
+    # Less than at the training poses, and about what new noise would show there.
+    left = np.linalg.norm(y - model.predict(theta), axis=1).mean()
+    assert left < found.mean_after_mm < 1.3 * left
+    assert small().fit(theta, y).judgement_ is None  # nobody said what a position is
+
+
+def test_noise_is_not_corrected(cones):
+    """Nothing to learn: in most of the cases nothing is used, and never is much harm done."""
+    theta, _, groups, _ = cones
+    unused = 0
+    for seed in range(6):
+        y = np.random.default_rng(seed).normal(0, 0.05, (len(theta), 3))
+        model = small().fit(theta, y, groups=groups)
+        unused += not model.helps_
+        prediction, std = model.predict(theta, return_std=True)
+        if not model.helps_:
+            assert_array_equal(prediction, 0)
+        assert np.linalg.norm(prediction, axis=1).mean() < 0.02
+        assert np.all(std > 0)
+    assert unused >= 4
+
+
+def test_what_does_harm_elsewhere_is_refused():
+    """Each position errs by an angle of its own, which the next one does not have."""
+    rng = np.random.default_rng(1)
+    theta = np.repeat(rng.uniform(-1.5, 1.5, (6, 6)), 10, axis=0)
+    theta += rng.uniform(-0.05, 0.05, theta.shape)
+    groups = np.repeat(np.arange(6), 10)
+    error = 40 * ARCSEC * rng.normal(size=(6, 6))[groups]
+    y = np.einsum("nij,nj->ni", ARM.jacobian(theta), error)
+    y += rng.normal(0, 0.002, y.shape)
+    model = small(offsets=False).fit(theta, y, groups=groups)
+    fitted = model.linear_model_.predict(theta)[0]
+    assert np.linalg.norm(y - fitted, axis=1).mean() < 0.5 * np.linalg.norm(y, axis=1).mean()
+    assert not model.helps_
+    assert_array_equal(model.predict(theta), 0)
+
+
+@pytest.mark.parametrize("n_positions", [2, 3])
+def test_of_few_positions_each_has_to_gain(cones, n_positions):
+    theta, y, groups, _ = cones
+    rows = groups < n_positions
+    model = small().fit(theta[rows], y[rows], groups=groups[rows])
+    linear = model.linear_model_
+    assert model.judgement_.n_positions == n_positions
+    assert (linear.std_scale, linear.noise_scale) == (1.0, 1.0)  # too few to say how wide
+    # Judged by hand: each position by a model of the others.
+    gains = []
+    for one in range(n_positions):
+        rest = rows & (groups != one)
+        other = small(fade=0).fit(theta[rest], y[rest]).linear_model_
+        of = groups == one
+        share = model.fading_.share(other.predict(theta[of], return_std=True)[1])[:, None]
+        after = y[of] - share * other.predict(theta[of])[0]
+        gains.append(np.linalg.norm(y[of], axis=1).mean() - np.linalg.norm(after, axis=1).mean())
+    if np.min(gains) < -1e-3:
+        assert not model.helps_
+    if np.min(gains) > 1e-3:
+        assert model.helps_
+
+
+def test_one_position_is_not_left_out(cones):
+    theta, y, *_ = cones
+    model = small().fit(theta[:40], y[:40], groups=np.zeros(40))
+    assert model.judgement_ is None
+    assert model.helps_
+
+
+def test_positions_at_one_place_cannot_be_left_out():
+    angles = np.tile([[0.1, -0.4, 0.9, 0.2, 0.7, -0.3]], (30, 1))
+    residuals = 0.05 * np.random.default_rng(0).standard_normal((30, 3))
+    model = small().fit(angles, residuals, groups=np.repeat(np.arange(6), 5))
+    assert model.judgement_ is None
+
+
+CORNERS = {
+    "one side of its base": lambda x, y, z: np.abs(np.arctan2(y, x)),
+    "near": lambda x, y, z: x**2 + y**2 + z**2,
+    "far": lambda x, y, z: -(x**2 + y**2 + z**2),
+    "low": lambda x, y, z: z,
+    "high": lambda x, y, z: -z,
+}
+
+
+@pytest.fixture(scope="module")
+def two_days():
+    """Simulated: three kinds of arms on a day and on another one, 4 K warmer."""
+    found = []
+    for mix in ("gravity", "typical", "eccentricity"):
+        errors = ArmErrors.from_name(mix)
+        warm = replace(errors, warming_k=errors.warming_k + 4.0)
+        day, other_day = (
+            make_single_point(24, 15, machine=machine, random_state=1) for machine in (errors, warm)
+        )
+        assert day.arm == other_day.arm
+        found.append((day, other_day))
+    return found
+
+
+@pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
+@pytest.mark.parametrize("corner", CORNERS)
+def test_trained_in_one_corner_used_elsewhere_on_another_day(two_days, corner):
+    """A third of the positions teaches; the others are measured on the warmer day."""
+    gains = []
+    for day, other_day in two_days:
+        where = CORNERS[corner](*(day.simulation.positions - day.simulation.machine.shoulder).T)
+        trained = np.isin(day.groups, np.argsort(where)[:8])
+        for absolute in (False, True):
+            y = day.points - day.simulation.true_points if absolute else day.target
+            model = ArmResidualRegressor(day.arm, orders=8)
+            model.fit(day.data[trained], y[trained], groups=day.groups[trained])
+            assert model.offsets_ != absolute
+            elsewhere = ~trained
+            left = other_day.points - model.predict(other_day.data)
+            left = position_residuals(left[elsewhere], other_day.groups[elsewhere])
+            before = np.linalg.norm(other_day.target[elsewhere], axis=1).mean()
+            gains.append(1 - np.linalg.norm(left, axis=1).mean() / before)
+    assert min(gains) > 0
+    assert np.mean(gains) > 0.3
+
+
+# -- fading ---------------------------------------------------------------------------------------
+
+
+def test_fading_is_that_of_the_formula(cones):
+    theta, y, _, _ = cones
+    model = small(fade=3.0).fit(theta, y)
+    value, std = model.linear_model_.predict(theta, return_std=True)
+    size, doubt = np.square(y).sum(axis=1).mean(), np.square(std).sum(axis=1)
+    share = size / (size + 9 * doubt)
+    assert_allclose(model.predict(theta), value * share[:, None], atol=1e-12)
+    assert_allclose(model.fading(theta), share)
+    assert_array_equal(model.predict(theta, return_std=True)[0], model.predict(theta))
+
+
+def test_corrections_fade_away_from_the_data(cones):
+    theta, y, _, _ = cones
+    model = small().fit(theta, y)
+    assert model.fading(theta).mean() > 0.8
+    assert model.fading(theta + 1.5).mean() < model.fading(theta).mean()
+    assert_array_equal(small(fade=0).fit(theta, y).fading(theta), 1)
+    model = small(fade=50.0).fit(theta[:40], y[:40])
+    with pytest.warns(UserWarning, match="60 of 60 poses lie where the model knows little") as seen:
+        model.predict(theta[-60:] + 3)
+    assert seen[0].filename == __file__
+
+
+# -- the second stage -----------------------------------------------------------------------------
+
+
+def kernel_ridge():
+    return KernelRidge(kernel="rbf", gamma=1.0, alpha=0.05)
+
+
+def smooth_error(theta):
+    """Of two joints together, which no cause of the linear model has."""
+    return np.sin(3 * theta[:, 1:2]) * np.sin(3 * theta[:, 2:3]) * [0.0, 0.0, 0.2]
+
+
+def in_base_frame(cylindrical, azimuth):
+    radial, tangential, axial = cylindrical.T
+    x = radial * np.cos(azimuth) - tangential * np.sin(azimuth)
+    return np.stack([x, radial * np.sin(azimuth) + tangential * np.cos(azimuth), axial], axis=1)
+
+
+def in_cylindrical_frame(vectors, azimuth):
+    x, y, axial = vectors.T
+    radial = x * np.cos(azimuth) + y * np.sin(azimuth)
+    return np.stack([radial, y * np.cos(azimuth) - x * np.sin(azimuth), axial], axis=1)
+
+
+@pytest.mark.parametrize("second", [kernel_ridge(), KNeighborsRegressor(5)])
+def test_the_second_stage_learns_what_the_first_leaves(cones, second):
+    """In the cylindrical frame, with the weights where it takes any."""
+    theta, _, _, truth = cones
+    truth = truth + smooth_error(theta)
+    y = truth + np.random.default_rng(1).normal(0, 0.01, truth.shape)
+    weights = np.random.default_rng(0).integers(0, 3, len(y)).astype(float)
+    model = small(fade=0, regressor=second).fit(theta, y, sample_weight=weights)
+    first = model.linear_model_.predict(theta)[0]
+    kept, azimuth = weights > 0, ARM.azimuth(theta)
+    left = in_cylindrical_frame(y - first, azimuth)[kept]
+    options = {"sample_weight": (weights * model.pose_weight_)[kept]}
+    by_hand = clone(second).fit(
+        theta[kept], left, **(options if isinstance(second, KernelRidge) else {})
+    )
+    added = in_base_frame(by_hand.predict(theta), azimuth)
+    assert_allclose(model.predict(theta), first + added, atol=1e-12)
+    assert_allclose(model.second_stage(theta), added, atol=1e-12)
+    assert np.linalg.norm(first + added - truth) < 0.8 * np.linalg.norm(first - truth)
+    assert not hasattr(second, "X_fit_")
+
+
+def test_the_second_stage_fades_with_the_first(cones):
+    theta, y, groups, _ = cones
+    model = small(fade=3.0, regressor=kernel_ridge()).fit(theta, y, groups=groups)
+    whole = model.linear_model_.predict(theta)[0] + model.second_stage(theta)
+    assert_allclose(model.predict(theta), model.fading(theta)[:, None] * whole, atol=1e-12)
+    degrees = small(fade=3.0, regressor=kernel_ridge(), angle_unit="deg")
+    degrees.fit(np.rad2deg(theta), y, groups=groups)
+    assert_allclose(degrees.predict(np.rad2deg(theta)), model.predict(theta), atol=1e-8)
+
+
+def test_constants_of_positions_do_not_reach_the_second_stage(cones):
+    """They are unknown, and of any size; outliers do not reach it, either."""
+    theta, y, groups, _ = cones
+    moved = y + np.random.default_rng(0).normal(0, 2.0, (24, 3))[groups]
+    model = small(offsets=True, regressor=kernel_ridge())
+    expected = clone(model).fit(theta, y, groups=groups).predict(theta)
+    assert_allclose(
+        clone(model).fit(theta, moved, groups=groups).predict(theta), expected, atol=1e-5
+    )
+    slipped = y.copy()
+    slipped[7] += 5.0
+    found = clone(model).fit(theta, slipped, groups=groups)
+    assert found.pose_weight_[7] == 0
+    assert np.abs(found.predict(theta) - expected).max() < 0.02
+
+
+def test_a_second_stage_is_left_where_the_first_does_not_help(cones):
+    theta, _, groups, _ = cones
+    smooth = smooth_error(theta)
+    y = smooth + np.random.default_rng(0).normal(0, 0.01, smooth.shape)
+    model = ArmResidualRegressor(ARM, orders=[300], causes=[], regressor=kernel_ridge(), fade=0)
+    model.fit(theta, y, groups=groups)
+    assert not model.helps_
+    assert_allclose(model.predict(theta), model.second_stage(theta))
+    assert np.linalg.norm(smooth - model.predict(theta)) < 0.5 * np.linalg.norm(smooth)
+
+
+# -- what changes nothing -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+@pytest.mark.parametrize("second", [None, kernel_ridge()])
+def test_rows_of_weight_0_change_nothing(cones, offsets, second):
+    """Whatever is in them: positions of their own, slipped poses, other labels."""
+    theta, y, groups, _ = cones
+    y = position_residuals(y, groups)
+    rng, rows = np.random.default_rng(0), groups < 10
+    model = small(offsets=offsets, regressor=second)
+    expected = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
+    new = rng.uniform(-2, 2, (150, 6))
+    X = np.vstack([new, theta[rows]])
+    Y = np.vstack([rng.normal(0, 1.0, (150, 3)), y[rows]])
+    labels = np.concatenate([rng.integers(0, 40, 150), groups[rows]])
+    weights = np.repeat([0.0, 1.0], [150, rows.sum()])
+    found = clone(model).fit(X, Y, sample_weight=weights, groups=labels)
+    assert_array_equal(found.pose_weight_, np.r_[np.zeros(150), expected.pose_weight_])
+    assert found.judgement_ == expected.judgement_
+    assert found.fading_ == expected.fading_
+    for one, other in zip(
+        found.predict(theta, return_std=True), expected.predict(theta, return_std=True), strict=True
+    ):
+        assert_array_equal(one, other)
+
+
+def test_weights_are_repeats(cones):
+    """With the judgement, the widening and the offsets, which scikit-learn's check has not."""
+    theta, y, groups, _ = cones
+    y = position_residuals(y, groups)
+    weights = np.random.default_rng(0).integers(0, 3, len(y))
+    repeat = np.repeat(np.arange(len(y)), weights)
+    model = small(offsets=True, regressor=kernel_ridge())
+    weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
+    repeated = clone(model).fit(theta[repeat], y[repeat], groups=groups[repeat])
+    assert_allclose(weighted.judgement_, repeated.judgement_, rtol=1e-6)
+    for one, other in zip(
+        weighted.predict(theta, return_std=True),
+        repeated.predict(theta, return_std=True),
+        strict=True,
+    ):
+        assert_allclose(one, other, atol=1e-7)
+
+
+def test_degrees_are_warned_of_in_one_sentence_and_where_they_come_from(cones):
+    theta, y, groups, _ = cones
+    model, degrees = small(fade=0.5, regressor=kernel_ridge()), np.rad2deg(theta)
+    for use in (lambda: model.fit(degrees, y, groups=groups), lambda: model.predict(degrees)):
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            use()
+        said = {(str(w.message), w.filename) for w in seen}
+        assert [name for text, name in said if "degrees" in text] == [__file__]
+        model.fit(theta, y, groups=groups)
+
+
+def test_positions_are_not_taken_for_weights(cones):
+    theta, y, groups, _ = cones
+    with pytest.raises(TypeError, match="positional argument"):
+        small().fit(theta, y, groups)

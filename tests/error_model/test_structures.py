@@ -1,0 +1,124 @@
+"""Which orders are offered, what they cost, and what the choice makes of them."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.error_model import Terms, order_price, smooth_shares
+from sklearn_raacmm.error_model._columns import ARCSEC
+from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
+from sklearn_raacmm.error_model._structures import offered_harmonics, structures_of
+
+ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
+
+
+def draw_angles(n, seed=0, width=2.0):
+    return np.random.default_rng(seed).uniform(-width, width, (n, ARM.n_joints))
+
+
+def test_offered_orders():
+    theta = draw_angles(30)
+    theta[:, 2] = np.arange(30) % 4
+    offered = offered_harmonics(theta, 50)
+    assert [np.count_nonzero(offered[:, 0] == j) for j in range(6)] == [30, 30, 4, 30, 30, 30]
+    assert offered[:3].tolist() == [[0, 1], [0, 2], [0, 3]]
+    offered = offered_harmonics(theta, [[1], [3, 2], [], [], [], [500]])
+    assert offered.tolist() == [[0, 1], [1, 2], [1, 3], [5, 500]]
+    assert offered_harmonics(theta, [7, 1]).tolist() == [[j, k] for j in range(6) for k in (1, 7)]
+    assert offered_harmonics(theta, 0).shape == (0, 2)
+
+
+def test_the_higher_an_order_the_more_it_costs():
+    prices = order_price(np.arange(1, 1001))
+    assert prices[0] == 0  # every encoder is a little eccentric
+    assert np.all(np.diff(prices) > 0)
+    structures = structures_of(ARM, Terms(np.array([(0, 1), (2, 128)]), *3 * (False,)), False)
+    assert_allclose(structures.price, prices[[0, 127]])
+    assert structures.share is None
+
+
+def test_shares_of_a_smooth_function():
+    """Its second differences are bounded: shares fall with the fourth power of the order."""
+    share = smooth_shares(np.arange(1, 60))
+    assert np.all(np.diff(share[:48]) < 0)
+    assert not share[48:].any()
+    assert share[47] / share[31] == pytest.approx((32 / 48) ** 4, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ({"orders": [[1], [2]]}, "orders has 2 lists, but the arm has 6 joints"),
+        ({"orders": [1, 2.5]}, "whole numbers of 1 or more, got 2.5 for joint 1"),
+        ({"orders": [0]}, "whole numbers of 1 or more, got 0"),
+    ],
+)
+def test_orders_are_checked(params, message):
+    theta, y = with_gears(20, [])
+    with pytest.raises(ValueError, match=message):
+        ArmResidualRegressor(ARM, **params).fit(theta, y)
+
+
+def with_gears(n, gears, seed=0, amplitude=4.0, noise=0.01):
+    """Poses and residuals of an arm whose joints err by harmonics of these orders."""
+    theta = draw_angles(n, seed)
+    rng = np.random.default_rng(seed + 100)
+    error = np.zeros_like(theta)
+    for joint, order in gears:
+        error[:, joint] += np.cos(order * theta[:, joint] - rng.uniform(0, 6))
+    y = ARM.forward(theta + amplitude * ARCSEC * error) - ARM.forward(theta)
+    return theta, y + rng.normal(0, noise, y.shape)
+
+
+def test_orders_of_gears_are_found_by_default():
+    gears = [(1, 128), (3, 256), (2, 100), (1, 1)]
+    theta, y = with_gears(400, gears)
+    model = ArmResidualRegressor(ARM).fit(theta, y)
+    table = model.harmonics_
+    assert sorted(table[["joint", "order"]][:4].tolist()) == sorted((j + 1, k) for j, k in gears)
+    # Low orders cost little: one of chance may be among them, and small.
+    assert np.all(table["order"][4:] < 10)
+    assert np.all(table["amplitude_arcsec"][4:] < 2.0)
+    assert model.noise_sd_ == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize(("n_rows", "offsets"), [(3000, True), (3000, False), (12_000, True)])
+def test_evidence_does_not_run_away(n_rows, offsets):
+    """It preferred an arm of no size, whose points all lie together, from 12 000 rows on."""
+    d = make_single_point(n_positions=n_rows // 30, n_poses=30, random_state=0)
+    y = d.target if offsets else d.points - d.simulation.true_points
+    terms = Terms(offered_harmonics(d.data, 4), True, True, True)
+    rows = Rows(d.arm, d.data, y, np.ones(len(y)), d.groups if offsets else None)
+    model = fit_linear_model(rows, terms, with_field=True).model
+    assert 2 < model.prior_sd["kinematics"] < 30
+    assert 30 < model.prior_sd["gravity"] < 300
+    assert model.prior_sd["wobble"] < 5
+    assert 0.002 < model.noise_sd < 0.006
+
+
+def test_a_model_is_not_sure_of_angles_where_it_has_no_poses():
+    """Encoder tables of straight pieces: beside the poses, lines alone are far off and too sure."""
+    rng = np.random.default_rng(1)
+    knots = np.linspace(-np.pi, np.pi, 41)
+    tables = np.deg2rad(rng.normal(scale=15 / 3600, size=(6, 41)))
+    theta = rng.uniform(-2.5, 2.5, (500, 6))
+    error = np.stack([np.interp(q, knots, t) for q, t in zip(theta.T, tables, strict=True)], axis=1)
+    truth = np.einsum("nij,nj->ni", ARM.jacobian(theta), error)
+    y = truth + rng.normal(scale=0.01, size=truth.shape)
+    in_gap = np.any((theta > 0.4) & (theta < 0.9), axis=1)  # of any joint
+    near = np.flatnonzero(~in_gap)[:80]
+    train = np.setdiff1d(np.flatnonzero(~in_gap), near)
+    terms = Terms(offered_harmonics(theta[train], 48), False, False, False)
+    rows = Rows(ARM, theta[train], y[train], np.ones(len(train)), None)
+    model = fit_linear_model(rows, terms, with_field=True).model
+    assert model.prior_sd["smooth"] > 1
+    z = {}
+    for name, rows in (("near", near), ("gap", np.flatnonzero(in_gap))):
+        mean, std = model.predict(theta[rows], return_std=True)
+        z[name] = np.sqrt(np.mean(np.square((mean - truth[rows]) / std)))
+        if name == "gap":
+            assert np.linalg.norm(mean - truth[rows]) < 0.8 * np.linalg.norm(truth[rows])
+    assert 0.7 < z["near"] < 1.6
+    assert 0.7 < z["gap"] < 1.6

@@ -1,0 +1,174 @@
+"""Sums of many orders at once, against the columns written out."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm
+from sklearn_raacmm.error_model import Terms, _waves, term_columns
+from sklearn_raacmm.error_model._fit import Rows
+from sklearn_raacmm.error_model._gauge import without_motions
+from sklearn_raacmm.error_model._waves import (
+    _sums_of_doubles,
+    _WaveSums,
+    candidate_sums,
+    waves,
+)
+from sklearn_raacmm.inference import Sums, combined
+
+ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
+
+
+def draw_angles(n, seed=0, width=2.0):
+    return np.random.default_rng(seed).uniform(-width, width, (n, ARM.n_joints))
+
+
+def explicit_sums(theta, y, weights, codes, offered, terms):
+    """Gram matrix and moments from all columns, offsets taken out by dummies."""
+    always = term_columns(ARM, theta, terms._replace(harmonics=np.empty((0, 2), int)))
+    waves = term_columns(ARM, theta, Terms(offered, False, False, False))
+    A = np.concatenate([always, waves, y[:, :, None]], axis=2)
+    if codes is not None:
+        dummies = np.sqrt(weights)[:, None] * (codes[:, None] == np.unique(codes))
+        Q = np.linalg.qr(dummies)[0]
+    gram = 0.0
+    for component in range(3):
+        part = np.sqrt(weights)[:, None] * A[:, component]
+        if codes is not None:
+            part = part - Q @ (Q.T @ part)
+        gram = gram + part.T @ part
+    return gram, always.shape[2]
+
+
+@pytest.mark.parametrize("chunk", [1024, 7])
+@pytest.mark.parametrize("with_offsets", [False, True])
+@pytest.mark.parametrize("some_orders", [False, True])
+def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeypatch):
+    monkeypatch.setattr(_waves, "_CHUNK", chunk)
+    rng = np.random.default_rng(3)
+    n = 60
+    theta, y, weights = draw_angles(n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
+    codes = rng.permutation(np.arange(n) % 6) if with_offsets else None
+    orders = [2, 5, 300] if some_orders else range(1, 12)
+    offered = np.array([(j, k) for j in (0, 2, 5) for k in orders])
+    # Without kinematics nothing is taken out.
+    terms = Terms(offered, True, False, True)
+    found = candidate_sums(ARM, theta, y, weights, codes, offered, terms)
+    gram, m = explicit_sums(theta, y, weights, codes, offered, terms)
+    size = np.sqrt(gram.diagonal())
+    size = np.where(size > 1e-9, size, 1.0)
+
+    def close(found, expected, left, right):
+        scale = np.outer(size[left], size[right])
+        assert_allclose(found / scale, expected / scale, atol=1e-11)
+
+    always, waves, last = slice(m), slice(m, -1), slice(-1, None)
+    close(found.gram, gram[always, always], always, always)
+    close(found.cross, gram[always, waves], always, waves)
+    close(found.moment[:, None], gram[always, last], always, last)
+    close(found.candidate_moment[:, None], gram[waves, last], waves, last)
+    close(found.square, gram[last, last], last, last)
+    rows = gram[waves, waves]
+    i = np.arange(len(offered))
+    expected = rows[2 * i, 2 * i], rows[2 * i + 1, 2 * i + 1], rows[2 * i, 2 * i + 1]
+    assert_allclose(found.own, expected, atol=1e-11 * rows.max())
+    asked = [4, 0, len(offered) - 1]
+    columns = np.stack([np.multiply(asked, 2), np.multiply(asked, 2) + 1], axis=1).ravel()
+    for _ in range(2):  # summed up, and remembered
+        assert_allclose(found.rows(asked, [1, 2]), rows[columns], atol=1e-11 * rows.max())
+    assert found.n_observations == pytest.approx(3 * (weights.sum() - 6 * with_offsets))
+
+
+@pytest.mark.parametrize("with_offsets", [False, True])
+def test_sums_follow_weights_that_change(with_offsets):
+    """Sums over the poses concerned are added and taken off: as summed up from the start."""
+    rng = np.random.default_rng(6)
+    theta, y = draw_angles(80), rng.normal(size=(80, 3))
+    codes = np.arange(80) // 10
+    old = np.ones(80)
+    new = np.where(codes < 3, rng.uniform(0, 2, 80), old)
+    new[:10] = 0  # a whole position is lost
+    offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
+    terms = Terms(offered, True, True, True)
+    rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 80), codes if with_offsets else None)
+    found, lengths = rows.sums_after(rows.sums(terms), old, new, terms)
+    assert lengths is None
+    kept = new > 0
+    own = np.unique(codes[kept], return_inverse=True)[1] if with_offsets else None
+    poses = theta[kept], y[kept], (rows.weights * new)[kept]
+    expected = candidate_sums(ARM, *poses, own, offered, terms)
+    if with_offsets:
+        expected = without_motions(expected, ARM, terms)
+    close_sums(found, expected)
+
+
+def close_sums(found, expected):
+    for name in Sums._fields[:-1]:
+        value = getattr(expected, name)
+        atol = 1e-10 * np.abs(value).max()
+        assert_allclose(getattr(found, name), value, atol=atol, err_msg=name)
+    for asked in ([2, 50, 51], [51, 7]):
+        assert_allclose(found.rows(asked), expected.rows(asked), atol=1e-10 * expected.own.max())
+
+
+def test_sums_of_all_blocks_less_one_are_those_of_the_others():
+    rng = np.random.default_rng(5)
+    theta, y, weights = draw_angles(80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
+    codes, block = np.arange(80) // 10, np.arange(80) // 30
+    offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
+    rows, terms = Rows(ARM, theta, y, weights, codes), Terms(offered, True, True, True)
+    parts = [rows.at(block == i).sums(terms)[0] for i in range(3)]
+    whole = combined(parts, np.ones(3))
+    for number, part in enumerate(parts):
+        others = rows.at(block != number).sums(terms)[0]
+        close_sums(combined((whole, part), (1, -1)), others)
+
+
+@pytest.mark.parametrize(
+    "orders", [np.arange(1, 401), np.arange(1, 1001), np.r_[1:130, 200, 640], np.arange(3, 400, 3)]
+)
+def test_grid_is_exact_to_the_last_digits(orders):
+    """Also where poses come in parts, and at angles of several turns of either sign."""
+    rng = np.random.default_rng(len(orders))
+    theta = np.r_[rng.uniform(-9, 9, 294), 0.0, -1e-17, np.pi, -np.pi, 2 * np.pi, 1e-300]
+    columns = rng.normal(size=(300, 3))
+    sums = _WaveSums(orders, 300)
+    assert sums._grid is not None
+    for rows in (slice(7), slice(7, 300)):
+        sums.add(theta[rows], columns[rows])
+    phase = theta[:, None] * orders
+    expected = np.stack([columns.T @ np.cos(phase), columns.T @ np.sin(phase)], axis=2)
+    atol = 4e-16 * orders[-1] * np.linalg.norm(columns, axis=0).max() * 9  # of the phases
+    assert_allclose(sums.result(), expected.reshape(3, -1), rtol=0, atol=atol)
+    double = _sums_of_doubles(theta, columns[:, 0], orders)
+    assert_allclose(double, columns[:, 0] @ np.exp(2j * phase), rtol=0, atol=2 * atol)
+
+
+@pytest.mark.parametrize("with_offsets", [False, True])
+def test_sums_of_candidates_are_the_same_on_the_grid(with_offsets, monkeypatch):
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(1)
+    theta, y, weights = (
+        rng.uniform(-2, 2, (300, 6)),
+        rng.normal(size=(300, 3)),
+        rng.uniform(1, 2, 300),
+    )
+    codes = np.arange(300) // 10 if with_offsets else None
+    offered = np.array([(j, k) for j in (1, 4) for k in range(1, 201)] + [(5, 3), (5, 9)])
+    terms = Terms(offered, True, True, False)
+    grid = candidate_sums(arm, theta, y, weights, codes, offered, terms)
+    of_grid = grid.rows([3, 250, 401])
+    monkeypatch.setattr(_waves, "_MANY_POSES", 1000)
+    plain = candidate_sums(arm, theta, y, weights, codes, offered, terms)
+    for name in ("cross", "own", "candidate_moment"):
+        value = getattr(plain, name)
+        assert_allclose(getattr(grid, name), value, atol=1e-12 * np.abs(value).max(), rtol=0)
+    assert_allclose(of_grid, plain.rows([3, 250, 401]), atol=1e-12 * plain.own.max(), rtol=0)
+
+
+def test_high_orders_are_exact():
+    """Waves by doubling against cosines and sines, at the highest order of all."""
+    theta = draw_angles(500, width=6.0)[:, 0]
+    found = waves(theta, np.arange(1, 1001))
+    phase = np.arange(1, 1001) * theta[:, None]
+    assert np.abs(found - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12

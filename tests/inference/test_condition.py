@@ -1,0 +1,148 @@
+"""Coefficients conditioned on new rows, against the normal distribution written out."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
+
+from sklearn_raacmm.inference import Prior, condition, log_density, narrowed
+
+N_FREE = 2
+
+
+def problem(n=30, seed=0, changed=0.5, noise_sd=0.05):
+    """Rows of three coordinates, five columns in two parts, of which the second has changed."""
+    rng = np.random.default_rng(seed)
+    columns, free = rng.normal(size=(n, 3, 5)), rng.normal(size=(n, 3, N_FREE))
+    prior = Prior(
+        mean=rng.normal(size=5),
+        half=0.02 * rng.normal(size=(5, 4)),
+        part=np.array(["a", "a", "b", "b", "b"], dtype=object),
+        size=rng.uniform(0.5, 2, 5),
+        free_sd=5.0,
+        noise_variance=0.04**2,
+        log_noise=(-1.0, 4.0),
+    )
+    change = np.r_[np.zeros(2), changed * rng.normal(size=3)]
+    y = columns @ (prior.mean + change) + free @ rng.normal(size=N_FREE)
+    return prior, columns, free, y + rng.normal(0, noise_sd, y.shape), np.ones(n)
+
+
+def of_definition(prior, columns, free, y, weights, tau, noise_sd):
+    """Mean and covariance of all coefficients, from their joint normal distribution with y."""
+    n_columns, n_free = columns.shape[2], free.shape[2]
+    tau = np.array([tau[name] for name in prior.part])
+    P = np.zeros((n_columns + n_free,) * 2)
+    P[:n_columns, :n_columns] = prior.half @ prior.half.T + np.diag((tau * prior.size) ** 2)
+    P[n_columns:, n_columns:] = prior.free_sd**2 * np.eye(n_free)
+    mean = np.r_[prior.mean, np.zeros(n_free)]
+    kept = weights > 0
+    A = np.concatenate([columns, free], axis=2)[kept].reshape(-1, len(P))
+    noise = noise_sd**2 / np.repeat(weights[kept], y.shape[1])
+    S = A @ P @ A.T + np.diag(noise)
+    gain = np.linalg.solve(S, A @ P).T
+    return mean + gain @ (y[kept].ravel() - A @ mean), P - gain @ A @ P, (A @ mean, S)
+
+
+@pytest.mark.parametrize("n", [2, 30])
+def test_posterior_is_that_of_the_joint_normal_distribution(n):
+    """Of fewer and of more coordinates than columns, which are summed up."""
+    given = problem(n)
+    after = condition(*given)
+    mean, covariance, _ = of_definition(*given, after.tau, after.noise_sd)
+    assert_allclose(after.mean, mean, rtol=1e-7, atol=1e-9)
+    assert_allclose(after.half @ after.half.T, covariance, rtol=1e-7, atol=1e-9)
+    assert after.half.shape[1] <= len(mean)
+
+
+@pytest.mark.parametrize("n", [2, 30])
+def test_taus_and_noise_have_the_highest_posterior(n):
+    given = problem(n)
+    prior, _, _, y, _ = given
+    after = condition(*given)
+
+    def negative(logs):
+        tau, noise_sd = dict(zip("ab", np.exp(logs[:2]), strict=True)), 0.04 * np.exp(logs[2])
+        _, _, (expected, S) = of_definition(*given, tau, noise_sd)
+        likelihood = multivariate_normal(expected, S).logpdf(y.ravel())
+        # Medians 0.1 with a factor of 4.5, and 1 with a factor of e.
+        z = np.r_[(logs[:2] - np.log(0.1)) / 1.5, logs[2]]
+        return 0.5 * z @ z - likelihood
+
+    bounds = [(-7, 0), (-7, 0), prior.log_noise]
+    best = minimize(negative, [-2.3, -2.3, 0.1], bounds=bounds, tol=1e-12).x
+    found = np.log([after.tau["a"], after.tau["b"], after.noise_sd / 0.04])
+    assert negative(found) < negative(best) + 1e-5
+    assert_allclose(found, best, atol=5e-3)
+
+
+def test_what_has_changed_is_found():
+    taus = [condition(*problem(30, seed)).tau for seed in range(5)]
+    assert all(tau["b"] > 4 * tau["a"] for tau in taus)
+    still = [condition(*problem(30, seed, changed=0.0)).tau for seed in range(5)]
+    assert all(max(tau.values()) < 0.1 for tau in still)
+
+
+def test_noise_stays_within_its_bounds():
+    given = problem(noise_sd=0.001)
+    free = condition(*given)
+    assert free.noise_sd == pytest.approx(0.04 * np.exp(-1))
+    held = condition(given[0]._replace(log_noise=(0.0, 4.0)), *given[1:])
+    assert held.noise_sd == pytest.approx(0.04)
+
+
+def test_rows_of_weight_zero_are_not_there():
+    prior, columns, free, y, weights = problem()
+    weights[::3] = 0
+    y[::3] = 100
+    after = condition(prior, columns, free, y, weights)
+    kept = weights > 0
+    same = condition(prior, columns[kept], free[kept], y[kept], weights[kept])
+    assert_allclose(after.mean, same.mean, rtol=1e-9)
+    assert_allclose(after.left_out.errors, same.left_out.errors, rtol=1e-9)
+
+
+def test_a_row_far_from_the_posterior_counts_for_nothing():
+    prior, columns, free, y, weights = problem()
+    clean = condition(prior, columns, free, y, weights)
+    y = y.copy()
+    y[[4, 9]] += [[2.0, 0, 0], [0, 3.0, 0]]
+    after = condition(prior, columns, free, y, weights)
+    assert_allclose(after.row_weight[[4, 9]], 0, atol=1e-3)
+    assert_allclose(after.mean, clean.mean, atol=0.05)
+    # A row far from the prior alone is the change.
+    assert_allclose(clean.row_weight, 1)
+
+
+def test_rows_left_out_are_those_of_a_fit_without_them():
+    given = problem(12)
+    prior, columns, free, y, weights = given
+    after = condition(*given)
+    A = np.concatenate([columns, free], axis=2)
+    for row in (0, 7):
+        others = weights.copy()
+        others[row] = 0
+        mean, covariance, _ = of_definition(
+            prior, columns, free, y, others, after.tau, after.noise_sd
+        )
+        assert_allclose(after.left_out.errors[row], y[row] - A[row] @ mean, rtol=1e-6)
+        variance = np.diag(A[row] @ covariance @ A[row].T)
+        assert_allclose(after.left_out.std[row], np.sqrt(variance), rtol=1e-6)
+    assert_allclose(after.left_out.noise, after.noise_sd)
+
+
+def test_narrowed_is_the_inverse_of_summed_precisions():
+    rng = np.random.default_rng(0)
+    half, rows = rng.normal(size=(4, 4)), rng.normal(size=(7, 4))
+    after = narrowed(half, rows)
+    expected = np.linalg.inv(np.linalg.inv(half @ half.T) + rows.T @ rows)
+    assert_allclose(after @ after.T, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("k", [3, 12])
+def test_log_density_is_that_of_scipy(k):
+    rng = np.random.default_rng(0)
+    y, seen = rng.normal(size=8), rng.normal(size=(8, k))
+    expected = multivariate_normal(np.zeros(8), seen @ seen.T + 0.3**2 * np.eye(8)).logpdf(y)
+    assert log_density(y, seen, 0.3, 8) == pytest.approx(expected + 4 * np.log(2 * np.pi))

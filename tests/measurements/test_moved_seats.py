@@ -1,0 +1,203 @@
+"""Steps of a position's residuals: where a socket moved they are named, elsewhere never."""
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    calibrate,
+    learn_correction,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.measurements import MOVED, _moved_seats, find_steps, warn_of_moved_seats
+
+NOISE = 0.01
+# In the order of the rows; what is left of the poses is random.
+CODES = np.repeat(np.arange(6), 20)
+
+
+def poses_and_noise(seed=0, n=120):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-2, 2, (n, 6)), rng.normal(0, NOISE, (n, 3))
+
+
+def rows_of(steps):
+    return [(step.code, step.before, step.after) for step in steps]
+
+
+def test_nothing_in_noise():
+    for seed in range(20):
+        angles, left = poses_and_noise(seed)
+        assert find_steps(left, angles, CODES) == []
+
+
+def test_steps_there_and_back_are_found_where_they_are():
+    angles, left = poses_and_noise()
+    left[46:54] += [0.0, 0.3, 0.1]
+    steps = find_steps(left, angles, CODES)
+    assert rows_of(steps) == [(2, 45, 46), (2, 53, 54)]
+    assert_allclose([step.size_mm for step in steps], np.hypot(0.3, 0.1), atol=0.02)
+
+
+def test_rows_of_positions_may_be_interleaved():
+    """Only their order within a position counts."""
+    angles, left = poses_and_noise()
+    left[50:60] += [0.2, 0.0, 0.0]
+    order = np.argsort(np.tile(np.arange(20), 6), kind="stable")  # one row of each in turn
+    (step,) = find_steps(left[order], angles[order], CODES[order])
+    assert step.code == 2
+    assert [order[step.before], order[step.after]] == [49, 50]
+
+
+def test_a_constant_of_each_position_plays_no_part():
+    angles, left = poses_and_noise()
+    left[90:] += 0.2
+    moved = left + np.random.default_rng(1).normal(0, 50, (6, 3))[CODES]
+    assert rows_of(find_steps(left, angles, CODES)) == [(4, 89, 90)]
+    assert rows_of(find_steps(moved, angles, CODES)) == [(4, 89, 90)]
+
+
+def test_an_order_that_means_nothing_is_seen():
+    """Rows of two levels, shuffled: by chance there are runs of both."""
+    angles, left = poses_and_noise()
+    left[40:48] += 0.5
+    assert rows_of(find_steps(left, angles, CODES)) == [(2, 47, 48)]
+    rng, named = np.random.default_rng(0), 0
+    for _ in range(40):
+        order = np.r_[:40, rng.permutation(20) + 40, 60:120]
+        named += bool(find_steps(left[order], angles[order], CODES))
+    assert named == 0
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_an_error_of_the_arm_is_no_step(joint):
+    """Smooth in a joint's angle and large, with the rows sorted by it, or one half turned over."""
+    angles, left = poses_and_noise()
+    left = left + 10 * NOISE * np.sin(angles[:, [joint]]) * [1, 1, -1]
+    order = np.lexsort((angles[:, joint], CODES))
+    assert find_steps(left[order], angles[order], CODES) == []
+    order = np.lexsort((angles[:, joint] > 0, CODES))
+    assert find_steps(left[order], angles[order], CODES) == []
+
+
+def test_slipped_poses_are_no_step():
+    angles, left = poses_and_noise()
+    slipped = np.random.default_rng(0).random(len(left)) < 0.06
+    left[slipped] += np.random.default_rng(1).normal(0, 1, (slipped.sum(), 3))
+    left[[70, 71]] += [0, 0, 2.0]  # twice in a row
+    assert find_steps(left, angles, CODES) == []
+
+
+def test_a_pose_that_was_recorded_many_times_is_one():
+    """Ten readings of a slipped probe do not make a socket move."""
+    angles, left = poses_and_noise()
+    left[50] += 1.0
+    rng = np.random.default_rng(0)
+    burst = np.repeat(angles, 10, axis=0) + rng.normal(0, 1e-5, (1200, 6))
+    assert find_steps(np.repeat(left, 10, axis=0), burst, np.repeat(CODES, 10)) == []
+    left[51:60] += 1.0
+    steps = find_steps(np.repeat(left, 10, axis=0), burst, np.repeat(CODES, 10))
+    assert rows_of(steps) == [(2, 499, 500)]
+
+
+@pytest.mark.parametrize("n", [0, 1, 5, 6])
+def test_few_rows(n):
+    angles, left = poses_and_noise()
+    left[n // 2 :] += 1.0
+    assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
+
+
+def test_exact_residuals():
+    angles, _ = poses_and_noise()
+    assert find_steps(np.zeros((120, 3)), angles, CODES) == []
+
+
+def test_variance_of_a_difference_of_means_against_its_covariance():
+    """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
+    angles, left = poses_and_noise()
+    poses = _moved_seats._Poses.of(left, angles, CODES)
+    spread = _moved_seats._Spread(np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1]))
+    place = poses.place[:8]
+    apart = np.sqrt(np.square(place[:, None] - place).sum(axis=2))
+    gamma = np.where(apart < 1.5, 0.3, np.where(apart < 2.5, 0.5, 1.1))
+    np.fill_diagonal(gamma, 0.0)
+    w = np.r_[np.full(3, -1 / 3), np.full(5, 1 / 5)]
+    expected = max(w @ (2.0 - gamma) @ w, 0.3 * (1 / 3 + 1 / 5))
+    assert_allclose(spread.of_difference(place, 3), expected, rtol=1e-12)
+
+
+def test_spread_of_a_process():
+    """Medians find the semivariogram of noise beside a smooth error, and of its pairs."""
+    rng = np.random.default_rng(0)
+    codes = np.repeat(np.arange(100), 20)
+    angles = rng.uniform(-1, 1, (2000, 6))
+    left = rng.normal(0, NOISE, (2000, 3)) + 0.1 * angles[:, :3]
+    poses = _moved_seats._Poses.of(left, angles, codes)
+    spread = _moved_seats._Spread.of(poses, 0.0)
+    assert np.all(np.diff(spread.half) >= 0)
+    # Of two uniform angles: 0.01 / 3, and the noise. Medians of no normal differences: a third off.
+    assert_allclose(spread.half.mean(), 0.01 / 3 + NOISE**2, rtol=0.35)
+
+
+# -- what users see -------------------------------------------------------------------------------
+
+
+def moved_test(machine="none", n_positions=5):
+    """A simulated test whose third socket moved by 0.4 mm after its 11th pose."""
+    test = make_single_point(n_positions, 20, machine=machine, random_state=1)
+    angles, groups = test.data.copy(), test.groups
+    rows = np.flatnonzero(groups == np.unique(groups)[2])[11:]
+    move = np.linalg.pinv(test.arm.jacobian(angles[rows])) @ [0.0, 0.4, 0.0]
+    angles[rows] += move
+    return test, angles, groups, rows[0]
+
+
+def test_the_warning_names_position_rows_and_size():
+    test, angles, groups, first = moved_test()
+    left = test.arm.forward(angles) - test.arm.forward(test.data)
+    left += np.random.default_rng(0).normal(0, NOISE, left.shape)
+    expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first} \(rows counted"
+    weights = np.ones(len(left))
+    with pytest.warns(UserWarning, match=f"^{MOVED} {expected}") as said:
+        warn_of_moved_seats(left, angles, weights, groups, NOISE**2)
+    assert [one.filename for one in said] == [__file__]
+    weights = ((np.arange(len(left)) < first) | (groups != 2)).astype(float)
+    warn_of_moved_seats(left, angles, weights, groups, NOISE**2)  # nothing to warn of
+    # Labels of their own after each step are the way out.
+    labels = np.array([f"cone {label}" for label in groups], dtype=object)
+    labels[first:][groups[first:] == 2] = "cone 2, moved"
+    warn_of_moved_seats(left, angles, np.ones(len(left)), labels, NOISE**2)
+
+
+def test_the_one_call_counts_all_rows():
+    """Rows after a step may be outliers, which the model does not see."""
+    test, angles, groups, first = moved_test("typical", 7)
+    model = ArmResidualRegressor(orders=2)
+    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first} ") as said:
+        learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
+    assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
+
+
+def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
+    nominal = Arm.from_name("panda", probe=(0, 0, 138))
+    said = {}
+    for name in ("panda_2", "panda_3"):
+        data = panda(name)
+        result = calibrate(nominal, data.angles, data.groups)
+        left = result.residuals_mm
+        left = left - ArmResidualRegressor(result.arm, orders=20, fade=0).fit(
+            data.angles, left, groups=data.groups
+        ).predict(data.angles)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            warn_of_moved_seats(left, data.angles, np.ones(len(left)), data.groups, 0.0)
+        said[name] = [str(one.message) for one in caught]
+    assert said["panda_3"] == []
+    (sentence,) = said["panda_2"]
+    assert sentence.count("position '") == 2
+    assert "position 'high/0'" in sentence
+    assert "position 'high/1'" in sentence
