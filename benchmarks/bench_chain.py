@@ -17,7 +17,7 @@ import time
 import warnings
 
 import numpy as np
-from _comparison import ALL, INPUTS, PAPER, Table, gaussian_process
+from _comparison import ALL, INPUTS, PAPER, Table, chain, gaussian_process
 from compare_regressors import panda, ur10
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
@@ -35,13 +35,6 @@ MIXES = ["gravity", "typical", "eccentricity"]
 SHAPES = [(10, 60), (30, 20)]
 TEST_POSITIONS, TEST_POSES = 20, 20
 REAL = ["panda_3", "panda_2", "ur10"]
-
-
-def chain(arm, regressor, inputs):
-    """A chain on scaled inputs; the network has widths of its own and takes them as they are."""
-    steps = [] if isinstance(regressor, RBFNetRegressor) else [StandardScaler()]
-    pose = PoseFeatures(arm, **INPUTS[inputs])
-    return CylindricalResidualTarget(make_pipeline(pose, *steps, regressor), azimuth=arm.azimuth)
 
 
 # Ridges, widths and so on are those that compare_regressors.py chose most often.
