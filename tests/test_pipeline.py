@@ -299,7 +299,9 @@ def test_a_search_hands_positions_to_every_candidate(form, kind, routing):
     words = {"groups": groups} if routing else {"groups": groups, name: groups}
     with config_context(enable_metadata_routing=routing):
         scorer = repeatability_scorer() if routing else repeatability_scorer(X, groups)
-        search = kind(model, {key: regressors}, cv=GroupKFold(3), scoring=scorer)
+        # Halving draws rows: so many that each position has several.
+        options = {"min_resources": 90, "random_state": 0} if kind is HalvingGridSearchCV else {}
+        search = kind(model, {key: regressors}, cv=GroupKFold(3), scoring=scorer, **options)
         search.fit(X, y, **words)
     if kind is GridSearchCV:
         expected = [by_hand(arm, regressor, X, y, groups) for regressor in CANDIDATES]

@@ -54,9 +54,9 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         Unit of the joint angles in `X`. Features are in rad in either case.
 
     encoding : {"angle", "periodic"}, default="angle"
-        - "angle": each angle in rad. Joint angles are taken into one turn, whose ends lie in the
-          widest gap between the angles seen in `fit`, so that a joint that turns on gives the
-          same pose the same features.
+        - "angle": each angle in rad. Joint angles are taken into one turn, whose ends are as far
+          as can be from the angles seen in `fit`, so that a joint that turns on gives the same
+          pose the same features.
         - "periodic": cosine and sine of each angle, in which a whole turn is no difference.
 
     joints : {"pose", "all"}, default="pose"
@@ -234,7 +234,11 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
 
 
 def _turn_start(angles):
-    """Start of the turn, in the middle of the widest gap, in which most angles stay as they are."""
+    """Start of the turn in which angles of less than a turn, or most others, stay as they are."""
+    low, high = angles.min(), angles.max()
+    if high - low < _TURN:
+        return (low + high) / 2 - np.pi
+    # Cut in the middle of the widest gap.
     places = np.sort(angles % _TURN)
     gaps = np.append(np.diff(places), places[0] + _TURN - places[-1])
     widest = np.argmax(gaps)
