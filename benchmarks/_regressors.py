@@ -214,6 +214,8 @@ def n_parameters(model):
             return n_parameters(model[-1])
         case Ridge():
             return model.coef_.size + model.intercept_.size
+        case Newrb():
+            return model.centers_.size + model.coef_.size + 1
         case RBFNetRegressor():
             width = model.length_scale_.size + np.size(model.intercept_)
             return model.centers_.size + model.coef_.size + width
