@@ -42,10 +42,10 @@ ALPHAS = [1e-2, 1.0, 1e2]
 
 def chain(arm, regressor, inputs):
     """Build the whole model: joint angles in rad in, residual dx, dy, dz in mm out."""
-    return CylindricalResidualTarget(
-        make_pipeline(PoseFeatures(arm, **INPUTS[inputs]), StandardScaler(), regressor),
-        azimuth=arm.azimuth,
-    )
+    # The network has widths of its own.
+    scaler = [] if isinstance(regressor, RBFNetRegressor) else [StandardScaler()]
+    steps = make_pipeline(PoseFeatures(arm, **INPUTS[inputs]), *scaler, regressor)
+    return CylindricalResidualTarget(steps, azimuth=arm.azimuth)
 
 
 def polynomial(arm, inputs, scoring, n_splits):
@@ -86,14 +86,14 @@ def models_to_compare(arm, scoring="neg_root_mean_squared_error", n_splits=5):
     }
 
 
-def fit(model, angles, residuals, groups):
-    """Fit a model; a search splits its rows by group."""
+def fit(model, angles, residuals, groups, positions=None):
+    """Fit a model, which is told the positions; a search splits its rows by group."""
     if isinstance(model, GridSearchCV):
-        return model.fit(angles, residuals, groups=groups)
+        return model.fit(angles, residuals, groups=groups, regressor__groups=positions)
     with warnings.catch_warnings():
         # A Gaussian process says so when a width runs to its bound: a feature without influence.
         warnings.filterwarnings("ignore", message=".*close to the specified.*bound")
-        return model.fit(angles, residuals)
+        return model.fit(angles, residuals, groups=positions)
 
 
 def in_parallel(function, calls, jobs, title=""):

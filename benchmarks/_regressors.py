@@ -7,7 +7,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from _comparison import ALL, PAPER, chain, fit, gaussian_process
+from _comparison import ALL, INPUTS, PAPER, chain, fit, gaussian_process
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.compose import TransformedTargetRegressor
@@ -20,7 +20,7 @@ from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.neighbors import KNeighborsRegressor
 from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import Pipeline, make_pipeline
-from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, StandardScaler
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
 from sklearn_raacmm import (
     ArmResidualRegressor,
@@ -28,6 +28,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.metrics import repeatability_scorer
+from sklearn_raacmm.residuals import bp_network_chain, database_chain, polynomial_chain
 
 PLANE, ANGLES = "theta2 to theta4", "all joints"
 ALPHAS = [1e-2, 1.0, 1e2, 1e4]
@@ -66,9 +67,8 @@ def _fourier(arm, orders, joints):
 
 
 def _polynomial(arm, inputs, degree):
-    terms = PolynomialFeatures(degree, include_bias=False)
-    regressor = make_pipeline(terms, StandardScaler(), Ridge())
-    return _chain(arm, regressor, inputs, {"ridge__alpha": ALPHAS})
+    model = polynomial_chain(arm, degree=degree, **INPUTS[inputs])
+    return _named(model, "regressor", {"ridge__alpha": ALPHAS})
 
 
 def _chain(arm, regressor, inputs, grid):
@@ -124,19 +124,14 @@ def _kernel_ridge(arm, inputs, widths):
 
 
 def _neighbours(arm, inputs):
-    return _chain(
-        arm, KNeighborsRegressor(weights="distance"), inputs, {"n_neighbors": [3, 10, 30]}
-    )
+    model = database_chain(arm, **INPUTS[inputs])
+    return _named(model, "regressor", {"kneighborsregressor__n_neighbors": [3, 10, 30]})
 
 
 def _perceptron(arm, inputs):
-    # L-BFGS, because some hundred rows are few for stochastic steps; targets of unit variance,
-    # because a ridge of any usual size outweighs hundredths of a millimetre.
-    network = MLPRegressor(
-        hidden_layer_sizes=(64, 64), solver="lbfgs", max_iter=200, random_state=0
-    )
-    scaled = TransformedTargetRegressor(network, transformer=StandardScaler())
-    return _chain(arm, scaled, inputs, {"regressor__alpha": [1.0, 30.0]})
+    model = bp_network_chain(arm, max_iter=200, random_state=0, **INPUTS[inputs])
+    name = "regressor__transformedtargetregressor"
+    return _named(model, name, {"regressor__alpha": [1.0, 10.0]})
 
 
 def _trees(arm, inputs):
@@ -198,15 +193,10 @@ def run(name, fold, max_gp_rows=1000):
         with warnings.catch_warnings():
             # A perceptron that is stopped early is one of the settings that are compared.
             warnings.simplefilter("ignore", ConvergenceWarning)
-            search.fit(X, y, groups=splits)
+            search.fit(X, y, groups=splits, regressor__groups=positions)
         model = search.best_estimator_
-    elif isinstance(model, ArmResidualRegressor):
-        model.fit(X, y, groups=positions)
-    elif name[0] == PAPER and isinstance(model.regressor[-1], RBFNetRegressor):
-        # Rows of all joints are without groups: on the first arm of each kind the same to 1 %.
-        model.fit(X, y, rbfnetregressor__groups=positions)
     else:
-        fit(model, X, y, None)
+        fit(model, X, y, None, positions)
     seconds = time.process_time() - start
     test = fold.angles[fold.test]
     start = time.process_time()
@@ -224,6 +214,8 @@ def n_parameters(model):
             return n_parameters(model[-1])
         case Ridge():
             return model.coef_.size + model.intercept_.size
+        case Newrb():
+            return model.centers_.size + model.coef_.size + 1
         case RBFNetRegressor():
             width = model.length_scale_.size + np.size(model.intercept_)
             return model.centers_.size + model.coef_.size + width

@@ -41,7 +41,7 @@ def main(argv=None):
     cone, gauge = make_single_point(args.positions, args.poses, **settings), make_gauge(**settings)
     model = chain(cone.arm, RBFNetRegressor(random_state=0), PAPER)
 
-    told = {"rbfnetregressor__groups": cone.groups}  # which rows are of one position
+    told = {"groups": cone.groups}  # which rows are of one position
     correction = cross_val_predict(
         model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut(), params=told
     )

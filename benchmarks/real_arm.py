@@ -61,7 +61,8 @@ def corrected_points(data, fold, name):
     n_splits = min(5, len(np.unique(placements)))
     scoring = repeatability_scorer(angles, sockets)
     model = models_to_compare(fold.arm, scoring, n_splits)[name]
-    fit(model, angles, position_residuals(fold.points[learn], sockets), placements)
+    residuals = position_residuals(fold.points[learn], sockets)
+    fit(model, angles, residuals, placements, sockets)
     return fold.points[test] - model.predict(data.data[test])
 
 

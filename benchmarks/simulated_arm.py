@@ -44,7 +44,7 @@ FLOOR = ("-", "perfect model")
 
 def held_out_correction(model, angles, residuals, groups, train, test):
     """Prediction for the rows of one position by a model fitted on the other positions."""
-    fit(model, angles[train], residuals[train], groups[train])
+    fit(model, angles[train], residuals[train], groups[train], groups[train])
     return test, model.predict(angles[test])
 
 
@@ -58,7 +58,7 @@ def corrections(title, model, cone, gauge, jobs):
     at_cone = np.empty_like(cone.points)
     for test, predicted in folds:
         at_cone[test] = predicted
-    return at_cone, fit(model, *rows).predict(gauge.data), seconds
+    return at_cone, fit(model, *rows, cone.groups).predict(gauge.data), seconds
 
 
 def compare(cone, gauge, jobs):

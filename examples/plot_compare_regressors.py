@@ -91,10 +91,9 @@ for inputs, (n, parameters) in INPUTS.items():
     for name, regressor in REGRESSORS.items():
         steps = make_pipeline(PoseFeatures(arm, **parameters), StandardScaler(), regressor(n))
         model = CylindricalResidualTarget(steps, azimuth=arm.azimuth)
-        told = {"rbfnetregressor__groups": groups} if name == "RBF network" else {}
-        results[inputs, name] = two_s(model, params=told)
+        results[inputs, name] = two_s(model, params={"groups": groups})
         print(f"{inputs:<24} {name:<23} {1e3 * results[inputs, name][0]:.1f} µm")
-# The network and this one know of the unknown offset of each position, and are told the positions.
+# All are told which poses are of one position, and know of the unknown offset of each.
 linear = two_s(ArmResidualRegressor(arm), params={"groups": groups})
 print(f"{'all joints':<24} {'ArmResidualRegressor':<23} {1e3 * linear[0]:.1f} µm")
 

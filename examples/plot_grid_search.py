@@ -74,12 +74,12 @@ grid = [
 # The search
 # ----------
 # With metadata routing off, which is scikit-learn's default, a scorer has to be told the groups
-# beforehand; see :doc:`/user_guide/metadata_routing`.
+# beforehand, and the fit by another name; see :doc:`/user_guide/metadata_routing`.
 
 search = GridSearchCV(
     chain, grid, scoring=repeatability_scorer(angles, groups), cv=GroupKFold(4), n_jobs=2
 )
-search.fit(angles, residuals, groups=groups)
+search.fit(angles, residuals, groups=groups, residual__groups=groups)
 names = {
     RBFNetRegressor: "RBF network",
     Pipeline: "polynomial ridge",

@@ -23,7 +23,6 @@ import joblib
 import matplotlib.pyplot as plt
 import numpy as np
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
@@ -37,10 +36,9 @@ DEADLINE = 1e-3  # s
 # ---------
 
 data = make_single_point(n_positions=12, n_poses=40, random_state=0)
-network = make_pipeline(StandardScaler(), RBFNetRegressor(random_state=0))
 model = make_pipeline(
     PoseFeatures(data.arm, joints="all", encoding="periodic", append_azimuth=True),
-    CylindricalResidualTarget(network),
+    CylindricalResidualTarget(RBFNetRegressor(random_state=0)),
 ).fit(data.data, data.target)
 
 # %%

@@ -11,14 +11,13 @@ positions that the network has not seen, and where each criterion stops. It take
 import matplotlib.pyplot as plt
 import numpy as np
 from sklearn.model_selection import GroupShuffleSplit
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import PoseFeatures, RBFNetRegressor, cartesian_to_cylindrical
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import within_position_scatter
 
 data = make_single_point(n_positions=16, n_poses=40, machine="gravity", random_state=0)
-pose = StandardScaler().fit_transform(PoseFeatures(data.arm).fit_transform(data.data))
+pose = PoseFeatures(data.arm).fit_transform(data.data)
 radial = cartesian_to_cylindrical(data.target, data.arm.azimuth(data.data))[:, 0]
 split = GroupShuffleSplit(1, test_size=0.4, random_state=0)
 train, test = next(split.split(pose, groups=data.groups))

@@ -14,7 +14,6 @@ each. The script takes about half a minute.
 import matplotlib.pyplot as plt
 from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_gauge, make_single_point
@@ -23,10 +22,10 @@ from sklearn_raacmm.display import LengthErrorDisplay, RepeatabilityDisplay, Res
 cone = make_single_point(n_positions=10, n_poses=60, machine="gravity", random_state=0)
 gauge = make_gauge(machine="gravity", random_state=0)
 model = CylindricalResidualTarget(
-    make_pipeline(PoseFeatures(cone.arm), StandardScaler(), RBFNetRegressor(random_state=0)),
+    make_pipeline(PoseFeatures(cone.arm), RBFNetRegressor(random_state=0)),
     azimuth=cone.arm.azimuth,
 )
-told = {"rbfnetregressor__groups": cone.groups}  # which rows are of one position
+told = {"groups": cone.groups}  # which rows are of one position
 correction = cross_val_predict(
     model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut(), params=told
 )

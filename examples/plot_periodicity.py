@@ -19,7 +19,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from sklearn.model_selection import GroupKFold, cross_val_predict
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
     CylindricalResidualTarget,
@@ -40,7 +39,6 @@ def chain(encoding):
     return CylindricalResidualTarget(
         make_pipeline(
             PoseFeatures(data.arm, joints="all", encoding=encoding),
-            StandardScaler(),
             RBFNetRegressor(random_state=0),
         ),
         azimuth=data.arm.azimuth,

@@ -15,7 +15,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from sklearn.base import clone
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
     ArmResidualRegressor,
@@ -42,7 +41,7 @@ print(f"{len(data.data)} poses in {len(np.unique(data.groups))} sockets, {len(na
 
 def network(arm, inputs):
     """Build the paper's chain; with its own inputs it sees three angles of the pose."""
-    steps = make_pipeline(PoseFeatures(arm, **inputs), StandardScaler(), RBFNetRegressor())
+    steps = make_pipeline(PoseFeatures(arm, **inputs), RBFNetRegressor())
     return CylindricalResidualTarget(steps, azimuth=arm.azimuth)
 
 
@@ -66,12 +65,7 @@ for name in names:
     corrected.setdefault("calibrated, uncorrected", np.empty_like(points))[test] = points[test]
     for model_name, model in models(arm).items():
         model = clone(model)
-        if isinstance(model, ArmResidualRegressor):
-            model.fit(data.data[learn], residuals, groups=data.groups[learn])
-        elif "three" in model_name:
-            model.fit(data.data[learn], residuals, rbfnetregressor__groups=data.groups[learn])
-        else:
-            model.fit(data.data[learn], residuals)
+        model.fit(data.data[learn], residuals, groups=data.groups[learn])
         left = points[test] - model.predict(data.data[test])
         corrected.setdefault(model_name, np.empty_like(points))[test] = left
 

@@ -16,7 +16,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from sklearn.model_selection import GroupKFold
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
     ArmResidualRegressor,
@@ -49,7 +48,7 @@ for train, test in GroupKFold(3).split(angles, groups=groups):
     features = PoseFeatures(arm, joints="all", encoding="periodic")
     models = {
         "network": CylindricalResidualTarget(
-            make_pipeline(features, StandardScaler(), RBFNetRegressor(random_state=0)),
+            make_pipeline(features, RBFNetRegressor(random_state=0)),
             azimuth=arm.azimuth,
         ),
         "harmonics": ArmResidualRegressor(arm),

@@ -16,7 +16,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from sklearn.model_selection import GroupKFold, cross_val_predict
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
     ArmResidualRegressor,
@@ -39,13 +38,13 @@ print(data.arm)
 # :class:`~sklearn_raacmm.ArmResidualRegressor` also checks itself at positions that it leaves out.
 
 network = CylindricalResidualTarget(
-    make_pipeline(PoseFeatures(data.arm), StandardScaler(), RBFNetRegressor(random_state=0)),
+    make_pipeline(PoseFeatures(data.arm), RBFNetRegressor(random_state=0)),
     azimuth=data.arm.azimuth,
 )
 whole = ArmResidualRegressor(data.arm)
 folds = list(GroupKFold(5).split(data.data, groups=data.groups))
 models = {
-    "after, network on three pose angles": (network, "rbfnetregressor__groups"),
+    "after, network on three pose angles": (network, "groups"),
     "after, ArmResidualRegressor": (whole, "groups"),
 }
 corrections = {

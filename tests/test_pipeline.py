@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn import config_context
 from sklearn.base import clone
+from sklearn.experimental import enable_halving_search_cv  # noqa: F401
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.kernel_ridge import KernelRidge
@@ -16,6 +17,7 @@ from sklearn.linear_model import Ridge
 from sklearn.model_selection import (
     GridSearchCV,
     GroupKFold,
+    HalvingGridSearchCV,
     LeaveOneGroupOut,
     cross_val_predict,
     cross_val_score,
@@ -33,6 +35,8 @@ from sklearn_raacmm import (
     cylindrical_to_cartesian,
     position_residuals,
 )
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.metrics import repeatability_scorer, single_point_repeatability
 
 
 def network():
@@ -270,6 +274,54 @@ def test_grid_search_over_parameters_of_every_step(cone_test):
     assert np.isfinite(search.cv_results_["mean_test_score"]).all()
 
 
+CANDIDATES = [
+    network(),
+    make_pipeline(StandardScaler(), PolynomialFeatures(2), Ridge()),
+    make_pipeline(StandardScaler(), gaussian_process()),
+]
+
+
+@pytest.mark.parametrize("routing", [False, True])
+@pytest.mark.parametrize("kind", [GridSearchCV, HalvingGridSearchCV])
+@pytest.mark.parametrize("form", ["outermost", "last"])
+def test_a_search_hands_positions_to_every_candidate(form, kind, routing):
+    data = make_single_point(12, 10, machine="gravity", random_state=0)
+    X, y, groups, arm = data.data, data.target, data.groups, data.arm
+    regressors = CANDIDATES
+    if form == "outermost":
+        regressors = [make_pipeline(PoseFeatures(arm), regressor) for regressor in CANDIDATES]
+        model, key = CylindricalResidualTarget(Ridge(), azimuth=arm.azimuth), "regressor"
+    else:
+        key = "cylindricalresidualtarget__regressor"
+        pose = PoseFeatures(arm, append_azimuth=True)
+        model = make_pipeline(pose, CylindricalResidualTarget())
+    name = key.removesuffix("regressor") + ("groups" if form == "last" else "regressor__groups")
+    words = {"groups": groups} if routing else {"groups": groups, name: groups}
+    with config_context(enable_metadata_routing=routing):
+        scorer = repeatability_scorer() if routing else repeatability_scorer(X, groups)
+        # Halving draws rows: so many that each position has several.
+        options = {"min_resources": 90, "random_state": 0} if kind is HalvingGridSearchCV else {}
+        search = kind(model, {key: regressors}, cv=GroupKFold(3), scoring=scorer, **options)
+        search.fit(X, y, **words)
+    if kind is GridSearchCV:
+        expected = [by_hand(arm, regressor, X, y, groups) for regressor in CANDIDATES]
+        assert_allclose(-search.cv_results_["mean_test_score"], expected, rtol=1e-6)
+    best = CANDIDATES[regressors.index(search.best_params_[key])]
+    alone = CylindricalResidualTarget(make_pipeline(PoseFeatures(arm), best), azimuth=arm.azimuth)
+    assert_allclose(search.predict(X), alone.fit(X, y, groups=groups).predict(X), atol=1e-9)
+
+
+def by_hand(arm, regressor, X, y, groups):
+    """Mean 2S at positions left out, in a loop."""
+    scores = []
+    for train, test in GroupKFold(3).split(X, groups=groups):
+        model = CylindricalResidualTarget(
+            make_pipeline(PoseFeatures(arm), clone(regressor)), azimuth=arm.azimuth
+        ).fit(X[train], y[train], groups=groups[train])
+        scores.append(single_point_repeatability(y[test] - model.predict(X[test]), groups[test]))
+    return np.mean(scores)
+
+
 # -- metadata -------------------------------------------------------------------------------------
 
 
@@ -310,7 +362,7 @@ def test_groups_and_weights_in_one_grid_search_with_routing(cone_test):
     with config_context(enable_metadata_routing=True):
         model, _ = weighted(form_b, arm, routing=True)
         model[-1].set_score_request(sample_weight=True)
-        model[-1].regressor[-1].set_fit_request(groups=False)
+        model[-1].set_fit_request(groups=False)
         search = GridSearchCV(
             model, {"posefeatures__encoding": ["angle", "periodic"]}, cv=GroupKFold(3)
         ).fit(angles, y, groups=groups, sample_weight=weight)

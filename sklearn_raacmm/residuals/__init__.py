@@ -12,6 +12,11 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
+from sklearn_raacmm.residuals._earlier import (
+    bp_network_chain,
+    database_chain,
+    polynomial_chain,
+)
 from sklearn_raacmm.residuals._plausible import (
     refuse_large,
     refuse_points,
@@ -19,18 +24,23 @@ from sklearn_raacmm.residuals._plausible import (
 )
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
+from sklearn_raacmm.residuals._positions import positions_of, within_positions_score
 from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
 
 __all__ = [
     "NORM_TOLERANCE",
     "CylindricalResidualTarget",
     "PoseFeatures",
+    "bp_network_chain",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
+    "database_chain",
     "direction_of",
     "elbow_angle",
+    "polynomial_chain",
     "pose_columns",
     "position_residuals",
+    "positions_of",
     "refuse_large",
     "refuse_points",
     "shoulder_wrist_distance",
@@ -38,4 +48,5 @@ __all__ = [
     "to_cartesian",
     "to_cylindrical",
     "warn_of_another_frame",
+    "within_positions_score",
 ]

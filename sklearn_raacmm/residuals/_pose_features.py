@@ -32,6 +32,7 @@ from sklearn_raacmm.utils import (
 # core's cache.
 _BATCH_ROWS = 4096
 _ORIGIN = (0.0, 0.0, 0.0)
+_TURN = 2 * np.pi
 
 
 class PoseFeatures(TransformerMixin, VersionedEstimator):
@@ -53,8 +54,9 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         Unit of the joint angles in `X`. Features are in rad in either case.
 
     encoding : {"angle", "periodic"}, default="angle"
-        - "angle": each angle in rad. Joint angles stay as they are read, so a joint that turns
-          past a whole turn gives the same pose two different features.
+        - "angle": each angle in rad. Joint angles are taken into one turn, whose ends are as far
+          as can be from the angles seen in `fit`, so that a joint that turns on gives the same
+          pose the same features.
         - "periodic": cosine and sine of each angle, in which a whole turn is no difference.
 
     joints : {"pose", "all"}, default="pose"
@@ -70,6 +72,9 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     ----------
     arm_ : Arm
         The arm in use.
+
+    turn_start_ : ndarray of shape (n_joints,)
+        Where the turn of each joint angle starts, in rad.
 
     n_features_in_ : int
         Number of joints.
@@ -123,7 +128,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     @fit_context(prefer_skip_nested_validation=True)
     @whole_fit
     def fit(self, X, y=None):
-        """Check the number of joints; there is nothing to learn.
+        """Check the number of joints, and find where each joint's turn starts.
 
         Parameters
         ----------
@@ -146,6 +151,8 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
         self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1])
+        factor = np.pi / 180 if self.angle_unit == "deg" else 1.0
+        self.turn_start_ = np.array([_turn_start(factor * column) for column in X.T.astype(float)])
         return self
 
     def transform(self, X):
@@ -172,6 +179,9 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         features = np.empty((len(X), len(self._names())), dtype=X.dtype)
         # All rows at once: a unit cannot be told from some of them.
         angles = check_angles(X, self.arm_.n_joints, self.angle_unit)
+        turns = np.floor((angles - self.turn_start_) / _TURN)
+        if turns.any():
+            angles = angles - _TURN * turns
         for rows in chunks(len(X), _BATCH_ROWS):
             for i, column in enumerate(self._columns(angles[rows], rows.start)):
                 features[rows, i] = column
@@ -221,6 +231,19 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         tags = super().__sklearn_tags__()
         tags.transformer_tags.preserves_dtype = ["float64", "float32"]
         return tags
+
+
+def _turn_start(angles):
+    """Start of the turn in which angles of less than a turn, or most others, stay as they are."""
+    low, high = angles.min(), angles.max()
+    if high - low < _TURN:
+        return (low + high) / 2 - np.pi
+    # Cut in the middle of the widest gap.
+    places = np.sort(angles % _TURN)
+    gaps = np.append(np.diff(places), places[0] + _TURN - places[-1])
+    widest = np.argmax(gaps)
+    start = places[widest] + gaps[widest] / 2
+    return start + _TURN * np.floor(np.median((angles - start) / _TURN))
 
 
 def pose_columns(arm, angles, first_row=0):

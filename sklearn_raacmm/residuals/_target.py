@@ -17,6 +17,7 @@ from scipy.sparse import issparse
 from sklearn import get_config
 from sklearn.base import RegressorMixin, clone
 from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import Pipeline
 from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
@@ -33,6 +34,15 @@ from sklearn_raacmm.residuals._plausible import (
     refuse_points,
     warn_of_another_frame,
 )
+from sklearn_raacmm.residuals._positions import (
+    are_deviations,
+    before_last,
+    constants_of,
+    last_step_of,
+    positions_of,
+    takes_groups,
+    within_positions_score,
+)
 from sklearn_raacmm.utils import (
     HasMethods,
     StrOptions,
@@ -40,6 +50,9 @@ from sklearn_raacmm.utils import (
     check_feature_names,
     check_fitted,
     check_n_features,
+    check_points,
+    check_weights,
+    encode_groups,
     fit_context,
     floats,
     is_plain,
@@ -68,9 +81,9 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     ----------
     regressor : object, default=None
         Regressor for the three components, cloned before fitting. If None,
-        :class:`~sklearn.linear_model.LinearRegression`. Scale features inside it:
-        ``make_pipeline(StandardScaler(), RBFNetRegressor())``. A search over its parameters, such
-        as ``regressor__rbfnetregressor__n_centers``, needs one to be given: None has none.
+        :class:`~sklearn.linear_model.LinearRegression`. One that has no widths of its own needs
+        scaled features, by a scaler inside it. A search over its parameters, such as
+        ``regressor__n_centers``, needs one to be given.
 
     azimuth : "appended", callable or None, default="appended"
         Where the azimuth of the probe comes from.
@@ -89,6 +102,9 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     regressor_ : object
         Fitted regressor, on radial, tangential and axial residuals in mm.
 
+    by_position_ : bool
+        Whether `fit` was given positions whose residuals are known up to one constant each.
+
     n_features_in_ : int
         Number of columns of `X` seen during fit, the appended direction included.
 
@@ -105,8 +121,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     Two forms give the same predictions. Outermost, on joint angles (A)::
 
         CylindricalResidualTarget(
-            make_pipeline(PoseFeatures(arm), StandardScaler(), RBFNetRegressor()),
-            azimuth=arm.azimuth,
+            make_pipeline(PoseFeatures(arm), RBFNetRegressor()), azimuth=arm.azimuth
         )
 
     and as the last step of a pipeline (B), which also serves angles in degrees, since only
@@ -114,8 +129,15 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
 
         make_pipeline(
             PoseFeatures(arm, append_azimuth=True),
-            CylindricalResidualTarget(make_pipeline(StandardScaler(), RBFNetRegressor())),
+            CylindricalResidualTarget(RBFNetRegressor()),
         )
+
+    A single-point test shows the residuals of a position up to one constant, and `groups` says
+    which rows are of one position. A regressor whose `fit` takes groups is handed them, with
+    metadata routing off or on. For others the constants are estimated here: together with the
+    coefficients where the last step is linear in its features (least squares, ridge, lasso), else
+    by turns, in at most five more fits. Residuals whose means at the positions are not small are
+    known in full, as those against a tracker, and have no constants.
 
     A target of one dimension or one column has no direction and passes through unrotated; so
     does one of more than three columns if `X` has no azimuth appended. With an azimuth known,
@@ -141,6 +163,10 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     array([0.1, 0. , 0. ])
     """
 
+    # With metadata routing on, groups are asked for without a word.
+    __metadata_request__fit = {"groups": True}
+    __metadata_request__score = {"groups": True}
+
     _parameter_constraints: dict = {
         "regressor": [HasMethods(["fit", "predict"]), None],
         "azimuth": [StrOptions({"appended"}), callable, None],
@@ -153,7 +179,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
     @one_warning()
-    def fit(self, X, y, **fit_params):
+    def fit(self, X, y, groups=None, **fit_params):
         """Fit the regressor on the residuals in the cylindrical frame.
 
         Parameters
@@ -165,6 +191,11 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
             Cartesian residuals in mm, measured minus reference. One column or one dimension
             passes through unrotated.
+
+        groups : array-like of shape (n_samples,), default=None
+            Label of the position of each row, where residuals are known up to one constant at each
+            position. ``regressor__groups`` is another name of it, for a search with metadata
+            routing off, which keeps `groups` for its splitter.
 
         **fit_params : dict
             Passed to the regressor's `fit`, such as `sample_weight`, or
@@ -182,7 +213,8 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             If `y` has the wrong number of columns, or NaN or infinity; if a sample weight is
             negative, NaN or infinite; if the last two columns of `X` are not a direction where they
             should be; if the azimuth is not one finite number per row; if `y` are the probe's
-            points, or too large for residuals in mm.
+            points, or too large for residuals in mm; if labels of `groups` are missing, or their
+            number is wrong.
 
         Warns
         -----
@@ -198,6 +230,8 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         y = floats("y", y) if y.dtype.kind == "O" else y  # a list of numbers and text
         refuse_huge("y", y)
         check_consistent_length(X, y)
+        groups = fit_params.pop("regressor__groups", groups)
+        codes = None if groups is None else encode_groups(groups, len(y))[1]
         _refuse_negative_weights(fit_params)
         n_targets = 1 if y.ndim == 1 else y.shape[1]
 
@@ -214,10 +248,14 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         if self._rotates:
             self._check_residuals(X, y)
             y = to_cylindrical(y, direction)
-        if get_config()["enable_metadata_routing"]:
-            fit_params = process_routing(self, "fit", **fit_params).regressor.fit
+        routing = get_config()["enable_metadata_routing"]
+        if routing:
+            fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
         self.regressor_ = clone(self._get_regressor())
+        self.by_position_ = False
         try:
+            if codes is not None:
+                y, fit_params = self._by_position(features, y, groups, codes, fit_params, routing)
             self.regressor_.fit(features, y, **fit_params)
         except ValueError as error:
             if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
@@ -228,6 +266,23 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
                 f"sklearn.multioutput.MultiOutputRegressor. ({error})"
             ) from error
         return self
+
+    def _by_position(self, features, y, groups, codes, fit_params, routing):
+        """Targets less the constants of positions, and the regressor's parameters with groups."""
+        last, prefix = last_step_of(self.regressor_)
+        takes, knows = takes_groups(last)
+        if routing:  # by request, under names without a prefix
+            prefix = ""
+            if knows:
+                last.set_fit_request(groups=True)
+        weights = check_weights(fit_params.get(f"{prefix}sample_weight"), y.reshape(len(y), -1))
+        self.by_position_ = are_deviations(y, codes, weights)
+        if takes:
+            fit_params = {f"{prefix}groups": groups} | fit_params
+        if self.by_position_ and not knows:
+            constants = constants_of(self.regressor_, features, y, codes, weights, fit_params)
+            y = y - constants[codes]
+        return y, fit_params
 
     @one_warning()
     def predict(self, X, **predict_params):
@@ -267,15 +322,125 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             check_feature_names(self, X, reset=False)
             check_n_features(self, X, reset=False)
         features, direction = self._split(X)
+        regressor = self.regressor_
         if get_config()["enable_metadata_routing"]:
             predict_params = process_routing(self, "predict", **predict_params).regressor.predict
-        prediction = self.regressor_.predict(features, **predict_params)
+        elif type(regressor) is Pipeline:
+            # Its own predict asks all steps for their tags first, which takes as long as the rest.
+            features, regressor = before_last(regressor, features)
+        prediction = regressor.predict(features, **predict_params)
         if not self._rotates:
             return prediction
         if isinstance(prediction, tuple):
             mean, std = prediction
             return to_cartesian(mean, direction), std_to_cartesian(std, direction)
         return to_cartesian(prediction, direction)
+
+    def correct(self, X, points=None, **predict_params):
+        """Correct measured points: subtract the predicted residuals.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            As in `fit`.
+
+        points : array-like of shape (n_samples, 3), default=None
+            Measured points in the arm's base frame, mm. None: where the arm says that its probe
+            is, if ``azimuth=arm.azimuth``.
+
+        **predict_params : dict
+            As in `predict`.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            Corrected points, mm; with ``return_std=True`` also their standard deviations.
+
+        Raises
+        ------
+        ValueError
+            If `points` are not one for each row, or missing where there is no arm.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm.datasets import make_single_point
+        >>> from sklearn_raacmm.metrics import single_point_repeatability
+        >>> from sklearn_raacmm.residuals import polynomial_chain
+        >>> test = make_single_point(machine="gravity", random_state=0)  # simulated
+        >>> learn, rest = test.groups % 3 > 0, test.groups % 3 == 0
+        >>> model = polynomial_chain(test.arm)
+        >>> model = model.fit(test.data[learn], test.target[learn], groups=test.groups[learn])
+        >>> corrected = model.correct(test.data[rest], test.points[rest])
+        >>> before = single_point_repeatability(test.points[rest], test.groups[rest])
+        >>> bool(single_point_repeatability(corrected, test.groups[rest]) < before)
+        True
+        """
+        check_fitted(self, "regressor_")
+        arm = self._arm()
+        if points is None:
+            if arm is None:
+                raise ValueError("points must be given where azimuth is not the method of an arm.")
+            points = arm.forward(X)
+        points = check_points(points, 3)
+        predicted = self.predict(X, **predict_params)
+        mean = predicted[0] if isinstance(predicted, tuple) else predicted
+        if points.shape != mean.shape:
+            raise ValueError(
+                f"points has shape {points.shape}, but predictions {mean.shape}: one point is "
+                "needed for each row of X."
+            )
+        corrected = points - mean
+        return (corrected, *predicted[1:]) if isinstance(predicted, tuple) else corrected
+
+    def score(self, X, y, groups=None, sample_weight=None):
+        """Score predictions: R2, of deviations within positions where only these are known.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            As in `fit`.
+
+        y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
+            Residuals in mm.
+
+        groups : array-like of shape (n_samples,), default=None
+            Label of the position of each row. None: if ``azimuth=arm.azimuth``, rows are of one
+            position where ``arm.forward(X) - y``, the point that their residual is from, is the
+            same.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weight of each row.
+
+        Returns
+        -------
+        score : float
+            See :func:`~sklearn_raacmm.residuals.within_positions_score`; without positions that of
+            any regressor of scikit-learn.
+
+        Raises
+        ------
+        ValueError
+            If the model was fitted on deviations from positions' means, and the positions of these
+            rows are unknown.
+        """
+        check_fitted(self, "regressor_")
+        arm = self._arm()
+        if groups is None and arm is not None and self._rotates:
+            groups = positions_of(arm, X, check_points(y, 3))
+        if groups is not None:
+            return within_positions_score(y, self.predict(X), groups, sample_weight)
+        if self.by_position_:
+            raise ValueError(
+                "This model was fitted on deviations from positions' means, which plain R2 "
+                "misjudges, and score got no groups: take "
+                "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
+            )
+        return super().score(X, y, sample_weight)
+
+    def _arm(self):
+        """The arm whose method gives the azimuth, or None."""
+        method = getattr(self.azimuth, "__func__", None)
+        return self.azimuth.__self__ if method is Arm.azimuth else None
 
     def _split(self, X):
         """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
@@ -287,9 +452,9 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
                     return X[:, :-2], (tail[:, 0], tail[:, 1])
             direction = _appended_direction(X)
             return safe_indexing(X, slice(None, -2), axis=1), direction
-        if self._rotates and getattr(self.azimuth, "__func__", None) is Arm.azimuth:
+        if self._rotates and (arm := self._arm()) is not None:
             # The method of an arm: the direction of its points, without the angle in between.
-            x, y, _ = self.azimuth.__self__.forward(X).T
+            x, y, _ = arm.forward(X).T
             return X, direction_of(x, y)
         if self._rotates:
             azimuth = check_array(
@@ -306,9 +471,8 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
 
     def _check_residuals(self, X, y):
         """Refuse what is no residual, by the arm where the azimuth is that of an arm."""
-        known = ()
-        if getattr(self.azimuth, "__func__", None) is Arm.azimuth:
-            arm = self.azimuth.__self__
+        known, arm = (), self._arm()
+        if arm is not None:
             known = arm.forward(X), reach_mm(arm)
             refuse_points(y, *known)
         refuse_large(y, *known[1:])
@@ -327,7 +491,8 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
         Returns
         -------
         routing : MetadataRouter
-            `fit` and `predict` route to those of the regressor; `score` is our own.
+            `fit` and `predict` route to those of the regressor; `groups` of `fit` and `score` are
+            our own, and requested.
         """
         methods = MethodMapping().add(caller="fit", callee="fit")
         methods.add(caller="predict", callee="predict")

@@ -267,3 +267,40 @@ def test_rows_of_a_table_without_names_still_warn():
     pose = PoseFeatures().fit(pd.DataFrame(np.zeros((2, 6)), columns=list("abcdef")))
     with pytest.warns(UserWarning, match="does not have valid feature names"):
         pose.transform(np.zeros((1, 6)))
+
+
+# -- joints that turn on --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+@pytest.mark.parametrize("joints", ["pose", "all"])
+@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+def test_a_whole_turn_is_no_difference(encoding, joints, unit):
+    arm = Arm.from_name("aacmm6")
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (50, 6)) * [3, 1, 3, 1, 3, 1] + [0, -1.3, 2.5, 1.2, 0, -4]
+    turned = X + 2 * np.pi * rng.integers(-1, 2, X.shape)
+    if unit == "deg":
+        X, turned = np.rad2deg(X), np.rad2deg(turned)
+    pose = PoseFeatures(arm, encoding=encoding, joints=joints, angle_unit=unit).fit(X)
+    assert_allclose(pose.transform(turned), pose.transform(X), atol=1e-12)
+
+
+def test_angles_seen_in_fit_stay_as_they_are():
+    """A joint whose range holds 180 degrees is not cut there, nor is one beyond a turn moved."""
+    rng = np.random.default_rng(0)
+    low = np.array([-3.1, 0.3, -6.0, 3.3, 5.0, -1.0])
+    X = low + rng.uniform(0, 1, (200, 6)) * [6.2, 5.7, 2.5, 0.5, 5.0, 6.0]
+    pose = PoseFeatures(joints="all").fit(X)
+    assert_array_equal(pose.transform(X), X)
+    assert np.all(pose.turn_start_ < X.min(axis=0))
+    assert np.all(pose.turn_start_ + 2 * np.pi > X.max(axis=0))
+    middle = (X.min(axis=0) + X.max(axis=0)) / 2 - np.pi
+    assert_allclose(pose.turn_start_, middle, atol=1e-9)  # as far from both ends
+
+
+def test_half_of_the_rows_one_turn_on():
+    X = np.random.default_rng(0).uniform(-1, 1, (40, 6))
+    turned = X + 2 * np.pi * (np.arange(40) % 2)[:, None]
+    features = PoseFeatures(joints="all").fit(turned).transform(turned)
+    assert np.all(np.ptp(features, axis=0) < 2)

@@ -1,0 +1,198 @@
+"""
+What positions are worth to the chain
+=====================================
+
+Every regressor of the chain is fitted twice: told which rows are of one position, by
+``fit(X, y, groups=positions)``, and not told. On simulated arms it learns at some positions and is
+judged at twenty others by the mean 2S that its correction leaves; on real arms at placements (UR10:
+goals) left out. The table has what is left, as a share of what there was, and the ratio of both
+fits. Settings are the same for both.
+
+The default, the network on twelve simulated arms and the real ones, takes about ten CPU minutes;
+``--models`` measures the others, ``--rows`` the time of one row.
+"""
+
+import argparse
+import time
+import warnings
+
+import numpy as np
+from _comparison import ALL, INPUTS, PAPER, Table, chain, gaussian_process
+from compare_regressors import panda, ur10
+from sklearn.ensemble import ExtraTreesRegressor
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.residuals import bp_network_chain, database_chain, polynomial_chain
+
+MIXES = ["gravity", "typical", "eccentricity"]
+# Positions that are learnt from, and poses at each of them.
+SHAPES = [(10, 60), (30, 20)]
+TEST_POSITIONS, TEST_POSES = 20, 20
+REAL = ["panda_3", "panda_2", "ur10"]
+
+
+# Ridges, widths and so on are those that compare_regressors.py chose most often.
+MODELS = {
+    "RBF network": lambda arm, inputs: chain(arm, RBFNetRegressor(random_state=0), inputs),
+    "RBF network, shared": lambda arm, inputs: chain(
+        arm, RBFNetRegressor(shared=True, random_state=0), inputs
+    ),
+    "polynomial": lambda arm, inputs: polynomial_chain(
+        arm, degree=3 if inputs == PAPER else 2, **INPUTS[inputs]
+    ),
+    "database": lambda arm, inputs: database_chain(arm, **INPUTS[inputs]),
+    "BP network": lambda arm, inputs: bp_network_chain(arm, random_state=0, **INPUTS[inputs]),
+    "Gaussian process": gaussian_process,
+    "kernel ridge": lambda arm, inputs: chain(
+        arm,
+        KernelRidge(kernel="rbf", alpha=0.1, gamma=1 / (2 * (1 if inputs == PAPER else 4) ** 2)),
+        inputs,
+    ),
+    "extra trees": lambda arm, inputs: chain(
+        arm, ExtraTreesRegressor(100, min_samples_leaf=5, random_state=0), inputs
+    ),
+}
+
+
+def simulated(mix, seed, n_positions, n_poses):
+    """One fold of one arm: what is learnt from, and what is judged."""
+    n = n_positions + TEST_POSITIONS
+    test = make_single_point(n, max(n_poses, TEST_POSES), machine=mix, random_state=seed)
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(n)
+
+    def some(labels, many):
+        rows = [np.flatnonzero(test.groups == g) for g in labels]
+        return np.concatenate([rng.permutation(part)[:many] for part in rows])
+
+    learn, rest = some(order[:n_positions], n_poses), some(order[n_positions:], TEST_POSES)
+    # Deviations from the mean of the poses that were drawn.
+    codes = np.unique(test.groups[learn], return_inverse=True)[1]
+    means = np.array([test.points[learn][codes == c].mean(axis=0) for c in range(n_positions)])
+    y = test.points[learn] - means[codes]
+    return [(test.arm, test.data[learn], y, codes, test.data[rest], test.points[rest])], [
+        test.groups[rest]
+    ]
+
+
+def real(name, data_home):
+    """The folds of a real arm."""
+    problem = ur10(1500, data_home) if name == "ur10" else panda(name, data_home)
+    folds = [
+        (f.arm, f.angles[f.learn], f.residuals[f.learn], f.positions[f.learn], f.angles[f.test], m)
+        for f, m in zip(problem.folds, problem.measured, strict=True)
+    ]
+    return folds, [f.positions[f.test] for f in problem.folds], problem.folds[0].absolute
+
+
+def left(folds, labels, absolute, model=None, told=False):
+    """Mean 2S of what is left, or mean distance from the truth where it is known, mm."""
+    rests = []
+    for arm, X, y, groups, T, measured in folds:
+        if model is None:
+            rests.append(measured)
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # widths at their bounds, perceptrons stopped early
+            fitted = model(arm).fit(X, y, groups=groups if told else None)
+        rests.append(fitted.correct(T, measured))
+    rest = np.concatenate(rests)
+    if absolute:
+        return np.linalg.norm(rest, axis=1).mean()
+    return single_point_repeatability(rest, np.concatenate(labels))
+
+
+def one_row(rounds=60, calls=20):
+    """CPU time of one row, as a ratio to a scaled ridge; all take their turns in each round."""
+    test = make_single_point(n_positions=12, n_poses=30, random_state=0)
+    network = RBFNetRegressor(60, random_state=0)
+    pose, arm = PoseFeatures(test.arm), test.arm
+    models = {
+        "StandardScaler, Ridge": make_pipeline(StandardScaler(), Ridge()),
+        "chain": CylindricalResidualTarget(make_pipeline(pose, network), azimuth=arm.azimuth),
+        "chain with a StandardScaler": CylindricalResidualTarget(
+            make_pipeline(pose, StandardScaler(), network), azimuth=arm.azimuth
+        ),
+        "chain, last in a pipeline, with a StandardScaler": make_pipeline(
+            PoseFeatures(arm, append_azimuth=True),
+            CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
+        ),
+    }
+    times = {name: [] for name in models}
+    for model in models.values():
+        model.fit(test.data, test.target)
+    row = test.data[:1].copy()
+    for _ in range(rounds):
+        for name, model in models.items():
+            start = time.process_time()
+            for _ in range(calls):
+                model.predict(row)
+            times[name].append((time.process_time() - start) / calls)
+    medians = {name: np.median(values) for name, values in times.items()}
+    for name, seconds in medians.items():
+        ratio = seconds / medians["StandardScaler, Ridge"]
+        print(f"{name:<52}{1e6 * seconds:>6.0f} us{ratio:>8.2f}")
+
+
+def main(argv=None):
+    """Print the table."""
+    parser = argparse.ArgumentParser(description="What positions are worth to the chain.")
+    parser.add_argument("--seeds", nargs="*", type=int, default=[50, 51, 52, 53])
+    parser.add_argument("--machine", nargs="*", default=MIXES, choices=MIXES)
+    parser.add_argument("--shapes", nargs="*", type=int, default=[0, 1], choices=[0, 1])
+    parser.add_argument("--models", nargs="*", default=["RBF network"], choices=list(MODELS))
+    parser.add_argument("--real", nargs="*", default=REAL, choices=REAL)
+    parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
+    parser.add_argument("--rows", action="store_true", help="time one row, and nothing else")
+    args = parser.parse_args(argv)
+    if args.rows:
+        one_row()
+        return
+    columns = [("inputs", 24, ""), ("data", 26, ""), ("regressor", 19, "")]
+    columns += [
+        ("without", 7, ".3f"),
+        ("told", 6, ".3f"),
+        ("ratio", 6, ".3f"),
+        ("seconds", 7, ".1f"),
+    ]
+    table, ratios = Table(*columns), {}
+
+    def show(kind, label, folds, labels, absolute):
+        before = left(folds, labels, absolute)
+        for name in args.models:
+            for inputs in (PAPER, ALL):
+                start = time.process_time()
+
+                def model(arm, name=name, inputs=inputs):
+                    return MODELS[name](arm, inputs)
+
+                without = left(folds, labels, absolute, model) / before
+                told = left(folds, labels, absolute, model, told=True) / before
+                seconds = time.process_time() - start
+                table.row(inputs, label, name, without, told, told / without, seconds)
+                ratios.setdefault((name, inputs, kind), []).append((without, told))
+
+    for shape in args.shapes:
+        for mix in args.machine:
+            for seed in args.seeds:
+                n_positions, n_poses = SHAPES[shape]
+                found = simulated(mix, seed, n_positions, n_poses)
+                label = f"{mix} {seed}, {n_positions} x {n_poses}"
+                show(f"{mix}, {n_positions} x {n_poses}", label, *found, absolute=False)
+    for name in args.real:
+        show(name, name, *real(name, args.data_home))
+    print("\nMedians over arms, and the largest ratio")
+    for (name, inputs, kind), found in ratios.items():
+        without, told = np.transpose(found)
+        shown = f"{np.median(without):.3f}  {np.median(told):.3f}  {np.median(told / without):.3f}"
+        print(f"{name:<19}  {inputs:<24}  {kind:<24}  {shown}  {np.max(told / without):.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,222 @@
+"""Residuals known up to a constant at each position: fits that find the constants, and a score."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from sklearn.base import clone
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.metrics import r2_score
+from sklearn.model_selection._search import BaseSearchCV
+from sklearn.pipeline import Pipeline
+from sklearn.utils.validation import has_fit_parameter
+
+from sklearn_raacmm.utils import (
+    CENTRED,
+    centred,
+    check_points,
+    check_weights,
+    encode_groups,
+    group_means,
+    share_of_means,
+)
+
+# Predictions that are linear in the targets, once settings are given.
+_LINEAR = (LinearRegression, Ridge, KernelRidge, GaussianProcessRegressor)
+# Combinations of constants that a regressor takes for its own but for so small a part.
+_SINGULAR = 1e-9
+# Fits by turns, at most, and the change of the constants, as a share of the targets' root mean
+# square, at which they are settled: `benchmarks/bench_chain.py --turns`.
+_MOST_TURNS, _SETTLED = 5, 0.01
+# Reference points that are the same to so many digits of a mm are those of one position.
+_DIGITS = 3
+
+
+def within_positions_score(y, prediction, groups, sample_weight=None):
+    """R2 of deviations within positions, or of all, by what the targets are.
+
+    In a single-point test the residuals of a position are known up to one constant: their mean is
+    zero whatever the arm does. There the score is the share of the sum of squared deviations from
+    positions' means that the prediction takes away. Where residuals are known in full, against a
+    reference, the means of positions are not small, and the score is plain R2.
+
+    Parameters
+    ----------
+    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+        Residuals, mm.
+
+    prediction : array-like of the shape of y
+        Predicted residuals, mm.
+
+    groups : array-like of shape (n_samples,)
+        Label of the position of each row.
+
+    sample_weight : array-like of shape (n_samples,), default=None
+        Weight of each row.
+
+    Returns
+    -------
+    score : float
+        1 for a perfect prediction, 0 for one that is no better than none. Deviations of all
+        coordinates count in one sum; plain R2 is the mean over coordinates, as in scikit-learn.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, something is not a finite number, or labels are missing.
+
+    See Also
+    --------
+    sklearn_raacmm.metrics.within_position_r2_score : The first of the two, always.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.residuals import within_positions_score
+    >>> y = [0.1, -0.1, 0.2, -0.2]
+    >>> within_positions_score(y, [0.6, 0.4, 0.2, -0.2], ["A", "A", "B", "B"])
+    1.0
+    """
+    y, prediction = check_points(y), check_points(prediction)
+    if y.shape != prediction.shape:
+        raise ValueError(f"y has shape {y.shape}, but the prediction {prediction.shape}.")
+    codes = encode_groups(groups, len(y))[1]
+    weights = check_weights(sample_weight, y)
+    if not are_deviations(y, codes, weights):
+        return r2_score(y, prediction, sample_weight=weights)
+    parts = (centred(values, codes, weights) for values in (y, prediction))
+    return r2_score(*parts, sample_weight=weights, multioutput="variance_weighted")
+
+
+def are_deviations(y, codes, weights):
+    """Whether targets are known up to a constant at each position: their means there are small."""
+    return bool(share_of_means(y.reshape(len(y), -1), codes, weights)[0] < CENTRED)
+
+
+def positions_of(arm, angles, y):
+    """Find the positions of residuals from position means: the points that they are from coincide.
+
+    Parameters
+    ----------
+    arm : Arm
+    angles : array-like of shape (n, n_joints)
+        Joint angles, rad.
+    y : ndarray of shape (n, 3)
+        Residuals, mm.
+
+    Returns
+    -------
+    codes : ndarray of shape (n,) or None
+        Position of each row. None where most rows are a position of their own, as against a
+        tracker, or where y are from points of another arm.
+    """
+    references = np.round(arm.forward(angles) - y, _DIGITS)
+    labels, codes = np.unique(references, axis=0, return_inverse=True)
+    return codes.ravel() if 2 * len(labels) <= len(y) else None
+
+
+def last_step_of(regressor):
+    """Find what learns: the regressor itself, or the last step of a pipeline.
+
+    Parameters
+    ----------
+    regressor : object
+
+    Returns
+    -------
+    last : object
+    prefix : str
+        Of its parameters in `fit`, such as "ridge__"; empty without a pipeline.
+    """
+    prefix = ""
+    while isinstance(regressor, Pipeline):
+        name, regressor = regressor.steps[-1]
+        prefix += f"{name}__"
+    return regressor, prefix
+
+
+def takes_groups(regressor):
+    """Whether `fit` takes groups, and whether it knows their constants: a search only splits."""
+    knows = has_fit_parameter(regressor, "groups")
+    return knows or isinstance(regressor, BaseSearchCV), knows
+
+
+def constants_of(regressor, X, y, codes, weights, fit_params):
+    """Estimate the constants of positions for a regressor that knows none.
+
+    They are those that leave a mean of zero at each position once the regressor is fitted to the
+    targets without them. Where predictions are linear in the targets (`_LINEAR`), they solve one
+    set of equations: for least squares and ridge that is the joint minimum over coefficients and
+    constants, the theorem of Frisch and Waugh, and for a Gaussian process generalised least
+    squares. For other regressors by turns: fit, take the mean of what is left at each position, fit
+    again without it.
+
+    Parameters
+    ----------
+    regressor : object
+        Not fitted.
+    X : array-like of shape (n, ...)
+    y : ndarray of shape (n,) or (n, q)
+    codes : ndarray of shape (n,)
+        Position of each row, from 0.
+    weights : ndarray of shape (n,)
+    fit_params : dict
+        For its `fit`.
+
+    Returns
+    -------
+    ndarray of shape (n_positions,) or (n_positions, q)
+        To be subtracted from y before the last fit.
+
+    References
+    ----------
+    R. Frisch, F. V. Waugh, "Partial time regressions as compared with individual trends",
+    Econometrica 1(4), 1933, 387-401.
+    """
+    fitted = clone(regressor).fit(X, y, **fit_params)
+    features, last = before_last(fitted, X)
+    if isinstance(last, _LINEAR) and not getattr(last, "positive", False):
+        return _solved(last, features, y, codes, weights)
+    constants = np.zeros((codes.max() + 1, *y.shape[1:]))
+    size = np.sqrt(np.average(np.square(y), axis=0, weights=weights).sum())
+    for _ in range(_MOST_TURNS):
+        left = group_means(y - fitted.predict(X).reshape(y.shape), codes, weights)
+        change = np.sqrt(np.square(left - constants).reshape(len(left), -1).sum(axis=1).mean())
+        constants = left
+        if change <= _SETTLED * size:
+            break
+        fitted = clone(regressor).fit(X, y - constants[codes], **fit_params)
+    return constants
+
+
+def _solved(fitted, features, y, codes, weights):
+    """Constants c of D'W (I - S) (y - D c) = 0; D has a column of ones for each position.
+
+    S is the map from targets to predictions: S D are the predictions of a fit to D, and where they
+    have an intercept, all c may be shifted together: their mean over rows is then zero.
+    """
+    if isinstance(fitted, GaussianProcessRegressor):  # the kernel that it has found
+        smoother = clone(fitted).set_params(kernel=fitted.kernel_, optimizer=None)
+        known = {}
+    else:
+        smoother, known = clone(fitted), {"sample_weight": weights}
+    positions = np.eye(codes.max() + 1)[codes]
+    smoother.fit(features, positions, **known)
+    smoothed = smoother.predict(features).reshape(positions.shape)
+    left = group_means(positions - smoothed, codes, weights)
+    of_y = group_means(y - fitted.predict(features).reshape(y.shape), codes, weights)
+    constants = np.linalg.lstsq(left, of_y, rcond=_SINGULAR)[0]
+    if getattr(fitted, "fit_intercept", True):
+        constants = constants - np.average(constants[codes], axis=0, weights=weights)
+    return constants
+
+
+def before_last(pipeline, X):
+    """Walk through a fitted pipeline once: what reaches its last step, and this step."""
+    while type(pipeline) is Pipeline:
+        for _, step in pipeline.steps[:-1]:
+            if step is not None and not isinstance(step, str):  # "passthrough"
+                X = step.transform(X)
+        pipeline = pipeline.steps[-1][1]
+    return X, pipeline

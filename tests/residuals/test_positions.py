@@ -1,0 +1,312 @@
+"""Residuals known up to a constant at each position, in the chain."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.ensemble import ExtraTreesRegressor
+from sklearn.exceptions import UnsetMetadataPassedError
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.metrics import within_position_r2_score, within_position_scatter
+from sklearn_raacmm.residuals import positions_of, within_positions_score
+from sklearn_raacmm.utils import centred
+
+
+@pytest.fixture(scope="module")
+def test():
+    """Simulated: an arm that gravity bends."""
+    return make_single_point(12, 15, machine="gravity", random_state=7)
+
+
+def deviations(n=90, n_positions=6, seed=0):
+    """Targets that are a function of two features, less their means at positions."""
+    rng = np.random.default_rng(seed)
+    groups = rng.permutation(np.arange(n) % n_positions)
+    X = rng.uniform(-1, 1, (n, 2)) + 0.4 * groups[:, None]
+    f = np.column_stack([np.sin(X[:, 0]), X @ [0.3, 1], X[:, 0] * X[:, 1]])
+    return X, centred(f + 0.02 * rng.standard_normal((n, 3)), groups), groups
+
+
+def plain(regressor):
+    return CylindricalResidualTarget(regressor, azimuth=None)
+
+
+# -- against other ways to say the same -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("alpha", [0.0, 3.0])
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("intercept", [False, True])
+def test_linear_regressors_against_dummies_in_least_squares(alpha, weighted, intercept):
+    X, y, groups = deviations()
+    w = np.random.default_rng(1).uniform(0.2, 2, len(y)) if weighted else np.ones(len(y))
+    ridge = (
+        Ridge(alpha, fit_intercept=intercept)
+        if alpha
+        else LinearRegression(fit_intercept=intercept)
+    )
+    inner = make_pipeline(PolynomialFeatures(2, include_bias=False), StandardScaler(), ridge)
+    name = f"{type(ridge).__name__.lower()}__sample_weight"
+    model = plain(inner).fit(X, y, groups=groups, **{name: w})
+
+    Z = make_pipeline(*inner.steps[0][1:], StandardScaler()).fit_transform(X)
+    dummies = np.equal.outer(groups, np.unique(groups)).astype(float)
+    design = np.sqrt(w)[:, None] * np.hstack([Z, dummies])  # dummies bear no ridge
+    ridged = np.sqrt(alpha) * np.eye(Z.shape[1], design.shape[1])
+    rows = np.vstack([design, ridged])
+    right = np.vstack([np.sqrt(w)[:, None] * y, np.zeros((Z.shape[1], 3))])
+    expected = np.linalg.lstsq(rows, right, rcond=None)[0][: Z.shape[1]]
+    assert_allclose(model.regressor_[-1].coef_.T, expected, rtol=1e-6, atol=1e-9)
+    if intercept:  # the level, which positions do not show, is that of the targets
+        level = np.average(model.predict(X), axis=0, weights=w)
+        assert_allclose(level, np.average(y, axis=0, weights=w), atol=1e-9)
+    assert not np.allclose(plain(inner).fit(X, y, **{name: w}).regressor_[-1].coef_.T, expected)
+
+
+def test_a_gaussian_process_against_generalised_least_squares():
+    X, y, groups = deviations()
+    kernel = 0.5 * RBF(1.5, "fixed") + WhiteKernel(0.01, "fixed")
+    process = GaussianProcessRegressor(kernel, optimizer=None)
+    model = plain(process).fit(X, y, groups=groups)
+
+    V = kernel(X)
+    D = np.equal.outer(groups, np.unique(groups)).astype(float)
+    solved = np.linalg.solve(V, D)
+    constants = np.linalg.solve(D.T @ solved, solved.T @ y)
+    constants -= (D @ constants).mean(axis=0)
+    weights = np.linalg.solve(V, y - D @ constants)
+    new = X[:20] + 0.05
+    assert_allclose(model.predict(new), kernel(new, X) @ weights, atol=1e-7)
+
+
+def test_kernel_ridge_is_where_turns_end():
+    X, y, groups = deviations()
+    inner = KernelRidge(kernel="rbf", alpha=0.3, gamma=0.5)
+    predicted = plain(inner).fit(X, y, groups=groups).predict(X)
+    means, left = np.zeros((6, 3)), None
+    for _ in range(20_000):
+        left = pd.DataFrame(y - inner.fit(X, y - means[groups]).predict(X)).groupby(groups).mean()
+        means, before = left.to_numpy().copy(), means
+        if np.abs(means - before).max() < 1e-12:
+            break
+    means -= means[groups].mean(axis=0)
+    assert_allclose(predicted, inner.fit(X, y - means[groups]).predict(X), atol=1e-6)
+
+
+def test_trees_take_turns():
+    X, y, groups = deviations()
+    trees = ExtraTreesRegressor(20, min_samples_leaf=5, random_state=0)
+    told, not_told = plain(trees).fit(X, y, groups=groups), plain(trees).fit(X, y)
+    left = [np.abs(centred(m.predict(X) - y, groups)).mean() for m in (told, not_told)]
+    assert left[0] < left[1]
+    by_hand, means = clone(trees).fit(X, y), 0
+    size = np.sqrt(np.square(y).sum(axis=1).mean())
+    for _ in range(5):
+        left = pd.DataFrame(y - by_hand.predict(X)).groupby(groups).mean().to_numpy()
+        change, means = left - means, left
+        if np.sqrt(np.square(change).sum(axis=1).mean()) < 0.01 * size:
+            break
+        by_hand = clone(trees).fit(X, y - means[groups])
+    by_hand = clone(trees).fit(X, y - means[groups])
+    assert_allclose(told.predict(X), by_hand.predict(X), atol=1e-12)
+
+
+def test_a_regressor_that_takes_groups_is_handed_them():
+    X, y, groups = deviations()
+    names = np.array(list("uvwxyz"))[groups]
+    network = RBFNetRegressor(10, random_state=0)
+    expected = clone(network).fit(X, y, groups=groups).predict(X)
+    inner = make_pipeline("passthrough", make_pipeline(network))
+    for routing in (False, True):
+        with config_context(enable_metadata_routing=routing):
+            for regressor in (network, inner):
+                model = plain(regressor).fit(X, y, groups=names)
+                assert_array_equal(model.predict(X), expected)
+                assert model.by_position_
+    scaled = make_pipeline(StandardScaler(), network)
+    expected = clone(scaled).fit(X, y, rbfnetregressor__groups=groups).predict(X)
+    assert_array_equal(plain(scaled).fit(X, y, regressor__groups=names).predict(X), expected)
+
+
+@pytest.mark.parametrize("regressor", [Ridge(), KernelRidge(), RBFNetRegressor(10), None])
+def test_residuals_known_in_full_have_no_constants(regressor):
+    X, y, groups = deviations()
+    y = y + np.random.default_rng(0).normal(size=(6, 3))[groups]
+    told, not_told = plain(regressor).fit(X, y, groups=groups), plain(regressor).fit(X, y)
+    assert not told.by_position_
+    assert_array_equal(told.predict(X), not_told.predict(X))
+
+
+def test_one_dimension_and_one_column():
+    X, y, groups = deviations()
+    whole = plain(Ridge()).fit(X, y, groups=groups).predict(X)
+    flat = plain(Ridge()).fit(X, y[:, 1], groups=groups).predict(X)
+    assert_allclose(flat, whole[:, 1], atol=1e-12)
+    column = plain(Ridge()).fit(X, y[:, 1:2], groups=groups).predict(X)
+    assert_allclose(column, flat.reshape(column.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [(np.arange(89) % 6, "names 89 samples, but there are 90"), ([None] * 90, "90 missing labels")],
+)
+def test_labels_that_cannot_be(groups, message):
+    X, y, _ = deviations()
+    with pytest.raises(ValueError, match=message):
+        plain(Ridge()).fit(X, y, groups=groups)
+
+
+def test_a_search_within_splits_by_position():
+    X, y, groups = deviations()
+    search = GridSearchCV(Ridge(), {"alpha": [0.1, 10.0]}, cv=GroupKFold(3))
+    for routing in (False, True):
+        with config_context(enable_metadata_routing=routing):
+            model = plain(search).fit(X, y, groups=groups)
+            assert model.regressor_.n_splits_ == 3
+
+
+# -- score ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_score_against_pandas(weighted):
+    _, y, groups = deviations()
+    rng = np.random.default_rng(2)
+    p = 0.8 * y + rng.normal(size=(6, 3))[groups]  # any constants
+    w = rng.uniform(0.2, 2, len(y)) if weighted else np.ones(len(y))
+
+    def sum_of_squares(values):
+        table = pd.DataFrame(values)
+        means = (
+            table.mul(w, axis=0).groupby(groups).sum().div(pd.Series(w).groupby(groups).sum(), 0)
+        )
+        return w @ np.square(values - means.loc[groups].to_numpy()).sum(axis=1)
+
+    expected = 1 - sum_of_squares(y - p) / sum_of_squares(y)
+    score = within_positions_score(y, p, groups, w if weighted else None)
+    assert score == pytest.approx(expected)
+    if not weighted:
+        assert score == pytest.approx(within_position_r2_score(y, p, groups=groups))
+    # Known in full: the constants count.
+    full = y + 2 * rng.normal(size=(6, 3))[groups]
+    assert within_positions_score(full, 0 * full, groups) <= 0
+    assert within_positions_score(full, full, groups) == 1
+
+
+def test_the_points_that_residuals_are_from_tell_positions(test):
+    codes = positions_of(test.arm, test.data, test.target)
+    table = pd.crosstab(codes, test.groups).to_numpy()
+    assert table.shape == (12, 12)
+    assert np.count_nonzero(table) == 12
+    rng = np.random.default_rng(0)
+    assert positions_of(test.arm, test.data, rng.normal(size=(180, 3))) is None
+
+
+def test_score_of_the_chain(test):
+    X, y, groups = test.data, test.target, test.groups
+    a = CylindricalResidualTarget(
+        make_pipeline(PoseFeatures(test.arm), Ridge()), azimuth=test.arm.azimuth
+    )
+    b = make_pipeline(
+        PoseFeatures(test.arm, append_azimuth=True), CylindricalResidualTarget(Ridge())
+    )
+    a.fit(X, y, groups=groups)
+    b.fit(X, y, cylindricalresidualtarget__groups=groups)
+    expected = within_position_r2_score(y, a.predict(X), groups=groups)
+    assert a.score(X, y) == pytest.approx(expected)
+    assert a.score(X, y, groups=groups) == pytest.approx(expected)
+    assert b[-1].score(b[:-1].transform(X), y, groups=groups) == pytest.approx(expected)
+    with pytest.raises(ValueError, match=r"score got no groups: take\s+scoring=sklearn_raacmm"):
+        b.score(X, y)
+    with config_context(enable_metadata_routing=True):
+        assert b.score(X, y, groups=groups) == pytest.approx(expected)
+
+
+def test_cross_validation_without_a_scorer_picks_the_right_model(test):
+    """Plain R2 prefers the model that does nothing."""
+    X, y, groups = test.data, test.target, test.groups
+    models = {
+        alpha: CylindricalResidualTarget(
+            make_pipeline(
+                PoseFeatures(test.arm), PolynomialFeatures(2), StandardScaler(), Ridge(alpha)
+            ),
+            azimuth=test.arm.azimuth,
+        )
+        for alpha in (1.0, 1e6)
+    }
+    for routing in (False, True):
+        with config_context(enable_metadata_routing=routing):
+            # Off: `groups` reaches the splitter, and params the fit. On: one word does for all.
+            words = {"params": {"groups": groups}} | ({} if routing else {"groups": groups})
+            results = {
+                alpha: cross_validate(
+                    model,
+                    X,
+                    y,
+                    **words,
+                    cv=GroupKFold(4),
+                    return_estimator=True,
+                    return_indices=True,
+                )
+                for alpha, model in models.items()
+            }
+        assert results[1.0]["test_score"].mean() > results[1e6]["test_score"].mean() + 0.1
+        for i, model in enumerate(results[1.0]["estimator"]):
+            assert model.by_position_
+            rows = results[1.0]["indices"]["test"][i]
+            expected = within_position_r2_score(
+                y[rows], model.predict(X[rows]), groups=groups[rows]
+            )
+            assert results[1.0]["test_score"][i] == pytest.approx(expected)
+
+
+# -- searches -------------------------------------------------------------------------------------
+
+
+def test_groups_may_be_kept_from_the_fit(test):
+    X, y, groups = test.data, test.target, test.groups
+    with config_context(enable_metadata_routing=True):
+        model = CylindricalResidualTarget(
+            make_pipeline(PoseFeatures(test.arm), Ridge()), azimuth=test.arm.azimuth
+        ).set_fit_request(groups=False)
+        search = GridSearchCV(model, {}, cv=GroupKFold(3)).fit(X, y, groups=groups)
+        assert not search.best_estimator_.by_position_
+        model.set_fit_request(groups=None)
+        with pytest.raises(UnsetMetadataPassedError, match="groups"):
+            GridSearchCV(model, {}, cv=GroupKFold(3)).fit(X, y, groups=groups)
+
+
+# -- corrected points -----------------------------------------------------------------------------
+
+
+def test_correct(test):
+    X, y, groups = test.data, test.target, test.groups
+    inner = RBFNetRegressor(10, random_state=0)
+    model = CylindricalResidualTarget(
+        make_pipeline(PoseFeatures(test.arm), inner), azimuth=test.arm.azimuth
+    ).fit(X, y, groups=groups)
+    corrected = model.correct(X, test.points)
+    assert_allclose(corrected + model.predict(X), test.points, rtol=1e-14)
+    assert_allclose(model.correct(X), corrected, atol=1e-9)
+    assert_allclose(
+        model.correct(X, test.points, return_std=True)[1], model.predict(X, return_std=True)[1]
+    )
+    before = within_position_scatter(test.points, 0 * test.points, groups=groups)
+    assert within_position_scatter(corrected, 0 * corrected, groups=groups) < 0.8 * before
+    with pytest.raises(ValueError, match=r"points has shape \(1, 3\), but predictions \(180, 3\)"):
+        model.correct(X, test.points[:1])
+    with pytest.raises(ValueError, match=r"points has shape \(180, 2\)"):
+        model.correct(X, test.points[:, :2])
+    with pytest.raises(ValueError, match="points must be given"):
+        plain(Ridge()).fit(X, y).correct(X)
