@@ -18,7 +18,6 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -43,10 +42,7 @@ def main(rounds=60, calls=20):
         "chain, pipeline": make_pipeline(
             PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
         ),
-        "JointHarmonicRegressor": JointHarmonicRegressor(arm, max_order=8),
-        "ArmResidualRegressor": ArmResidualRegressor(
-            arm, harmonics=JointHarmonicRegressor(max_order=8)
-        ),
+        "ArmResidualRegressor": ArmResidualRegressor(arm, orders=8),
     }
     times = {}
     for name, model in models.items():
