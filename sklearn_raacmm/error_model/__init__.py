@@ -18,6 +18,7 @@ from sklearn_raacmm.error_model._columns import (
 from sklearn_raacmm.error_model._extra import force_on_probe
 from sklearn_raacmm.error_model._fading import Fading
 from sklearn_raacmm.error_model._gauge import constrained
+from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import order_price, smooth_shares
 from sklearn_raacmm.error_model._variance_bound import single_root
@@ -28,6 +29,7 @@ __all__ = [
     "SHIFT",
     "ArmResidualRegressor",
     "Fading",
+    "Judgement",
     "LinearModel",
     "Terms",
     "check_poses",

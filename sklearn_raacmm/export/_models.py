@@ -38,8 +38,8 @@ from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, 
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
 MOST_CENTERS = 2000
 # Variance of the noise over that of the signal from which on one matrix does for two: at 1e-6 it
-# was good to 1e-6 of a standard deviation, at 1e-11 to nothing (tests/export/test_c_network.py tries
-# both sides).
+# was good to 1e-6 of a standard deviation, at 1e-11 to nothing: tests/export/test_c_network.py
+# tries both sides.
 _CLEAR = 1e-6
 # In place of a length that is nothing.
 _TINY = 1e-30

@@ -198,7 +198,7 @@ def test_numbers_that_are_not_finite_are_refused(text, models, data):
     for bad in ("NaN", "Infinity", "1e999"):
         place = text.index('"arrays"') + 16
         digits = text.index("[", place) + 1
-        with pytest.raises(ValueError, match="no number of JSON|not finite|no number"):
+        with pytest.raises(ValueError, match=r"no number of JSON|not finite|no number"):
             from_json(text[:digits] + bad + ", " + text[digits:])
     model = network().fit(data.data, data.target)
     model.networks_[0].noise_variance[0] = -1.0
