@@ -186,7 +186,7 @@ def constants_of(regressor, X, y, codes, weights, fit_params):
     """
     fitted = clone(regressor).fit(X, y, **fit_params)
     features, last = before_last(fitted, X)
-    if isinstance(last, _LINEAR) and not getattr(last, "positive", False):
+    if _is_linear(last):
         return _solved(last, features, y, codes, weights)
     constants = np.zeros((codes.max() + 1, *y.shape[1:]))
     size = np.sqrt(np.average(np.square(y), axis=0, weights=weights).sum())
@@ -198,6 +198,16 @@ def constants_of(regressor, X, y, codes, weights, fit_params):
             break  # the last fit is the caller's
         fitted = clone(regressor).fit(X, y - constants[codes], **fit_params)
     return constants
+
+
+def _is_linear(fitted):
+    """Whether predictions are linear in the targets, with the same map for any of them."""
+    if type(fitted) not in _LINEAR or getattr(fitted, "positive", False):
+        return False
+    # Ridges may be one for each target.
+    return (
+        type(fitted) in (LinearRegression, GaussianProcessRegressor) or np.ndim(fitted.alpha) == 0
+    )
 
 
 def _solved(fitted, features, y, codes, weights):

@@ -161,6 +161,15 @@ def test_residuals_known_in_full_have_no_constants(regressor):
     assert_array_equal(told.predict(X), not_told.predict(X))
 
 
+def test_a_ridge_for_each_target_takes_turns():
+    X, y, groups = deviations()
+    told = plain(Ridge([1e-6, 1e-6, 1e6])).fit(X, y, groups=groups).predict(X)
+    expected = plain(Ridge(1e-6)).fit(X, y, groups=groups).predict(X)
+    assert_allclose(told[:, 2], y[:, 2].mean(), atol=1e-3)
+    left = [np.abs(centred(p - y, groups))[:, :2].mean() for p in (expected, told)]
+    assert left[0] <= left[1]
+
+
 def test_one_dimension_and_one_column():
     X, y, groups = deviations()
     whole = plain(Ridge()).fit(X, y, groups=groups).predict(X)
