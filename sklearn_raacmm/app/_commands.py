@@ -204,7 +204,7 @@ def highest_mean(learnt, n, rate):
 
 
 def export(options):
-    """Write a saved correction as C or ONNX."""
+    """Write a saved correction as C, with a project that tests it, or as ONNX."""
     saved = load_correction(options.model)
     if not (options.c or options.onnx):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
@@ -212,7 +212,7 @@ def export(options):
     if options.c:
         folder = Path(options.c)
         folder.mkdir(parents=True, exist_ok=True)
-        paths = export_c(saved.model, folder / f"{options.name}.c", std=options.std)
+        paths = export_c(saved.model, folder / f"{options.name}.c", std=options.std, poses="random")
         print("Written:", *paths)
     if options.onnx:
         to_onnx(saved.model, options.onnx)

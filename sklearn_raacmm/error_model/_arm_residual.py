@@ -6,6 +6,7 @@
 from numbers import Integral, Real
 
 import numpy as np
+from sklearn import config_context
 from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import has_fit_parameter
 
@@ -17,7 +18,11 @@ from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
-from sklearn_raacmm.residuals import CylindricalResidualTarget
+from sklearn_raacmm.residuals import (
+    CylindricalResidualTarget,
+    positions_of,
+    within_positions_score,
+)
 from sklearn_raacmm.utils import (
     HasMethods,
     Interval,
@@ -25,6 +30,7 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     centred,
     check_flags,
+    check_points,
     encode_groups,
     fit_context,
     one_blas_thread,
@@ -230,6 +236,10 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
     [6.1, 4.0]
     """
 
+    # With metadata routing on, groups are asked for without a word.
+    __metadata_request__fit = {"groups": True}
+    __metadata_request__score = {"groups": True}
+
     _parameter_constraints: dict = {
         "arm": [Arm, None],
         "angle_unit": [StrOptions({"rad", "deg"})],
@@ -363,7 +373,11 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         stage = CylindricalResidualTarget(clone(self.regressor), azimuth=arm.azimuth)
         takes_weights = has_fit_parameter(self.regressor, "sample_weight")
         options = {"sample_weight": weights[kept]} if takes_weights else {}
-        return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
+        if rows.codes is not None:
+            options["groups"] = rows.codes[kept]
+        # These weights are the model's own, not metadata that a user routes.
+        with config_context(enable_metadata_routing=False):
+            return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -452,7 +466,9 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
         check_flags(return_std=return_std, with_noise=with_noise)
         X = check_poses(self, X)
         fades = self.fading_.factor > 0
-        mean, std = self.linear_model_.predict(X, return_std or fades)
+        # What is known does not fade, however well it is known.
+        enough = 0.0 if return_std else self.fading_.known_mm
+        mean, std = self.linear_model_.predict(X, return_std or fades, enough)
         mean = mean * self.helps_ + self.second_stage(X)
         if fades:
             share = self.fading_.share(std)
@@ -460,6 +476,84 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
                 warn_where_unknown(share)
             mean = share[:, None] * mean
         return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+
+    def correct(self, X, points=None, **predict_params):
+        """Correct measured points: subtract the predicted residuals.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        points : array-like of shape (n_samples, 3), default=None
+            Measured points in the arm's base frame, mm. None: where the arm says that its probe
+            is.
+
+        **predict_params : dict
+            As for `predict`.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            Corrected points, mm; with ``return_std=True`` also their standard deviations.
+
+        Raises
+        ------
+        ValueError
+            If `points` are not one for each row; as in `predict`.
+        """
+        angles = check_poses(self, X)
+        if points is None:
+            points = self.arm_.forward(angles[:, : self.arm_.n_joints])
+        points = check_points(points, 3)
+        if len(points) != len(angles):
+            raise ValueError(f"points has {len(points)} rows, but X has {len(angles)}.")
+        predicted = self.predict(X, **predict_params)
+        if isinstance(predicted, tuple):
+            return points - predicted[0], predicted[1]
+        return points - predicted
+
+    def score(self, X, y, groups=None, sample_weight=None):
+        """Score predictions: R2, of deviations within positions where only these are known.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        y : array-like of shape (n_samples, 3)
+            Residuals in mm.
+
+        groups : array-like of shape (n_samples,), default=None
+            Label of the position of each row. None: rows are of one position where
+            ``arm_.forward(angles) - y``, the point that their residual is from, is the same.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weight of each row.
+
+        Returns
+        -------
+        score : float
+            See :func:`~sklearn_raacmm.residuals.within_positions_score`; without positions that of
+            any regressor of scikit-learn.
+
+        Raises
+        ------
+        ValueError
+            If positions had unknown offsets in `fit`, and the positions of these rows are unknown.
+        """
+        angles = check_poses(self, X)[:, : self.arm_.n_joints]
+        if groups is None:
+            groups = positions_of(self.arm_, angles, check_points(y, 3))
+        if groups is not None:
+            return within_positions_score(y, self.predict(X), groups, sample_weight)
+        if self.offsets_:
+            raise ValueError(
+                "This model was fitted on deviations from positions' means, which plain R2 "
+                "misjudges, and score got no groups: take "
+                "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
+            )
+        return super().score(X, y, sample_weight)
 
     def second_stage(self, angles):
         """What the second stage adds, before it fades.

@@ -336,6 +336,16 @@ class FactoredColumns(NamedTuple):
     runs: list  # of (first, last column, vector (n, 3), waves (n, k))
     rest: np.ndarray  # (n, 3, m) the columns after the runs
 
+    def map(self, function):
+        """The same with a function of every number."""
+        runs = [(first, last, function(v), function(w)) for first, last, v, w in self.runs]
+        return FactoredColumns(runs, function(self.rest))
+
+    def at(self, rows):
+        """The same at some of the poses."""
+        runs = [(first, last, v[rows], w[rows]) for first, last, v, w in self.runs]
+        return FactoredColumns(runs, self.rest[rows])
+
     def dot(self, coef):
         """``columns @ coef``, (n, 3)."""
         out = self.rest @ coef[len(coef) - self.rest.shape[2] :]
@@ -357,7 +367,7 @@ class FactoredColumns(NamedTuple):
             return np.einsum("ncr,ncr->nc", dots, dots)
         n, _, m = self.rest.shape
         vectors = np.stack([vector for *_, vector, _ in self.runs], axis=2)
-        shared = np.zeros((n, len(self.runs), root.shape[1]))
+        shared = np.zeros((n, len(self.runs), root.shape[1]), dtype=root.dtype)
         for i, (start, end, _, waves) in enumerate(self.runs):
             used = _filled(root[start:end])
             shared[:, i, used] = waves @ root[start:end, used]

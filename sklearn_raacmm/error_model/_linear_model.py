@@ -17,11 +17,14 @@ from sklearn_raacmm.error_model._columns import (
     term_columns,
     term_names,
 )
+from sklearn_raacmm.error_model._variance_bound import bounded_std, single_root
 from sklearn_raacmm.utils import check_shapes, chunks
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
 # 2^18 with 177 and 769 columns.
 _CHUNK = 2**17
+# Poses from which on a bound of standard deviations pays: of one, calls cost more than products.
+_FEWEST_TO_BOUND = 8
 # A root of which more than this share is not zero is worth being made a triangle.
 _FULL = 0.6
 
@@ -108,7 +111,8 @@ class LinearModel:
 
     def __getstate__(self):
         state = dict(vars(self))
-        state.pop("_std_root", None)  # it is made of the others
+        for made_of_others in ("_std_root", "_single_root"):
+            state.pop(made_of_others, None)
         return state
 
     def __setstate__(self, state):
@@ -160,7 +164,7 @@ class LinearModel:
         """
         return term_columns(self.arm, angles, self.terms)
 
-    def predict(self, angles, return_std=False):
+    def predict(self, angles, return_std=False, enough=0.0):
         """Posterior of the correction at some poses.
 
         Parameters
@@ -171,6 +175,10 @@ class LinearModel:
         return_std : bool, default=False
             Also return standard deviations.
 
+        enough : float, default=0.0
+            Standard deviations of poses where their length is at most this may be left 0, mm: what
+            fades no correction need not be known exactly, see `_variance_bound`.
+
         Returns
         -------
         mean : ndarray of shape (n, 3)
@@ -180,21 +188,33 @@ class LinearModel:
             That of the posterior, mm, without noise, of what the test can show; None where it is
             not asked for. :meth:`widened` makes intervals of it that hold.
         """
-        return self._posterior(angles, return_std, False)
+        return self._posterior(angles, return_std, False, enough)
 
     def predict_turn(self, angles, return_std=False):
         """As `predict`, of the orientation of the last link: rotation vectors in rad."""
         return self._posterior(angles, return_std, True)
 
-    def _posterior(self, angles, return_std, of_turns):
+    def _posterior(self, angles, return_std, of_turns, enough=0.0):
         mean = np.empty((len(angles), 3))
         std = np.empty((len(angles), 3)) if return_std else None
+        pays = enough > 0
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = factored_columns(self.arm, angles[rows], self.terms, of_turns)
             mean[rows] = columns.dot(self.coef)
-            if return_std:
+            if return_std and pays and len(columns.rest) >= _FEWEST_TO_BOUND:
+                part = np.zeros((len(columns.rest), 3))
+                doubtful = bounded_std(columns, self._single_root) > enough
+                part[doubtful] = np.sqrt(columns.at(doubtful).squares(self._std_root))
+                std[rows] = part
+                pays = np.mean(doubtful) < 0.5  # not where most poses are far away
+            elif return_std:
                 std[rows] = np.sqrt(columns.squares(self._std_root))
         return mean, std
+
+    @cached_property
+    def _single_root(self):
+        """The same root in single precision, for a bound."""
+        return single_root(self._std_root)
 
     @cached_property
     def _std_root(self):

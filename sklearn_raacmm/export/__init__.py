@@ -1,7 +1,9 @@
-"""A fitted model on its way: as C99, as ONNX, what to trust in its file, and what to say of it."""
+"""A fitted model on its way: as C99, as ONNX, as JSON, and what to say of it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
+
+import contextlib
 
 from sklearn_raacmm.export._export import (
     TRUSTED_TYPES,
@@ -14,12 +16,14 @@ from sklearn_raacmm.export._export import (
     to_json,
     to_onnx,
 )
+from sklearn_raacmm.export._json import ExportedModel
 from sklearn_raacmm.export._load_c import CompiledModel
 from sklearn_raacmm.export._model_card import ModelCard
 
 __all__ = [
     "TRUSTED_TYPES",
     "CompiledModel",
+    "ExportedModel",
     "ModelCard",
     "describe",
     "export_c",
@@ -30,3 +34,6 @@ __all__ = [
     "to_json",
     "to_onnx",
 ]
+
+with contextlib.suppress(ImportError):  # wherever skl2onnx is, it knows this package's estimators
+    register_onnx()

@@ -97,24 +97,24 @@ class Numbers:
         self.n_bytes += 4 * array.size
         return _table("int", name, array, str, note)
 
-    def whole(self, name, array, note=""):
-        """A table of whole numbers below 2^24, in single precision: exact, and short in text."""
+    def single(self, name, array, note=""):
+        """A table of real numbers in single precision, whatever that of the others is."""
         self.n_bytes += 4 * array.size
-        return _table("float", name, array, lambda value: str(int(value)), note, space="")
+        return _table("float", name, array, Numbers("float").literal, note)
 
 
-def _table(kind, name, array, literal, note, space=" "):
+def _table(kind, name, array, literal, note):
     shape = "".join(f"[{n}]" for n in array.shape)
     if array.ndim == 1:
-        body = _wrapped(array, literal, "    ", space)
+        body = _wrapped(array, literal, "    ")
     else:
-        rows = [_wrapped(row, literal, "     ", space) for row in array]
+        rows = [_wrapped(row, literal, "     ") for row in array]
         body = ",\n".join("    {" + text[5:] + "}" for text in rows)
     head = f"/* {note} */\n" if note else ""
     return f"{head}static const {kind} {name}{shape} = {{\n{body}\n}};\n"
 
 
-def _wrapped(values, literal, indent, space, width=96):
+def _wrapped(values, literal, indent, width=96):
     """Values with commas, in lines of limited width."""
     lines, line = [], indent
     for i, value in enumerate(values):
@@ -122,5 +122,5 @@ def _wrapped(values, literal, indent, space, width=96):
         if len(line) + len(word) + 1 > width and line != indent:
             lines.append(line.rstrip())
             line = indent
-        line += word + space
+        line += word + " "
     return "\n".join([*lines, line.rstrip()])

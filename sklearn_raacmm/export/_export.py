@@ -1,21 +1,32 @@
-"""A fitted model on its way: as C99, as ONNX, what to trust in its file, and what to say of it."""
+"""A fitted model on its way: as C99, as ONNX, as JSON, and what to say of it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import json
 import re
+
+import numpy as np
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
+from sklearn_raacmm.error_model import (
+    ArmResidualRegressor,
+    Fading,
+    Judgement,
+    LinearModel,
+    Terms,
+)
+from sklearn_raacmm.export import _onnx, _reader
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._c_project import check_rows, project_files
-from sklearn_raacmm.export._c_source import body_of, fingerprint_of
+from sklearn_raacmm.export._c_project import project_files
 from sklearn_raacmm.export._c_text import check_name
-from sklearn_raacmm.export._json import model_of, text_of
-from sklearn_raacmm.export._load_c import compiled, single_precision
+from sklearn_raacmm.export._json import ExportedModel, content_of, program_of_text, text_of
+from sklearn_raacmm.export._load_c import NAME, answers_in_c, compiled
 from sklearn_raacmm.export._model_card import card_of
+from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._program import fingerprint_of, run
+from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
@@ -29,22 +40,52 @@ TRUSTED_TYPES = [
         Arm,
         Arm.azimuth,
         ArmResidualRegressor,
+        CylindricalResidualTarget,
         Fading,
-        JointHarmonicRegressor,
+        Judgement,
         LinearModel,
-        PoseFeatures,
         Network,
+        PoseFeatures,
         RBFNetRegressor,
         Terms,
-        CylindricalResidualTarget,
     )
 ]
+
+
+# Numbers of a JSON file that plain Python goes through for its proof: a second or so.
+_PLAIN_NUMBERS = 3_000_000
 
 
 def _check_card(card):
     """Refuse what `describe` does not give, and is no text either."""
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
+
+
+def _check_std(std):
+    if not isinstance(std, bool):
+        raise ValueError(f"std must be True or False, got {show(std)}.")
+
+
+def _check_dtype(dtype):
+    if not (isinstance(dtype, str) and dtype in ("double", "float")):
+        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+
+
+def _rows_of(model, poses, std, n_inputs, dtype="double"):
+    """Test rows of a model, of some poses or of random ones, in what a precision can hold."""
+    if poses is not None:
+        poses = np.asarray(poses, dtype=np.float64)
+        finite = bool(np.isfinite(poses).all())
+        if poses.ndim != 2 or poses.shape[1] != n_inputs or not len(poses) or not finite:
+            raise ValueError(
+                f"poses must be rows of {n_inputs} finite numbers, at least one; got shape "
+                f"{poses.shape}{'' if finite else ' with NaN or infinity'}."
+            )
+    rows = rows_to_test(model, poses, std)
+    if dtype == "float":
+        rows = answered(model, rows["X"].astype(np.float32).astype(float), std)
+    return rows
 
 
 def export_c(model, path, *, name=None, dtype="double", std=False, card=None, poses=None):
@@ -99,22 +140,18 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
     std : bool, default=False
         Also write the standard deviation, by which the caller can tell poses that the model knows
         from those it does not. Its tables grow with the square of the number of centres (or terms);
-        those of a correction that fades are there in any case. That of a network is good to 1e-3
-        of itself, in a third of the text that all digits take; where the correction depends on it,
-        as in an :class:`ArmResidualRegressor` that fades, and of data almost without noise, all
-        digits are written. That of a linear model of more than some 450 terms is good to 3e-5 of
-        itself, and a correction that fades to 1e-5 of the largest; of smaller ones to rounding.
+        those of a correction that fades are there in any case. It is good to 1e-3 of itself, or the
+        file says how good it is.
 
     card : ModelCard or str, default=None
         Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
         plain ones become underscores.
 
-    poses : array-like of shape (n, N), default=None
-        Rows that the model was fitted on, or others that it will see. With them come, beside the C
-        file, ``<stem>_test.c``, which compares 32 rows with what ``predict`` gives (20 of these, 8
-        corners of their ranges, 4 with NaN or infinity); ``CMakeLists.txt``, which builds and runs
-        it; and ``<stem>.hpp``, for C++17. In single precision the header then says how far
-        the functions are from ``predict`` at these rows, where a compiler is at hand.
+    poses : array-like of shape (n, N) or "random", default=None
+        Rows that the model was fitted on, or others that it will see; "random" takes random ones.
+        With them come, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
+        ``predict`` gives (20 of these, 8 corners of their ranges, 4 with NaN or infinity);
+        ``CMakeLists.txt``, which builds, runs and installs; and ``<stem>.hpp``, for C++17.
 
     Returns
     -------
@@ -126,7 +163,8 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
     ValueError
         If a step cannot be exported (the sentence names it), `name` is not a C identifier or a
         word of C or C++, `path` does not end in ".c" or holds unusual characters, or a number of
-        the model is not finite in this precision; if a CMakeLists.txt of somebody else is there.
+        the model is not finite in this precision; if a CMakeLists.txt of somebody else is there;
+        if the file, compiled, does not give what ``predict`` gives: the sentence has the numbers.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -134,6 +172,11 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
     -----
     Where ``predict`` raises, on angles that are NaN or infinite or a pose without an azimuth, the
     functions give NaN. Angles more than two turns away only warn in Python, and pass here.
+
+    Where a compiler is at hand (the environment variable CC, or cc, gcc or clang), the file is
+    compiled and compared with ``predict`` at 32 rows before it is written: 1e-9 of the largest
+    correction and 1e-3 of a standard deviation are promised, 2e-2 in single precision, of which the
+    header then says how far it is.
 
     Examples
     --------
@@ -159,20 +202,41 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
             f"{show(str(path))}."
         )
     name = check_name(path.stem if name is None else name)
-    if not (isinstance(dtype, str) and dtype in ("double", "float")):
-        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
-    if not isinstance(std, bool):
-        raise ValueError(f"std must be True or False, got {show(std)}.")
+    _check_dtype(dtype)
+    _check_std(std)
     _check_card(card)
-    header_path, extra, notes = path.with_suffix(".h"), {}, []
+    program = program_of(model, std)
+    given = None if isinstance(poses, str) and poses == "random" else poses
+    rows = _rows_of(model, given, std, program.n_inputs, dtype)
+    extra = {}
     if poses is not None:
-        body = body_of(model, dtype, std)
-        rows = check_rows(poses, body.n_inputs)
-        extra = project_files(model, name, path, dtype, rows, body.corrects)
-        notes = single_precision(model, rows) if dtype == "float" else []
-    source, header = sources(model, name, path.stem, dtype, std, card, notes)
+        gap = np.abs(run(program, rows["X"])["y"] - rows["y"])
+        extra = project_files(rows, np.nanmax(gap), name, path, dtype, program.about["corrects"])
+    notes = _proved_in_c(model, program, rows, dtype)
+    source, header = sources(program, name, path.stem, dtype, card, notes)
+    header_path = path.with_suffix(".h")
     write_whole({path: source, header_path: header, **extra})
     return path, header_path
+
+
+def _proved_in_c(model, program, rows, dtype):
+    """What the header has to say of how far the C file is from ``predict``."""
+    found = answers_in_c(program, sources(program, NAME, NAME, dtype), dtype, rows["X"])
+    if found is None:
+        return []
+    notes = proved("the C source", rows, found["y"], found.get("std"), dtype)
+    if dtype == "float":
+        known = np.isfinite(rows["y"]).all(axis=1)
+        size = np.abs(rows["y"][known]).max(initial=1e-300)
+        gap = np.abs(found["y"] - rows["y"])[known].max(initial=0.0)
+        unit = " mm" if "point" in found else ""
+        text = f"single precision, at {known.sum()} rows: within {gap:.1e}{unit} of predict"
+        notes.append(f"{text}, {gap / size:.1e} of the largest")
+        if "point" in found:
+            exact = run(program, rows["X"])["point"]
+            gap = np.abs(found["point"] - exact)[known].max(initial=0.0)
+            notes[-1] += f"; the point within {gap:.1e} mm"
+    return notes
 
 
 def load_c(model, *, std=False, compiler=None, cache_dir=None):
@@ -223,34 +287,42 @@ def load_c(model, *, std=False, compiler=None, cache_dir=None):
         compiled = load_c(model)
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
-    if not isinstance(std, bool):
-        raise ValueError(f"std must be True or False, got {show(std)}.")
+    _check_std(std)
     return compiled(model, std, compiler, cache_dir)
 
 
-def to_json(model, path=None):
+def to_json(model, path=None, *, std=False, card=None, poses=None):
     """Write a fitted model as JSON: for other languages, and for an archive of twenty years.
 
     Parameters
     ----------
     model : estimator
-        Fitted: of this package, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler,
-        RobustScaler, LinearRegression or Ridge, a pipeline of these, or a search that has found
-        one.
+        Fitted, of a kind that :func:`export_c` writes.
 
     path : str or path-like, default=None
         File to write, beside its place and renamed when complete. None only returns the text.
 
+    std : bool, default=False
+        Also write the standard deviation.
+
+    card : ModelCard or str, default=None
+        Facts to keep in the file, see :func:`describe`.
+
+    poses : array-like of shape (n, n_inputs), default=None
+        Rows for the test rows in the file, as :func:`export_c` takes them; None takes random ones.
+
     Returns
     -------
     str
-        JSON. All numbers are the shortest decimals that read back as the same float64. The page
-        "Deployment" describes the fields.
+        JSON: the operations that the model is made of, their constants, and 32 test rows with what
+        ``predict`` gives. All numbers are the shortest decimals that read back as the same float64.
+        The page "Deployment" describes the fields, and has a reader of plain Python.
 
     Raises
     ------
     ValueError
-        If something in the model cannot be written: the sentence says where it is.
+        If something in the model cannot be written (the sentence says what), or if the text, read
+        again, does not give what ``predict`` gives.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -262,18 +334,43 @@ def to_json(model, path=None):
     >>> X = np.linspace(0, 6, 50)[:, None]
     >>> model = RBFNetRegressor(5).fit(X, np.sin(X[:, 0]))
     >>> again = from_json(to_json(model))
-    >>> bool((again.predict(X) == model.predict(X)).all())
+    >>> bool(np.abs(again.predict(X) - model.predict(X)).max() < 1e-12)
     True
     """
     path = None if path is None else check_path("path", path)
-    text = text_of(model)
+    _check_std(std)
+    _check_card(card)
+    program = program_of(model, std)
+    rows = _rows_of(model, poses, std, program.n_inputs)
+    if card is not None:
+        program.about["card"] = str(card)
+    text = text_of(program, dict_of_rows(rows))
+    program.about["accuracy"] = _proved_by_reader(content_of(text), rows)
+    if program.about["accuracy"]:
+        text = text_of(program, dict_of_rows(rows))
     if path is not None:
         write_whole({path: text})
     return text
 
 
+def _proved_by_reader(content, rows):
+    """What plain Python makes of a file, compared with ``predict``: sentences for the file."""
+    numbers = sum(np.size(array) for array in content["arrays"])
+    which = np.linspace(0, len(rows["X"]) - 1, max(2, min(32, _PLAIN_NUMBERS // numbers)))
+    rows = {key: array[which.round().astype(int)] for key, array in rows.items()}
+    found = {key: np.full(array.shape, np.nan) for key, array in rows.items() if key != "X"}
+    for i, row in enumerate(rows["X"].tolist()):
+        try:
+            answer = _reader.run(content, row)
+        except (ValueError, ZeroDivisionError, OverflowError):
+            continue
+        for key, array in found.items():
+            array[i] = answer[key]
+    return proved("the JSON text, read by plain Python,", rows, found["y"], found.get("std"))
+
+
 def from_json(source):
-    """Read a model that :func:`to_json` wrote. Nothing in it is run.
+    """Read a model that :func:`to_json` wrote. Nothing in it is run but the listed operations.
 
     Parameters
     ----------
@@ -282,24 +379,31 @@ def from_json(source):
 
     Returns
     -------
-    estimator
-        With the predictions of the model that was written.
+    ExportedModel
+        Has ``predict(X, return_std=False)`` with the predictions of the model that was written, to
+        rounding. It is no estimator any more: skops and joblib files keep that.
 
     Raises
     ------
     ValueError
-        If the text is not such a model, of another version of the format, or damaged: the checksum
-        is wrong, arrays do not fit together, or a number is missing or not finite.
+        If the text is not such a model, of another version of the format, or damaged: a checksum
+        or the fingerprint is wrong, an operation is unknown, sizes do not agree, a number is
+        missing or not finite, or its own test rows do not come out.
     OSError
         If the file cannot be read.
     """
     if isinstance(source, str) and source.lstrip().startswith("{"):
-        return model_of(source)
-    content = check_path("source", source).read_bytes()
-    try:
-        return model_of(content.decode("utf-8-sig"), str(source))
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{source} is not valid JSON: {error}.") from None
+        text, where = source, "the JSON text"
+    else:
+        content, where = check_path("source", source).read_bytes(), str(source)
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{source} is not valid JSON: {error}.") from None
+    program, rows = program_of_text(text, where)
+    found = run(program, rows["X"])
+    proved(where, rows, found["y"], found.get("std"))
+    return ExportedModel(program, rows)
 
 
 def fingerprint(model):
@@ -313,69 +417,74 @@ def fingerprint(model):
     Returns
     -------
     str
-        SHA-256 as 64 hexadecimal digits, of every constant and operation in double precision. The
-        same one is in what :func:`export_c` writes.
+        SHA-256 as 64 hexadecimal digits, of every constant and operation of the prediction in
+        double precision. The same one is in the files of C, ONNX and JSON.
 
     Raises
     ------
     ValueError
         If the model cannot be exported.
     """
-    return fingerprint_of(model)
+    return fingerprint_of(program_of(model))
 
 
 def register_onnx():
-    """Register the package's converters with skl2onnx.
+    """Register the package's converters with skl2onnx, as the import of this module does.
 
-    After that ``skl2onnx.to_onnx`` converts :class:`PoseFeatures`, :class:`RBFNetRegressor`,
-    :class:`CylindricalResidualTarget`, :class:`JointHarmonicRegressor` and
-    :class:`ArmResidualRegressor` wherever they stand: in pipelines, searches, column transformers.
-    To call it again does no harm.
+    After that ``skl2onnx.to_onnx`` converts this package's estimators wherever they stand: in
+    pipelines, searches, column transformers. To call it again does no harm.
 
     Raises
     ------
     ImportError
         Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
     """
-    # Late: skl2onnx takes a second to import.
-    from sklearn_raacmm.export import _onnx
-
     _onnx.register()
 
 
-def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
-    """Convert a fitted model to ONNX.
+def to_onnx(
+    model, path=None, *, dtype="double", std=False, target_opset=None, card=None, poses=None
+):
+    """Convert a fitted model to ONNX, for every language that has a runtime for it.
 
     Parameters
     ----------
     model : estimator
-        Fitted: any that skl2onnx converts, with this package's estimators in it, see
-        :func:`register_onnx`.
+        Fitted, of a kind that :func:`export_c` writes, or a chain whose other steps skl2onnx knows.
 
     path : str or path-like, default=None
-        File to write, beside its place and renamed when complete. None only returns the model.
+        File to write, beside its place and renamed when complete.
 
     dtype : {"double", "float"}, default="double"
-        Type of the input X of shape (n_samples, n_features) and of the output. This package's
-        steps compute in float64 in either case.
+        Type of input and output. The model itself computes in double precision.
+
+    std : bool, default=False
+        Whether there is a second output, the standard deviation.
 
     target_opset : int, default=None
-        Version of the ONNX operators, 13 or newer; None leaves it to skl2onnx.
+        Version of the ONNX operators, 13 or newer; None takes 17.
 
     card : ModelCard or str, default=None
         Facts to keep in the file's metadata, see :func:`describe`.
 
+    poses : array-like of shape (n, n_inputs), default=None
+        Rows for the test rows in the metadata, as :func:`export_c` takes them; None takes random
+        ones.
+
     Returns
     -------
     onnx.ModelProto
-        The model. Rows that ``predict`` refuses come out as NaN.
+        The model: input X, outputs y and std. Rows that ``predict`` refuses come out as NaN. The
+        metadata have the version, the fingerprint, the card and, as JSON in ``test_rows``, 32 rows
+        with what ``predict`` gives.
 
     Raises
     ------
     ImportError
-        Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
+        Without onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
     ValueError
-        If an estimator has no converter, or skl2onnx fails on it.
+        If an estimator has no converter, or skl2onnx fails on it; if ONNX Runtime is installed and
+        does not give what ``predict`` gives.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -387,26 +496,38 @@ def to_onnx(model, path=None, *, dtype="double", target_opset=None, card=None):
         session = onnxruntime.InferenceSession("arm.onnx")
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
-    if not (isinstance(dtype, str) and dtype in ("double", "float")):
-        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+    _check_dtype(dtype)
+    _check_std(std)
     if target_opset is not None and not isinstance(target_opset, int | dict):
         raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
     _check_card(card)
     path = None if path is None else check_path("path", path)
     check_fitted(model)
-    # Late: skl2onnx takes a second to import.
-    from sklearn_raacmm.export import _onnx
-
-    converted = _onnx.convert(model, dtype, target_opset)
     facts = {"sklearn_raacmm_version": __version__}
+    try:
+        program = program_of(model, std)
+    except (ValueError, AttributeError):  # not one of ours in each of its steps
+        if std:
+            raise
+        made = _onnx.by_skl2onnx(model, dtype, target_opset)
+    else:
+        made = _onnx.converted(program, dtype, target_opset)
+        facts["fingerprint"] = fingerprint_of(program)
+        rows = _rows_of(model, poses, std, program.n_inputs, dtype)
+        found = _onnx.run_onnx(made, rows["X"])
+        if found is not None:
+            found = [out.astype(float) for out in found]
+            notes = proved("the ONNX file", rows, *found, dtype=dtype)
+            facts |= {"accuracy": "; ".join(notes)} if notes else {}
+        facts["test_rows"] = json.dumps(dict_of_rows(rows))
     if card is not None:
         facts["model_card"] = str(card)
     for key, value in facts.items():
-        entry = converted.metadata_props.add()
+        entry = made.metadata_props.add()
         entry.key, entry.value = key, value
     if path is not None:
-        write_whole({path: converted.SerializeToString()})
-    return converted
+        write_whole({path: made.SerializeToString()})
+    return made
 
 
 def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None, date=None):

@@ -1,168 +1,142 @@
-"""A fitted model as plain JSON: readable in any language, exact, and checked when it is read."""
+"""A program as JSON: readable in any language, exact, and checked when it is read."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import hashlib
 import json
-from dataclasses import fields
-from functools import partial
-from types import MethodType
 
 import numpy as np
-import sklearn
-from sklearn.base import BaseEstimator, clone
-from sklearn.linear_model import LinearRegression, Ridge
-from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import ArmResidualRegressor
-from sklearn_raacmm.error_model import Fading, JointHarmonicRegressor, LinearModel, Terms
-from sklearn_raacmm.export._c_source import fingerprint_of
-from sklearn_raacmm.export._steps import STAGES, check_fitted
-from sklearn_raacmm.network import Network, RBFNetRegressor
-from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import check_shapes, show
+from sklearn_raacmm.export._program import Builder, fingerprint_of, run
+from sklearn_raacmm.export._proof import rows_of_dict
+from sklearn_raacmm.utils import show
 
-FORMAT, FORMAT_VERSION = "sklearn_raacmm.Model", 1
-# What a file may hold, by name; nothing else is ever built.
-_ESTIMATORS = {
-    kind.__name__: kind
-    for kind in (
-        PoseFeatures, RBFNetRegressor, CylindricalResidualTarget, JointHarmonicRegressor,
-        ArmResidualRegressor, Pipeline, StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler,
-        LinearRegression, Ridge,
-    )
-}  # fmt: skip
-# Fitted numbers that are values of their own.
-_VALUES = {
-    kind.__name__: kind
-    for kind in (
-        Fading, LinearModel, Network,
-    )
-}  # fmt: skip
-# Arrays of scikit-learn's steps: d is the number of features. Those that are None are left out.
-_SHAPES = {
-    name: dict.fromkeys(attributes, ("d",))
-    for name, attributes in {
-        "StandardScaler": ("mean_", "var_", "scale_"),
-        "MinMaxScaler": ("min_", "scale_", "data_min_", "data_max_", "data_range_"),
-        "MaxAbsScaler": ("max_abs_", "scale_"),
-        "RobustScaler": ("center_", "scale_"),
-    }.items()
-}
-# What content that is no model raises.
-_UNREADABLE = (TypeError, KeyError, IndexError, AttributeError, ValueError, RecursionError)
-_DTYPES = {"float64": float, "int64": int, "bool": bool}
-# What is no number in JSON.
-_NOT_FINITE = {"NaN": np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
+FORMAT, FORMAT_VERSION = "sklearn_raacmm.Program", 2
+# What content that is no program raises.
+_UNREADABLE = (TypeError, KeyError, IndexError, AttributeError, ValueError, OverflowError)
 
 
-def text_of(model):
-    """JSON text of a fitted model; see `sklearn_raacmm.export.to_json`."""
-    check_fitted(model)
-    while hasattr(model, "best_estimator_"):  # of a search: what it has found
-        model = model.best_estimator_
-    content = _encoded(model, type(model).__name__)
-    try:  # what is damaged, as by a weight that is NaN, is refused now, not in twenty years
-        _decoded(content)
-    except _UNREADABLE as error:
-        raise ValueError(
-            f"{type(model).__name__} cannot be written as JSON, which could not be read: {error}"
-        ) from None
-    try:
-        fingerprint = fingerprint_of(model)
-    except ValueError:  # a chain without a regressor at its end
-        fingerprint = None
+class ExportedModel:
+    """A model that was read from JSON: it predicts, and that is all that it does.
+
+    Attributes
+    ----------
+    fingerprint : str
+        As :func:`fingerprint` gives it.
+
+    n_features_in_, n_outputs_ : int
+        Numbers of a row of X, and of a prediction.
+
+    about : dict
+        Plain facts: steps, arm, angle unit, names of columns after the angles.
+
+    test_rows : dict
+        X, y and, where the file has it, std: rows with what ``predict`` gave for them; NaN where
+        it refuses.
+    """
+
+    def __init__(self, program, test_rows):
+        self._program, self.test_rows = program, test_rows
+        self.about, self.fingerprint = program.about, fingerprint_of(program)
+        self.n_features_in_, self.n_outputs_ = program.n_inputs, program.n_outputs
+
+    def predict(self, X, return_std=False):
+        """What ``predict`` of the model gave.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+
+        return_std : bool, default=False
+            Also return standard deviations, if the file has them.
+
+        Returns
+        -------
+        y : ndarray of shape (n_samples, n_outputs), or (n_samples,)
+            NaN in rows where ``predict`` raises.
+
+        std : ndarray of the same shape
+            Where asked for.
+
+        Raises
+        ------
+        ValueError
+            If X has another number of columns, or there is no standard deviation in the file.
+        """
+        found = self._run(X)
+        if return_std and "std" not in found:
+            raise ValueError("The file has no standard deviation: write it with std=True.")
+        return (found["y"], found["std"]) if return_std else found["y"]
+
+    def trust(self, X):
+        """Share of each correction that its fading leaves, (n_samples,); 1 where nothing fades."""
+        found = self._run(X)
+        return found["trust"][:, 0] if "trust" in found else np.ones(len(found["y"]))
+
+    def _run(self, X):
+        X = np.asarray(X, dtype=float)
+        if X.ndim != 2 or X.shape[1] != self.n_features_in_:
+            n = self.n_features_in_
+            raise ValueError(f"The model takes rows of {n} numbers, (n, {n}); got shape {X.shape}.")
+        found = run(self._program, X)
+        if self.about.get("flat"):
+            found |= {name: found[name][:, 0] for name in ("y", "std") if name in found}
+        return found
+
+
+def text_of(program, rows):
+    """JSON text of a program, with test rows."""
+    arrays, places, operations = [], {}, []
+    for op in program.ops[1:]:
+        given = {}
+        for key, value in op.given.items():
+            if isinstance(value, str):
+                given[key] = value
+                continue
+            mark = (value.shape, value.dtype.kind, value.tobytes())
+            if mark not in places:
+                places[mark] = len(arrays)
+                arrays.append(value.tolist())
+            given[key] = places[mark]
+        operations.append([op.name, list(op.inputs), given])
     head = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "written_by": f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
-        "fingerprint": fingerprint,
-        "checksum": _checksum(content),
-        "model": content,
+        "written_by": f"sklearn_raacmm {__version__}",
+        "about": program.about,
+        "fingerprint": fingerprint_of(program),
+        "n_inputs": program.n_inputs,
+        "outputs": program.outputs,
+        "test_rows": rows,
+        "operations": operations,
+        "arrays": arrays,
     }
-    return json.dumps(head, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    lines = [f" {json.dumps(key)}: {_lines(key, value)}" for key, value in _checked(head).items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def _checksum(content):
-    """SHA-256 of the content with sorted keys and without spaces."""
+def _lines(key, value):
+    """One line for each operation and each array."""
+    if key not in ("operations", "arrays"):
+        return json.dumps(value, allow_nan=False)
+    return "[\n  " + ",\n  ".join(json.dumps(entry, allow_nan=False) for entry in value) + "\n ]"
+
+
+def _checked(head):
+    return {**head, "checksum": _checksum(head)}
+
+
+def _checksum(head):
+    """SHA-256 of all else in the file, with sorted keys and without spaces."""
+    content = {key: value for key, value in head.items() if key != "checksum"}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _encoded(value, path):
-    """A value as what JSON has; `path` says where it is."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if value is None or isinstance(value, bool | str | int):
-        return value
-    if isinstance(value, float):
-        return value if np.isfinite(value) else {"number": _name(value)}
-    if isinstance(value, np.ndarray):
-        return _encoded_array(value, path)
-    if isinstance(value, Arm):
-        return {"arm": json.loads(value.to_json())}
-    if isinstance(value, Terms | tuple):
-        entries = [_encoded(entry, f"{path}[{i}]") for i, entry in enumerate(value)]
-        return (
-            {"value": "Terms", "tuple": entries} if isinstance(value, Terms) else {"tuple": entries}
-        )
-    if isinstance(value, list):
-        return [_encoded(entry, f"{path}[{i}]") for i, entry in enumerate(value)]
-    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
-        return {"dict": _encoded_fields(value, path)}
-    if type(value).__name__ in _ESTIMATORS and type(value) is _ESTIMATORS[type(value).__name__]:
-        # A parameter is a pattern, of which fits take copies: it is not written as fitted.
-        state = {
-            key: clone(entry)
-            if isinstance(entry, BaseEstimator) and not key.endswith("_")
-            else entry
-            for key, entry in vars(value).items()
-        }
-        return {"estimator": type(value).__name__, "state": _encoded_fields(state, path)}
-    if type(value) in _VALUES.values():
-        state = {field.name: getattr(value, field.name) for field in fields(value)}
-        return {"value": type(value).__name__, "state": _encoded_fields(state, path)}
-    unit, method = "rad", value
-    if isinstance(value, partial) and set(value.keywords) == {"angle_unit"} and not value.args:
-        unit, method = value.keywords["angle_unit"], value.func
-    if isinstance(method, MethodType) and method.__func__ is Arm.azimuth:
-        return {"azimuth": json.loads(method.__self__.to_json()), "angle_unit": unit}
-    raise ValueError(
-        f"{path} is a {type(value).__name__}, which cannot be written as JSON: only numbers, text, "
-        f"arrays, arms and {', '.join(_ESTIMATORS)} can."
-    )
-
-
-def _encoded_fields(fields, path):
-    return {key: _encoded(entry, f"{path}.{key}") for key, entry in fields.items()}
-
-
-def _encoded_array(array, path):
-    if array.dtype.names:
-        columns = {name: _encoded_array(array[name], path) for name in array.dtype.names}
-        return {"table": columns, "dtype": [list(entry) for entry in array.dtype.descr]}
-    if array.dtype.kind in "UO":
-        data = [str(entry) for entry in array.ravel()]
-        return {"array": data, "dtype": "text", "shape": list(array.shape)}
-    kind = {"f": "float64", "i": "int64", "u": "int64", "b": "bool"}.get(array.dtype.kind)
-    if kind is None:
-        raise ValueError(f"{path} is an array of {array.dtype}, which cannot be written as JSON.")
-    data = array.astype(kind).ravel().tolist()
-    if kind == "float64":
-        data = [x if np.isfinite(x) else _name(x) for x in data]
-    return {"array": data, "dtype": kind, "shape": list(array.shape)}
-
-
-def _name(number):
-    return "NaN" if np.isnan(number) else "Infinity" if number > 0 else "-Infinity"
-
-
-def model_of(text, where="the JSON text"):
-    """Fitted model of a JSON text; see `sklearn_raacmm.export.from_json`."""
+def content_of(text, where="the JSON text"):
+    """The content of a file, if it is whole."""
     try:
         head = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -174,126 +148,58 @@ def model_of(text, where="the JSON text"):
             f"{where} has format_version {show(head.get('format_version'))}, this version reads "
             f"{FORMAT_VERSION}."
         )
-    content = head.get("model")
-    if head.get("checksum") != _checksum(content):
-        raise ValueError(f"{where} is damaged: its checksum is not that of its model.")
     try:
-        model = _decoded(content)
-        if not isinstance(model, BaseEstimator):
-            raise ValueError(f"it holds {show(model)} in place of an estimator")
-        check_fitted(model)
+        found = _checksum(head)
+    except (ValueError, RecursionError) as error:  # as 1e999, which is read as infinity
+        raise ValueError(f"{where} holds a number that is not finite: {error}.") from None
+    if head.get("checksum") != found:
+        raise ValueError(f"{where} is damaged: its checksum is not that of its content.")
+    return head
+
+
+def program_of_text(text, where="the JSON text"):
+    """Program and test rows of a JSON text; ValueError with one sentence."""
+    head = content_of(text, where)
+    try:
+        program, rows = _program(head), rows_of_dict(head["test_rows"])
     except _UNREADABLE as error:
         # Text that whoever wrote the checksum has made, too: say what is wrong with it.
-        raise ValueError(f"{where} holds no model that can be built: {error}") from None
-    return model
+        said = f"{error}" if isinstance(error, ValueError) else f"{type(error).__name__} {error}"
+        raise ValueError(f"{where} holds no model that can be built: {said}") from None
+    return program, rows
+
+
+def _program(head):
+    arrays = [np.asarray(value) for value in head["arrays"]]
+    for number, array in enumerate(arrays):
+        if array.dtype.kind not in "if":
+            raise ValueError(f"array {number} holds something that is no number")
+    n_inputs = head["n_inputs"]
+    if not (isinstance(n_inputs, int) and n_inputs > 0):
+        raise ValueError(f"n_inputs must be a positive whole number, got {show(n_inputs)}")
+    builder = Builder(n_inputs)
+    for number, (name, inputs, given) in enumerate(head["operations"], start=1):
+        for i in inputs:
+            if not (isinstance(i, int) and 0 <= i < number):
+                raise ValueError(
+                    f"operation {number} takes value {show(i)}, which is not before it"
+                )
+        given = {k: v if isinstance(v, str) else arrays[v] for k, v in given.items()}
+        builder.append(name, tuple(inputs), given)
+    outputs = head["outputs"]
+    for name, i in outputs.items():
+        if not (isinstance(i, int) and 0 <= i < len(builder.ops)):
+            raise ValueError(f"output {show(name)} is value {show(i)} of {len(builder.ops)}")
+    if "y" not in outputs or not isinstance(head["about"], dict):
+        raise ValueError("there is no output y, or nothing about the model")
+    program = builder.program(outputs, head["about"])
+    if head["fingerprint"] != fingerprint_of(program):
+        raise ValueError(
+            f"its fingerprint is {show(head['fingerprint'])}, that of its operations is "
+            f"{fingerprint_of(program)}"
+        )
+    return program
 
 
 def _refuse_constant(name):
     raise ValueError(f"{name} is no number of JSON")
-
-
-def _decoded(value):
-    if not isinstance(value, dict):
-        return [_decoded(entry) for entry in value] if isinstance(value, list) else value
-    if "array" in value:
-        return _decoded_array(value)
-    if "table" in value:
-        columns = {name: _decoded_array(column) for name, column in value["table"].items()}
-        dtype = np.dtype([tuple(entry) for entry in value["dtype"]])
-        table = np.empty(len(next(iter(columns.values()))), dtype=dtype)
-        for name, column in columns.items():
-            table[name] = column
-        return table
-    if "number" in value:
-        return _NOT_FINITE[value["number"]]
-    if "arm" in value:
-        return Arm.from_json(json.dumps(value["arm"]))
-    if "azimuth" in value:
-        method = Arm.from_json(json.dumps(value["azimuth"])).azimuth
-        unit = value["angle_unit"]
-        if unit not in ("rad", "deg"):
-            raise ValueError(f"angle_unit must be 'rad' or 'deg', got {show(unit)}")
-        return method if unit == "rad" else partial(method, angle_unit=unit)
-    if "tuple" in value:
-        entries = tuple(_decoded(entry) for entry in value["tuple"])
-        return Terms(*entries) if value.get("value") == "Terms" else entries
-    if "dict" in value:
-        return {key: _decoded(entry) for key, entry in value["dict"].items()}
-    return _decoded_object(value)
-
-
-def _decoded_array(value):
-    shape, dtype = value["shape"], value["dtype"]
-    data = value["array"]
-    if dtype == "text":
-        return np.array(data, dtype=str).reshape(shape)
-    kind = _DTYPES[dtype]
-    numbers = [_NOT_FINITE[x] if isinstance(x, str) else x for x in data]
-    if any(not isinstance(x, int | float) for x in numbers):
-        raise ValueError("an array holds something that is no number")
-    return np.array(numbers, dtype=kind).reshape(shape)
-
-
-def _decoded_object(value):
-    """An estimator or a value, by its name in the lists above."""
-    name = value.get("estimator", value.get("value"))
-    kind = {**_ESTIMATORS, **_VALUES}.get(name if isinstance(name, str) else "")
-    if kind is None:
-        raise ValueError(f"{show(name)} is none of {', '.join(_ESTIMATORS)}")
-    state = {key: _decoded(entry) for key, entry in value["state"].items()}
-    if kind is Fading:
-        return _checked_fading(Fading(**state))
-    made = kind.__new__(kind)
-    if name in _VALUES:
-        made.__setstate__(state)  # checks what it is given
-        return made
-    missing = set(kind._get_param_names()) - set(state)
-    if missing:
-        raise ValueError(f"{name} has no {', '.join(sorted(missing))}")
-    if kind.__module__.startswith("sklearn_raacmm."):
-        made.__setstate__({**state, "_sklearn_raacmm_version": __version__})
-    else:
-        vars(made).update(state)
-        shapes = _SHAPES.get(name, {})
-        shapes = {k: v for k, v in shapes.items() if state.get(k) is not None}
-        check_shapes(name, state, shapes, {"d": state["n_features_in_"]} if shapes else {})
-        if name in ("LinearRegression", "Ridge"):
-            q = ("q",) if np.ndim(state["coef_"]) == 2 else ()
-            check_shapes(name, state, {"coef_": (*q, "d")}, {"d": state["n_features_in_"]})
-    made._validate_params()
-    fitted = any(key.endswith("_") for key in state)  # a parameter may be an estimator, too
-    if fitted and kind in (JointHarmonicRegressor, ArmResidualRegressor):
-        _check_stages(name, state)
-    return made
-
-
-def _checked_fading(fading):
-    """The fading, if it is one: a correction would be NaN, or grow where little is known."""
-    for field in fields(fading):
-        value = getattr(fading, field.name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
-            raise ValueError(
-                f"{field.name} of Fading must be a finite number of at least 0, got {show(value)}"
-            )
-    return fading
-
-
-def _check_stages(name, state):
-    """Refuse an estimator of the arm whose stages are not all there."""
-    use = state.get("use_", "harmonics")
-    if use not in STAGES:
-        raise ValueError(f"use_ of {name} must be one of {', '.join(STAGES)}, got {show(use)}")
-    n_stages = STAGES.index(use)
-    fadings = state.get("fadings_", [state.get("fading_")])
-    wanted = {"linear_model_": LinearModel}
-    if n_stages > 1:
-        wanted["network_"] = RBFNetRegressor
-    for key, kind in wanted.items():
-        if not isinstance(state.get(key), kind):
-            raise ValueError(f"{key} of {name} is no {kind.__name__}")
-    whole = isinstance(fadings, list) and all(isinstance(entry, Fading) for entry in fadings)
-    if not whole or len(fadings) < max(n_stages, 1):
-        raise ValueError(f"{name} does not say how each of its stages fades")
-    cap = state.get("cap_mm_", np.inf)
-    if isinstance(cap, bool) or not isinstance(cap, int | float) or not cap >= 0:
-        raise ValueError(f"cap_mm_ of {name} must be a number of at least 0, got {show(cap)}")

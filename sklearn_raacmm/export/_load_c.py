@@ -18,19 +18,21 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._c_source import body_of, fingerprint_of
-from sklearn_raacmm.export._steps import leaves
+from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._program import fingerprint_of
 from sklearn_raacmm.utils import check_path, show, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
 _FLAGS = ("-std=c99", "-O3", "-shared", "-fPIC")
+# Of a library that is only asked for a few rows.
+_FAST = ("-std=c99", "-O0", "-shared", "-fPIC")
 _COMPILERS = ("cc", "gcc", "clang")
 # Seconds that a compiler may take: a model of 1000 centres with its standard deviation takes 20.
 _PATIENCE = 600
 # Lines of the compiler's message that are shown.
 _SHOWN_LINES = 5
 # What the files and functions are called inside; two libraries do not see each other's names.
-_NAME = "model"
+NAME = "model"
 
 
 class CompiledModel:
@@ -55,10 +57,10 @@ class CompiledModel:
         library = _library(text, compiler, folder)
         names = [self._verb, *(["point"] if self._has_point else [])]
         names += [f"{self._verb}_std"] if self._has_std else []
-        self._functions = {name: getattr(library, f"{_NAME}_{name}") for name in names}
+        self._functions = {name: getattr(library, f"{NAME}_{name}") for name in names}
         for function in self._functions.values():
             function.restype = ctypes.c_int
-        self._many = getattr(library, f"{_NAME}_{self._verb}_n")
+        self._many = getattr(library, f"{NAME}_{self._verb}_n")
         self._many.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
         self._many.restype = ctypes.c_int
         self._local = threading.local()
@@ -202,68 +204,57 @@ class CompiledModel:
 
 def compiled(model, std=False, compiler=None, cache_dir=None):
     """See `sklearn_raacmm.export.load_c`."""
-    body = body_of(model, std=std)
-    text = sources(model, _NAME, _NAME, "double", std)
+    program = program_of(model, std)
+    text = sources(program, NAME, NAME, "double")
     facts = (
-        fingerprint_of(model),
-        body.n_inputs,
-        body.n_outputs,
-        "correct" if body.corrects else "predict",
-        body.n_outputs == 1 and _is_flat(model),
-        body.corrects,
+        fingerprint_of(program),
+        program.n_inputs,
+        program.n_outputs,
+        "correct" if program.about["corrects"] else "predict",
+        program.about["flat"],
+        program.about["corrects"],
         std,
     )
     return CompiledModel(text, facts, compiler, cache_dir)
 
 
-def single_precision(model, rows):
-    """What single precision costs, measured: sentences for the header, none without a compiler.
+def answers_in_c(program, text, dtype, X):
+    """What the C source of a program gives at some rows; None without a compiler.
 
     Parameters
     ----------
-    model : estimator
-    rows : ndarray of shape (n, n_inputs)
-        At most 1000 of them, evenly spread, are used.
+    program : Program
+    text : tuple of str
+        Source and header, of the name `NAME`.
+    dtype : {"double", "float"}
+    X : ndarray of shape (n, n_inputs)
 
     Returns
     -------
-    list of str
+    dict of ndarray
+        y, point and std, as far as the program has them.
     """
     try:
         compiler = _find_compiler(None)
     except RuntimeError:
-        return []
-    body = body_of(model)
-    given = rows[np.unique(np.linspace(0, len(rows) - 1, 1000).astype(int))].astype(np.float32)
-    exact = given.astype(float)  # the inputs that single precision holds
-    got = np.empty((2, len(given), body.n_outputs), dtype=np.float32)
-    verb = "correct" if body.corrects else "predict"
+        return None
+    real = np.float64 if dtype == "double" else np.float32
+    X = np.ascontiguousarray(X, dtype=real)
+    verb = "correct" if program.about["corrects"] else "predict"
+    calls = {"y": verb, "point": "point", "std": f"{verb}_std"}
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as build:
-        library = _compile(sources(model, _NAME, _NAME, "float", False), compiler, Path(build))
-        loaded = ctypes.CDLL(str(library))
-        names = [verb, *(["point"] if body.corrects else [])]
-        functions = [getattr(loaded, f"{_NAME}_{function}") for function in names]
-        for function, out in zip(functions, got, strict=False):
-            for row, place in zip(given, out, strict=True):
-                function(*(ctypes.c_void_p(array.ctypes.data) for array in (row, place)))
-    expected = np.reshape(model.predict(exact), (len(exact), -1))
-    gap, size = np.nanmax(np.abs(got[0] - expected)), np.abs(expected).max()
-    unit = " mm" if body.corrects else ""
-    text = f"single precision, at {len(exact)} rows: within {gap:.1e}{unit} of predict"
-    text += f", {gap / max(size, 1e-300):.1e} of the largest"
-    if body.corrects:
-        points = (
-            body.arm.forward(exact[:, : body.arm.n_joints], angle_unit=body.angle_unit) - expected
-        )
-        text += f"; the point within {np.nanmax(np.abs(got[1] - points)):.1e} mm"
-    return [text]
-
-
-def _is_flat(model):
-    """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
-    last = list(leaves(model))[-1].estimator
-    # A linear model without intercept has a scalar for it in either case.
-    return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
+        library = ctypes.CDLL(str(_compile(text, compiler, Path(build), _FAST)))
+        found = {
+            name: np.empty((len(X), program.n_outputs), dtype=real)
+            for name in calls
+            if name in program.outputs
+        }
+        for name, out in found.items():
+            function = getattr(library, f"{NAME}_{calls[name]}")
+            for i, row in enumerate(X):
+                results = (found["y"][i], out[i]) if name == "std" else (out[i],)
+                function(*(ctypes.c_void_p(array.ctypes.data) for array in (row, *results)))
+    return {name: out.astype(float) for name, out in found.items()}
 
 
 def _find_compiler(compiler):
@@ -300,11 +291,11 @@ def _library(text, compiler, folder):
         return ctypes.CDLL(str(library))
 
 
-def _compile(text, compiler, build):
+def _compile(text, compiler, build, flags=_FLAGS):
     """Path of the library that a compiler makes of source and header."""
-    source, header, library = (build / f"{_NAME}.{end}" for end in ("c", "h", "so"))
+    source, header, library = (build / f"{NAME}.{end}" for end in ("c", "h", "so"))
     write_whole(dict(zip((source, header), text, strict=True)))
-    command = [compiler, *_FLAGS, "-o", str(library), str(source), "-lm"]
+    command = [compiler, *flags, "-o", str(library), str(source), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_PATIENCE)
     if done.returncode != 0 or not library.exists():
         said = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]

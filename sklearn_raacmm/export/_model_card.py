@@ -18,7 +18,8 @@ from sklearn.utils import check_array, check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export._c_source import fingerprint_of
+from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._program import fingerprint_of
 from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
@@ -115,11 +116,11 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
         raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {show(n_folds)}.")
     arm, unit = _arm(model)
     first = next(leaves(model)).estimator
-    then = "".join(f", then {name}" for name in extra_of(model))
+    then = "".join(f", then {name}" for name, _ in extra_of(model))
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=_fingerprint(model),
-        steps=[_step(step) for _, step in leaves(model)],
+        steps=[described(step) for _, step in leaves(model)],
         input=f"{first.n_features_in_} columns"
         if arm is None
         else f"{arm.n_joints} joint angles in {unit}{then}",
@@ -159,7 +160,7 @@ def _of_rows(model, X, y, groups, n_folds):
         refuse_disguised("y", y)
         y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
         check_consistent_length(X, y)
-    sections = {"training": _training(X, codes, arm, unit, extra_of(model))}
+    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_of(model)])}
     sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
     if y is not None:
         named = given if hasattr(first, "feature_names_in_") else X
@@ -194,18 +195,9 @@ def _arm(model):
 
 def _fingerprint(model):
     try:
-        return fingerprint_of(model)
+        return fingerprint_of(program_of(model))
     except ValueError:
         return None
-
-
-def _step(step):
-    name = type(step).__name__
-    if hasattr(step, "centers_"):
-        return f"{name} ({described(step)})"
-    if hasattr(step, "get_feature_names_out") and hasattr(step, "arm_"):
-        return f"{name} ({', '.join(step.get_feature_names_out())})"
-    return name
 
 
 def _training(X, codes, arm, unit, extra):

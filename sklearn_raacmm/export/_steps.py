@@ -1,4 +1,4 @@
-"""A fitted model taken apart into the steps that leave Python, each with its name."""
+"""A fitted model taken apart into its steps: their names, their arm, rows that they may see."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -8,7 +8,6 @@ from types import MethodType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import Pipeline
@@ -16,18 +15,16 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model import force_on_probe
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import show
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
-# What an ArmResidualRegressor uses, by the number of its stages.
-STAGES = ("none", "harmonics", "harmonics+network")
-# Centres up to which the standard deviation of a process is written: a table of 4 million numbers,
-# as that of the largest network that a fit chooses by itself.
-MOST_CENTERS = 2000
+OWN = (PoseFeatures, CylindricalResidualTarget, RBFNetRegressor, ArmResidualRegressor)
+REGRESSORS = (RBFNetRegressor, ArmResidualRegressor, *LINEAR)
+KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, *REGRESSORS)
 
 
 class Step(NamedTuple):
@@ -76,7 +73,7 @@ def check_fitted(model):
             raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
 
 
-def azimuth_arm(path, azimuth):
+def _azimuth_arm(path, azimuth):
     """Arm and angle unit of a callable `azimuth`, which has to be the method of an `Arm`."""
     unit, method = "rad", azimuth
     if (
@@ -104,10 +101,8 @@ def arm_of(model):
     """
     found = []
     for path, step in leaves(model):
-        if isinstance(step, PoseFeatures):
-            found.append((path, step.arm_, step.angle_unit))
-        elif isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
-            found.append((path, *azimuth_arm(path, step.azimuth)))
+        if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
+            found.append((path, *_azimuth_arm(path, step.azimuth)))
         elif isinstance(getattr(step, "arm_", None), Arm):
             found.append((path, step.arm_, step.angle_unit))
     for path, arm, unit in found[1:]:
@@ -120,94 +115,82 @@ def arm_of(model):
     return found[0][1:] if found else (None, None)
 
 
-def n_outputs(network):
-    """Number of outputs of a fitted `RBFNetRegressor`, whatever the shape of its target."""
-    return 1 if getattr(network.intercept_, "ndim", 0) == 0 else len(network.intercept_)
-
-
-def described(network):
-    """Kernel and number of centres of a fitted `RBFNetRegressor`, group by group, as text."""
-    parts = network.networks_
-    texts = [f"{part.kernel}, {len(part.centers)} centres" for part in parts]
-    if len(parts) == 1:
-        return texts[0]
-    outputs = [", ".join(str(i) for i in part.outputs) for part in parts]
-    return "; ".join(f"outputs {of}: {text}" for of, text in zip(outputs, texts, strict=True))
-
-
 def extra_of(model):
-    """Names of the columns after the angles that the arm's estimator of a chain takes."""
+    """Name and reference of each column after the angles, as `Terms` has them."""
     for _, step in leaves(model):
-        linear = getattr(step, "linear_model_", None)
-        if linear is not None:
-            return tuple(name for name, _ in linear.terms.extra)
+        if isinstance(step, ArmResidualRegressor):
+            return step.linear_model_.terms.extra
     return ()
 
 
-def force_of(extra):
-    """Force on the probe of one unit of each extra column, (3, n_extra), base frame.
+def is_flat(model):
+    """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
+    last = list(leaves(model))[-1].estimator
+    if isinstance(last, ArmResidualRegressor):
+        return False
+    # A linear model without intercept has a scalar for it in either case.
+    return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
+
+
+def described(step):
+    """What a step is, in a few words for people."""
+    name = type(step).__name__
+    if isinstance(step, RBFNetRegressor):
+        parts = step.networks_
+        texts = [f"{part.kernel}, {len(part.centers)} centres" for part in parts]
+        if len(parts) > 1:
+            named = [", ".join(map(str, part.outputs)) for part in parts]
+            texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]
+        return f"{name}: {'; '.join(texts)}"
+    if isinstance(step, PoseFeatures):
+        return f"{name}: {', '.join(step._names())}"
+    if isinstance(step, ArmResidualRegressor):
+        inside = (
+            [described(inner) for _, inner in leaves(step.regressor_)] if step.regressor_ else []
+        )
+        return ", then ".join([f"{name}: {len(step.linear_model_.coef)} terms", *inside])
+    return name
+
+
+def n_inputs(model):
+    """Number of inputs of the first step."""
+    return int(next(leaves(model)).estimator.n_features_in_)
+
+
+def typical_rows(model, n, seed=0):
+    """Rows such as a fitted model may see: random angles, or features between its centres.
 
     Parameters
     ----------
-    extra : tuple of (str, tuple of float)
-        As `Terms` has it.
-    """
-    mean = np.array([reference[0] for _, reference in extra])
-    one = force_on_probe(extra, mean + np.eye(len(extra)))
-    return np.round(one - force_on_probe(extra, mean[None])).T
-
-
-def fadings_of(step):
-    """How each stage of one of the arm's estimators fades; all have one size and one factor."""
-    return step.fadings_ if hasattr(step, "fadings_") else [step.fading_]
-
-
-def posterior_spectrum(step):
-    """The posterior of the weights in coordinates in which its covariance is diagonal.
-
-    With phi the radial functions and t the polynomial's terms at a point, and A the triangle of the
-    columns at the training rows, tail first, the variance of output j is
-
-        signal_j (1 - |g|^2) + noise_j (|u|^2 + sum_i h_i^2 / (spectrum_i + alpha_j)),
-        u = tail (1, x), g = turn phi, h = g - shift u.
-
-    One matrix serves all outputs, whatever their ridges are.
+    model : estimator
+    n : int
+    seed : int, default=0
 
     Returns
     -------
-    turn : ndarray of shape (rank, k)
-        The rank of the centres' kernel matrix is below k where rounding hides some directions.
-    shift : ndarray of shape (rank, p)
-    tail : ndarray of shape (p, 1 + n_features)
-    shrunk : ndarray of shape (n_outputs, rank)
-        ``1 / (spectrum + alpha)``.
-
-    Raises
-    ------
-    ValueError
-        If the tables would be too large, as they are where thousands of rows are centres.
+    ndarray of shape (n, n_inputs)
     """
-    posterior, k = step, len(step.centers)
-    if k > MOST_CENTERS and posterior.all_rows:
-        raise ValueError(
-            f"The standard deviation of a network of {k} centres would need a table of "
-            f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
-            f"max_centers={MOST_CENTERS}."
-        )
-    p, rows = len(posterior.tail_map), posterior.design_triangle()
-    left, across, own = rows[:p, :p], rows[:p, p:], rows[p:, p:]
-    tail = solve_triangular(left, posterior.tail_map, trans="T") if p else posterior.tail_map
-    if not k:
-        return np.empty((0, 0)), np.empty((0, p)), tail, np.empty((len(step.outputs), 0))
-    whiten = posterior.prior_root
-    _, singular, turn = np.linalg.svd(own @ whiten.T)
-    spectrum = np.zeros(len(whiten))
-    spectrum[: len(singular)] = np.square(singular)
-    turn = turn @ whiten
-    shrunk = 1 / np.maximum(spectrum + posterior.alpha[:, None], np.finfo(float).tiny)
-    return turn, turn @ across.T, tail, shrunk
-
-
-_KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, RBFNetRegressor, *LINEAR)
-KNOWN = ", ".join([known.__name__ for known in _KNOWN])
-KNOWN += ", JointHarmonicRegressor, ArmResidualRegressor"
+    rng = np.random.default_rng(seed)
+    arm, unit = arm_of(model)
+    size = n_inputs(model)
+    if arm is not None and size >= arm.n_joints:
+        turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
+        extra = [rng.choice(known, n) for _, known in extra_of(model)]
+        return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
+    rows, back = rng.normal(size=(n, size)), []
+    for _, step in leaves(model):
+        if isinstance(step, SCALERS):
+            back.append(step)
+        if isinstance(step, RBFNetRegressor):
+            centers = np.concatenate([part.centers for part in step.networks_])
+            if len(centers):
+                pairs = rng.integers(0, len(centers), (2, n))
+                inside = centers[pairs].mean(axis=0)
+                rows[:, : inside.shape[1]] = inside
+        if isinstance(step, CylindricalResidualTarget) and step._drops_direction:
+            turns = rng.uniform(-np.pi, np.pi, n)
+            rows[:, -2:] = np.column_stack([np.cos(turns), np.sin(turns)])
+    for step in reversed(back):
+        of_scaler = rows[:, : step.n_features_in_]
+        rows[:, : step.n_features_in_] = step.inverse_transform(of_scaler)
+    return rows

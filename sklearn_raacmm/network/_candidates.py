@@ -130,10 +130,6 @@ class Features:
         self.Z, self.shift, self.length_scale, self.kernel = Z, shift, length_scale, kernel
         self.root, self.rows = root, rows
 
-    def raw(self):
-        """The same columns before they are multiplied by the inverse of the root."""
-        return Features(self.Z, self.shift, self.length_scale, self.kernel)
-
     def __call__(self, block):
         if self.rows is not None:
             known = self.rows[block.part]
@@ -206,15 +202,8 @@ def whiten(problem, view, factor, features, members, alphas):
     # A factor that is complete leaves rounding, in which nothing can be told apart. What one of
     # limited rank leaves says nothing of the candidates as far as they are represented.
     resolution = factor.residual if factor.complete else 0.0
-    # Sums over raw kernel columns halve the work, and lose no digits that matter here.
-    raw = coarse and features.rows is None
-    summed, root = features.raw() if raw else features, features.root
-    function = partial(_products, features=summed, view=view)
+    function = partial(_products, features=features, view=view)
     gram, cross, along = problem.reduce(function, _add, rank)
-    if raw:
-        gram = solve_triangular(root, solve_triangular(root, gram, lower=True).T, lower=True)
-        cross = solve_triangular(root, cross, lower=True)
-        along = solve_triangular(root, along.T, lower=True).T
     gram = gram.T  # of which BLAS takes the lower triangle
     if len(along):
         gram = blas.dsyrk(-1.0, along, trans=1, beta=1.0, c=gram, lower=1, overwrite_c=1)

@@ -10,13 +10,6 @@ from scipy.linalg import blas, lapack, qr, solve_triangular
 _PANEL = 32
 # Columns that are divided by a triangle together; 48 and 96 took as long.
 _COLUMNS = 64
-# Rows, in those of the sample, from which a Gram matrix pays for the sample's own factor.
-_MANY = 4
-# A column of the sample of which so little is left has only rounding to tell of the other rows.
-_DEPENDENT = 1e-10
-# Ratio of the factors of all rows and of the sample that takes three digits: then the sample is not
-# like the other rows.
-_UNLIKE = 1e-3
 
 
 class NestedFits(NamedTuple):
@@ -72,45 +65,12 @@ def stack_triangles(upper, lower):
 
 
 def triangle_of_all(problem, columns, width):
-    """Triangular factor of columns on all rows.
-
-    Where rows are many, the factor of a sample of them is divided out first. What is left has
-    columns that are nearly orthonormal, so that its Gram matrix loses no digits, in two thirds of
-    the time that reflections take.
-
-    Parameters
-    ----------
-    problem : Problem or ChunkedProblem
-    columns : callable
-        From a block to its rows of the columns.
-    width : int
-        Number of columns.
-
-    Returns
-    -------
-    ndarray of shape (<= width, width)
-    """
-    of_block = partial(_triangle_of_block, columns)
-    if problem.n_rows >= _MANY * problem.sample.n_rows:
-        near = problem.sample.reduce(of_block, stack_triangles, width)
-        lengths = np.sqrt(np.square(near).sum(axis=0))
-        square = near.shape == (width, width)
-        if square and np.all(np.abs(near.diagonal()) > _DEPENDENT * lengths):
-            gram = problem.reduce(partial(_gram_of_block, columns, near), np.add, width)
-            root, failed = lapack.dpotrf(gram, clean=1)
-            if not failed and root.diagonal().min() > _UNLIKE * root.diagonal().max():
-                return root @ near
-    return problem.reduce(of_block, stack_triangles, width)
+    """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
+    return problem.reduce(partial(_triangle_of_block, columns), stack_triangles, width)
 
 
 def _triangle_of_block(columns, block):
     return triangular_factor(columns(block))
-
-
-def _gram_of_block(columns, near, block):
-    """Gram matrix of the columns on some rows, divided by a triangular factor."""
-    rows = divide(np.asfortranarray(columns(block)), near)
-    return rows.T @ rows
 
 
 def divide(rows, root):

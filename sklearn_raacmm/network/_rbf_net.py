@@ -38,9 +38,8 @@ _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_")
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
-    A smooth function of a few features, learnt from up to a million noisy rows, with its standard
-    deviation: a Gaussian process whose structure is chosen by evidence from one short list, then
-    compressed to few centres,
+    A smooth function of a few features, from up to a million noisy rows, with its standard
+    deviation: a Gaussian process whose structure is chosen by evidence, compressed to few centres,
 
     .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
 
@@ -74,26 +73,26 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         plain least squares, for a given number of centres.
 
     degree : {-1, 0, 1} or "auto", default="auto"
-        Degree of the polynomial p: none, a constant, or linear, with a ridge of its own if `alpha`
-        is "auto". "auto" is a constant, or a linear model alone where that is more probable.
+        Degree of the polynomial p: none, a constant, or linear. "auto" is a constant, or a linear
+        model alone where that is more probable.
 
     max_centers : int, default=None
-        Most centres that are found. None: 2000, or all of up to 10 000 rows.
+        Most centres found. None: 2000, or all of up to 10 000 rows.
 
     shared : bool, default=False
-        Whether outputs share kernel, widths and centres, chosen by the trace of the error
-        reduction: the published form. By default each has the network that it would have alone.
+        Whether outputs share kernel, widths and centres, by the trace of the error reduction: the
+        published form. By default each has the network that it would have alone.
 
     loss : {"squared", "tukey"}, default="squared"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
 
     random_state : int, RandomState instance or None, default=None
-        Draws the 300 and 1000 rows of the search, and the candidates of more than 10 000.
+        Draws the rows of the search, and candidates.
 
     Attributes
     ----------
     networks_ : tuple of Network
-        A network for each output, or one for all: all numbers of the model.
+        A network for each output, or one for all.
 
     centers_ : ndarray of shape (n_centers, n_features)
         Centres, in the order of selection, of one network after another.
@@ -138,7 +137,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Share that is left after 1, 2, ... centres.
 
     stop_reason_ : str
-        Why there are no more centres: "n_centers", "max_centers", "criterion", "dependent" or
+        Why there are no more: "n_centers", "max_centers", "criterion", "dependent" or
         "rank" (others are combinations of the chosen ones, as far as can be told), "all rows".
 
     row_weight_ : ndarray of shape (n_samples,)
@@ -148,10 +147,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Number of centres tried.
 
     n_features_in_ : int
-        Number of features seen during fit.
+        Number of features.
 
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
-        Names of features seen during fit, where X had string names.
+        Their names, where X had any.
 
     See Also
     --------
@@ -295,6 +294,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         problem = read_problem(self, X, y, sample_weight, groups, labelled, rng)
         q = len(problem.spread)
         alpha = of_each_output("alpha", self.alpha, q)
+        if self.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
+            raise ValueError(
+                'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
+                f"or the share of variance they may leave; got a least alpha of {alpha.min():g}."
+            )
         group_std = of_each_output("group_std", group_std, q)
         widths = check_length_scale(self.length_scale, problem.X, q, alpha, self.shared)
         kernels = check_kernel(self.kernel, widths, q)

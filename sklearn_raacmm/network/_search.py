@@ -43,16 +43,17 @@ from sklearn_raacmm.utils import stage
 
 # Kernels that `kernel="auto"` chooses from.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
-# Rows and iterations of the first stage, and of the second.
-COARSE_ROWS, EXACT_ROWS = 300, 1000
+# Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
+# all: there the second would take as long as that costs (benchmarks/bench_cliffs.py).
+COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
 # Effective parameters of the process with 1000 rows above which more rows are looked at, how many,
 # and for how many iterations: on six random functions with 430 to 900 of them and 3000 rows errors
 # were 0.965 to 1.002 of those of 1000 rows; with 320 to 350 (three functions) 0.988 to 1.047.
 ROUGH, ROUGH_ROWS, ROUGH_STEPS = 400, 2000, 8
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
-# sqrt(d) spreads away; and the ridge. They are compared on about so many rows.
-START_WIDTHS, START_RIDGES, FEWEST = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1), 100
+# sqrt(d) spreads away; and the ridge.
+START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
@@ -140,7 +141,8 @@ def search(
     data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
     constants = data.codes is not None and bool(data.codes.any() or constant_std is not None)
     task = Task(spread, used, q, isotropic, length_scale, alpha, constants, constant_std)
-    few, many = (data.rows(data.draw(size, random_state)) for size in (COARSE_ROWS, EXACT_ROWS))
+    sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
+    few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
     ends = _coarse(task, kernels, few)
     if len(many.X) > len(few.X):
         ends = _refine(ends, few, many)
@@ -202,9 +204,9 @@ def _left_out(end, data):
 
 def _coarse(task, kernels, data):
     """One end for each kernel, from several starts on few rows."""
-    first, some = kernels[0], data.rows(np.arange(0, len(data.X), max(1, len(data.X) // FEWEST)))
+    first = kernels[0]
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
-    starts.sort(key=lambda theta: objective(task, theta, some, first)[0])
+    starts.sort(key=lambda theta: objective(task, theta, data, first)[0])
     # The likelihood may have several peaks: from the two best starts that differ in width.
     second = [t for t in starts if task.n_widths and t[0] != starts[0][0]][:1]
     found = [

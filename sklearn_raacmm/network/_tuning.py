@@ -64,11 +64,6 @@ def fit_outputs(estimator, problem, outputs, kernel, width, alpha, group_std, rn
     else:
         kernel, alpha = AUTO_KERNELS[0] if kernel == "auto" else kernel, alpha / problem.unit
     functions = RadialFunctions(kernel, shift, width)
-    if n_centers == "auto" and not np.all(alpha > 0):
-        raise ValueError(
-            'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, or '
-            f"the share of the variance that they may leave; got a least alpha of {alpha.min():g}."
-        )
     n_centers = None if n_centers == "auto" else n_centers
     n_found, limit = found.n_found if found else 0.0, estimator.max_centers
     fitted = fit_network(problem, outputs, functions, alpha, n_found, n_centers, limit, rng)

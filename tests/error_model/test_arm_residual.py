@@ -478,3 +478,38 @@ def test_a_real_robot_at_unseen_goals(ur10):
     # The teeth of the gears: 17 to the turn in shoulder and elbow.
     found = set(model.harmonics_[["joint", "order"]].tolist())
     assert {(1, 17), (2, 17), (3, 17)} <= found
+
+
+# -- score and correction -------------------------------------------------------------------------
+
+
+def test_score_is_that_of_deviations_within_positions():
+    """With the positions, and without them, for rows of one position are from one point."""
+    test = make_single_point(n_positions=8, n_poses=15, random_state=3)
+    known = test.groups < 5
+    model = ArmResidualRegressor(test.arm, orders=4)
+    model.fit(test.data[known], test.target[known], groups=test.groups[known])
+    X, y, groups = test.data[~known], test.target[~known], test.groups[~known]
+    left = y - model.predict(X)
+    for label in np.unique(groups):
+        left[groups == label] -= left[groups == label].mean(axis=0)
+    expected = 1 - np.square(left).sum() / np.square(y).sum()  # y are deviations themselves
+    assert model.score(X, y, groups) == pytest.approx(expected, rel=1e-6)
+    assert model.score(X, y) == pytest.approx(expected, rel=1e-6)
+    assert expected > 0.5
+    scattered = y + np.random.default_rng(0).normal(size=y.shape)
+    with pytest.raises(ValueError, match="score got no groups"):
+        model.score(X, scattered)
+
+
+def test_corrected_points_are_points_less_predictions():
+    test = make_single_point(n_positions=6, n_poses=12, random_state=4)
+    model = ArmResidualRegressor(test.arm, orders=4)
+    model.fit(test.data, test.target, groups=test.groups)
+    points, std = model.correct(test.data, test.points, return_std=True)
+    mean, expected = model.predict(test.data, return_std=True)
+    np.testing.assert_array_equal(points, test.points - mean)
+    np.testing.assert_array_equal(std, expected)
+    np.testing.assert_allclose(model.correct(test.data), points, atol=1e-9)
+    with pytest.raises(ValueError, match="points has 3 rows, but X has 72"):
+        model.correct(test.data, test.points[:3])

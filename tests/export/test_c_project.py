@@ -12,7 +12,6 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -33,13 +32,12 @@ def data():
 @pytest.fixture(scope="module")
 def models(data):
     network = RBFNetRegressor(20, length_scale=1.5, alpha=0.03)
-    linear = JointHarmonicRegressor(data.arm, max_order=2, gravity=False)
     fitted = {
         "chain": make_pipeline(
             PoseFeatures(data.arm, append_azimuth=True),
             CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
         ),
-        "guarded": ArmResidualRegressor(data.arm, harmonics=linear, use="harmonics", fade=1.0),
+        "guarded": ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"], fade=1.0),
     }
     fitted = {name: model.fit(data.data, data.target) for name, model in fitted.items()}
     fitted["features"] = network.fit(data.data[:, :2], data.target[:, :2])
@@ -73,7 +71,7 @@ def test_the_test_program_agrees_with_predict(models, data, tmp_path, compiler, 
 def test_the_test_program_notices_another_model(models, data, tmp_path):
     source, _ = export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
     text = source.read_text()
-    weight = re.search(r"static const double weight\[3\]\[24\] = \{\n    \{([-0-9.e]+),", text)[1]
+    weight = re.search(r"static const double rows_\d+\[1\]\[24\] = \{\n    \{([-0-9.e]+),", text)[1]
     source.write_text(text.replace(weight, str(1.001 * float(weight))))
     command = [COMPILERS[0], "-std=c99", "-o", "t", "arm_test.c", "arm.c", "-lm"]
     assert run(command, tmp_path).returncode == 0
@@ -141,8 +139,8 @@ def test_the_header_says_what_single_precision_costs(models, data, tmp_path):
     paths = export_c(models["chain"], tmp_path / "arm.c", dtype="float", poses=data.data)
     for path in paths:
         found = re.search(
-            r"single precision, at 120 rows: within (\S+) mm of predict, (\S+) of the\s+"
-            r"(?:\*\s+)?largest;\s+(?:\*\s+)?the\s+(?:\*\s+)?point within (\S+) mm",
+            r"single precision, at 28 rows: within (\S+) mm of predict, (\S+) of the\s+"
+            r"(?:\*\s+)?largest;\s+(?:\*\s+)?the\s+(?:\*\s+)?point\s+(?:\*\s+)?within (\S+) mm",
             path.read_text(),
         )
         correction, share, point = map(float, found.groups())

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import Terms, column_table, term_columns
 from sklearn_raacmm.export import export_c
 
@@ -49,8 +49,9 @@ def test_numpy_computes_what_the_table_says(name, n_orders):
 def test_the_covariance_is_written_as_a_triangle(tmp_path):
     arm = Arm.from_name("aacmm6")
     X = np.random.default_rng(0).uniform(-2, 2, (60, 6))
-    model = JointHarmonicRegressor(arm, max_order=2, gravity=False).fit(X, 0.05 * np.cos(X[:, :3]))
+    model = ArmResidualRegressor(arm, orders=2, causes=["kinematics", "wobble"], fade=0)
+    model.fit(X, 0.05 * np.cos(X[:, :3]))
     text = export_c(model, tmp_path / "arm.c", std=True)[0].read_text()
     n = len(model.coef_)
-    entries = int(re.search(r"column_root\[(\d+)\]", text)[1])
+    entries = int(re.search(r"root_\d+\[(\d+)\]", text)[1])
     assert n * (n + 1) / 2 <= entries <= n * (n + 1) / 2 + 4 * n + 64

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, JointHarmonicRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import LOAD, SHIFT, Terms, column_table, term_columns
 from sklearn_raacmm.export import load_c, to_onnx
 
@@ -20,7 +20,8 @@ def fitted(request):
     waves = Terms(np.array([[0, 400], [2, 1], [2, 399], [5, 397]]), False, False, False)
     y = term_columns(arm, X, waves) @ [30.0, -20, 25, 15, -40, 10, 200, 150]
     y += 0.001 * rng.normal(size=y.shape)
-    model = JointHarmonicRegressor(arm, orders=[1, 397, 399, 400], wobble=False, fade=0)
+    causes = ["gravity", "kinematics"]
+    model = ArmResidualRegressor(arm, orders=[1, 397, 399, 400], causes=causes, fade=0)
     new = np.concatenate([X[:3], rng.uniform(-12, 12, (3, arm.n_joints))])
     return model.fit(X, y), new
 

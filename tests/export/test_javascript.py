@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sklearn_raacmm import JointHarmonicRegressor
+from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 
 PAGE = Path(__file__).parents[2] / "doc" / "deployment.md"
@@ -32,7 +32,7 @@ def test_the_script_of_the_page(tmp_path):
 
     node = node_with_runtime()
     data = make_single_point(n_positions=6, n_poses=15, random_state=0)
-    model = JointHarmonicRegressor(data.arm, max_order=2, gravity=False)
+    model = ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"])
     to_onnx(model.fit(data.data, data.target), tmp_path / "my_arm.onnx")
     (script,) = re.findall(r"```js\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     given = re.search(r"Float64Array\.of\((.*?)\)", script)[1]

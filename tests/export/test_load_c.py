@@ -16,8 +16,8 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
+    ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -92,9 +92,8 @@ def test_models_of_every_shape(data):
             np.testing.assert_allclose(compiled.predict(X), expected, rtol=0, atol=1e-12)
             with pytest.raises(ValueError, match="no arm and three outputs"):
                 compiled.correct(X)
-    none = JointHarmonicRegressor(
-        data.arm, orders=[50], gravity=False, kinematics=False, wobble=False
-    ).fit(data.data, 1e-3 * rng.normal(size=data.target.shape))
+    none = ArmResidualRegressor(data.arm, orders=[50], causes=[])
+    none.fit(data.data, 1e-3 * rng.normal(size=data.target.shape))
     assert len(none.coef_) == 0  # a model of zero terms
     assert not load_c(none, std=True).correct(data.data).any()
 

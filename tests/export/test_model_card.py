@@ -19,7 +19,6 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
     PoseFeatures,
     RBFNetRegressor,
 )
@@ -117,10 +116,9 @@ def test_in_degrees(data):
 
 
 def test_models_that_are_fitted_with_groups(data):
-    harmonics = JointHarmonicRegressor(data.arm, max_order=2, gravity=False, wobble=False)
     network = RBFNetRegressor(5, length_scale=1.5, alpha=0.01, degree=-1)
-    both = ArmResidualRegressor(data.arm, harmonics=harmonics, network=network, use="harmonics")
-    for model in (harmonics, both):
+    one = ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"])
+    for model in (one, clone(one).set_params(regressor=network)):
         model.fit(data.data, data.target, groups=data.groups)
         card = describe(model, data.data, data.target, data.groups, n_folds=2)
         left = np.empty_like(data.target)
@@ -135,7 +133,7 @@ def test_models_that_are_fitted_with_groups(data):
 def test_the_best_model_is_not_said_to_do_harm():
     """Where each position has an offset, its size is no error of the model."""
     test = make_single_point(n_positions=12, n_poses=30, random_state=0)
-    model = JointHarmonicRegressor(test.arm, max_order=3)
+    model = ArmResidualRegressor(test.arm, orders=3)
     model.fit(test.data, test.target, groups=test.groups)
     # As they are in a file with micrometres.
     for target in (test.target, test.target.round(3)):

@@ -1,7 +1,6 @@
 """ONNX: what the runtime computes is what predict computes."""
 
 import builtins
-import sys
 from functools import partial
 
 import numpy as np
@@ -26,7 +25,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import register_onnx, to_onnx
+from sklearn_raacmm.export import _onnx, fingerprint, register_onnx, to_onnx
 from sklearn_raacmm.network._kernels import KERNELS
 
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
@@ -256,7 +255,7 @@ def test_says_what_cannot_be_converted(data):
     other = form_a(data.arm).set_params(azimuth=_azimuth).fit(X, y)
     with pytest.raises(ValueError, match="only the method of an Arm can"):
         to_onnx(other)
-    with pytest.raises(RuntimeError, match="target_opset 13 or newer, got 12"):
+    with pytest.raises(ValueError, match="target_opset 13 or newer, got 12"):
         to_onnx(form_a(data.arm).fit(X, y), target_opset=12)
     with pytest.raises(ValueError, match="dtype must be 'double' or 'float', got 'float64'"):
         to_onnx(form_a(data.arm).fit(X, y), dtype="float64")
@@ -269,18 +268,58 @@ def _azimuth(X):
     return np.zeros(len(X))
 
 
-def test_without_skl2onnx_the_error_says_what_to_install(monkeypatch, data):
+def test_without_onnx_the_error_says_what_to_install(monkeypatch, data):
     model = network().fit(data.data, data.target)
     importing = builtins.__import__
 
-    def no_skl2onnx(name, *args, **kwargs):
-        if name.partition(".")[0] == "skl2onnx":
+    def nothing(name, *args, **kwargs):
+        if name.partition(".")[0] in ("skl2onnx", "onnx"):
             raise ImportError(name)
         return importing(name, *args, **kwargs)
 
-    for name in ("_onnx", "_onnx_graph", "_onnx_steps", "_onnx_arm"):
-        monkeypatch.delitem(sys.modules, f"sklearn_raacmm.export.{name}", raising=False)
-        monkeypatch.delattr(f"sklearn_raacmm.export.{name}", raising=False)
-    monkeypatch.setattr(builtins, "__import__", no_skl2onnx)
+    monkeypatch.setattr(builtins, "__import__", nothing)
     with pytest.raises(ImportError, match=r"pip install -e \"\.\[onnx\]\""):
+        to_onnx(model)
+    with pytest.raises(ImportError, match="skl2onnx, which is not installed"):
+        register_onnx()
+
+
+def test_what_the_metadata_say(data, tmp_path):
+    """Test rows with answers: the check of the page, in a runtime that knows nothing of us."""
+    import json
+
+    model = form_b(data.arm).fit(data.data, data.target)
+    to_onnx(model, tmp_path / "arm.onnx", std=True, poses=data.data)
+    session = onnxruntime.InferenceSession(tmp_path / "arm.onnx")
+    facts = session.get_modelmeta().custom_metadata_map
+    assert facts["fingerprint"] == fingerprint(model)
+    rows = json.loads(facts["test_rows"])
+    X, y, std = (np.array(rows[key][:28], dtype=float) for key in ("X", "y", "std"))
+    assert rows["y"][28:] == [[None] * 3] * 4
+    got = session.run(None, {"X": X})
+    np.testing.assert_allclose(got[0], y, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(got[1], std, rtol=1e-9)
+    np.testing.assert_allclose(y, model.predict(X), rtol=0, atol=1e-14)
+    assert {tuple(row) for row in X[:20]} <= {tuple(row) for row in data.data}
+
+
+def test_openvino(data):
+    """With its two options; without them it computes in bfloat16 where the processor can."""
+    openvino = pytest.importorskip("openvino", reason="OpenVINO is not installed")
+    model = form_b(data.arm).fit(data.data, data.target)
+    core = openvino.Core()
+    options = {"INFERENCE_PRECISION_HINT": "f32", "EXECUTION_MODE_HINT": "ACCURACY"}
+    compiled = core.compile_model(
+        core.read_model(to_onnx(model).SerializeToString()), "CPU", options
+    )
+    X = np.concatenate([data.data, angles_everywhere(6, 50)])
+    got = compiled([X])[0]
+    assert np.abs(got - model.predict(X)).max() < 1e-5
+
+
+def test_a_file_that_does_not_keep_its_promise_is_refused(data, monkeypatch):
+    model = form_b(data.arm).fit(data.data, data.target)
+    compute = _onnx.run_onnx
+    monkeypatch.setattr(_onnx, "run_onnx", lambda *args: [1.001 * out for out in compute(*args)])
+    with pytest.raises(ValueError, match=r"the ONNX file is up to .* away from predict, 0.001 of"):
         to_onnx(model)

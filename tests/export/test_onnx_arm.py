@@ -2,20 +2,20 @@
 
 import numpy as np
 import pytest
-from sklearn.base import clone
+from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
-    JointHarmonicRegressor,
+    PoseFeatures,
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import to_onnx
 
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
-skl2onnx = pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+pytest.importorskip("onnx", reason="needs the extra onnx")
 pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
 
 
@@ -31,8 +31,8 @@ def run(converted, X):
     return session.run(None, {session.get_inputs()[0].name: X})[0]
 
 
-def harmonics(arm=None, **params):
-    return JointHarmonicRegressor(arm, **{"max_order": 3, **params})
+def of_arm(arm, *causes, **params):
+    return ArmResidualRegressor(arm, **{"orders": 3, "causes": list(causes), **params})
 
 
 def network(**params):
@@ -65,13 +65,12 @@ def agree(model, X, **params):
         ("panda", "", "auto"),
     ],
 )
-def test_joint_harmonics(name, families, fade):
+def test_models_of_the_arm(name, families, fade):
     arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3, probe=(3, -8, 120))
     X = np.random.default_rng(0).uniform(-2, 2, (100, arm.n_joints))
     y = np.stack([np.sin(X[:, 1]), np.cos(2 * X[:, 2]), np.sin(X[:, 3])], axis=1) * 0.05
-    named = ("gravity", "kinematics", "wobble")
-    of = {family: families == "all" or family in families for family in named}
-    model = harmonics(arm, fade=fade, **of).fit(X, y)
+    causes = ("gravity", "kinematics", "wobble") if families == "all" else families.split()
+    model = of_arm(arm, *causes, fade=fade).fit(X, y)
     assert (model.fading_.factor > 0) == (fade == "auto")
     expected = agree(model, np.concatenate([X[:20], everywhere(arm.n_joints)]))
     assert np.ptp(expected, axis=0).min() > 1e-3
@@ -79,22 +78,11 @@ def test_joint_harmonics(name, families, fade):
     np.testing.assert_allclose(one, model.predict(X[:1]), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "params",
-    [
-        {"joints": "pose", "use": "harmonics+network", "fade": 1.0},
-        {"joints": "all", "use": "harmonics+network", "fade": 0.5, "cap": 0.5},
-        {"joints": "all", "use": "harmonics+network", "fade": 0.0},
-        {"use": "harmonics", "fade": 2.0},
-        {"use": "none"},
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("fade", [0.0, 0.5, 2.0])
 @pytest.mark.parametrize("degree", [-1, 1])
-def test_arm_residuals(data, params, degree):
-    first = harmonics(gravity=False, max_order=2)
-    second = network(degree=degree)
-    model = ArmResidualRegressor(data.arm, harmonics=first, network=second, **params)
+def test_both_stages(data, fade, degree):
+    second = make_pipeline(PoseFeatures(data.arm), network(degree=degree))
+    model = of_arm(data.arm, "kinematics", "wobble", orders=2, regressor=second, fade=fade)
     model.fit(data.data, data.target)
     X = np.concatenate([data.data, everywhere(6)])
     agree(model, X)
@@ -103,31 +91,30 @@ def test_arm_residuals(data, params, degree):
     got = run(to_onnx(model, dtype="float"), single)
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, model.predict(single.astype(float)), rtol=1e-6, atol=1e-8)
+    assert (model.fading(X).min() < 0.5 < 0.9 < model.fading(X).max()) == (fade > 0)
 
 
-def test_fading_and_cap_are_seen(data):
-    """What the test above would not notice, if no pose were faded or cut."""
-    first = harmonics(gravity=False, max_order=2)
-    model = ArmResidualRegressor(
-        data.arm, harmonics=first, network=network(degree=-1), use="harmonics+network", fade=1.0,
-        cap=0.5,
-    ).fit(data.data, data.target)  # fmt: skip
+def test_standard_deviations(data):
+    second = make_pipeline(PoseFeatures(data.arm), network())
+    model = of_arm(data.arm, "kinematics", regressor=second).fit(data.data, data.target)
     X = np.concatenate([data.data, everywhere(6)])
-    length = np.linalg.norm(run(to_onnx(model), X), axis=1)
-    assert 5 < np.count_nonzero(np.abs(length - model.cap_mm_) < 1e-12) < len(X)
-    assert model.fading(X).min() < 0.5 < 0.9 < model.fading(X).max()
+    for one in (model, second.fit(data.data, data.target)):
+        session = onnxruntime.InferenceSession(to_onnx(one, std=True).SerializeToString())
+        mean, std = session.run(["y", "std"], {"X": X})
+        expected = one.predict(X, return_std=True)
+        np.testing.assert_allclose(mean, expected[0], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(std, expected[1], rtol=1e-6)
 
 
 def test_a_model_of_zero_terms(data):
-    none = {"gravity": False, "kinematics": False, "wobble": False, "orders": [50]}
     y = 1e-3 * np.random.default_rng(0).normal(size=data.target.shape)
-    model = harmonics(data.arm, **none).fit(data.data, y)
+    model = of_arm(data.arm, orders=[50]).fit(data.data, y)
     assert len(model.coef_) == 0
     assert not run(to_onnx(model), data.data).any()
 
 
 def test_in_the_frame_of_the_azimuth(data):
-    inner = harmonics(data.arm, gravity=False, wobble=False)
+    inner = of_arm(data.arm, "kinematics")
     model = CylindricalResidualTarget(inner, azimuth=data.arm.azimuth).fit(data.data, data.target)
     got = run(to_onnx(model), data.data)
     np.testing.assert_allclose(got, model.predict(data.data), rtol=0, atol=1e-12)
@@ -135,9 +122,7 @@ def test_in_the_frame_of_the_azimuth(data):
 
 @pytest.mark.parametrize("target_opset", [13, 21, 22])
 def test_opsets(data, target_opset):
-    if target_opset > skl2onnx.__max_supported_opset__:
-        pytest.skip(f"this skl2onnx knows opsets up to {skl2onnx.__max_supported_opset__}")
-    model = harmonics(data.arm).fit(data.data, data.target)
+    model = of_arm(data.arm, "gravity", "kinematics").fit(data.data, data.target)
     converted = to_onnx(model, target_opset=target_opset)
     assert converted.opset_import[0].version <= target_opset
     assert {node.domain for node in converted.graph.node} == {""}  # ai.onnx
@@ -145,11 +130,9 @@ def test_opsets(data, target_opset):
 
 
 def test_what_predict_refuses_is_nan(data):
-    first = harmonics(gravity=False, max_order=2)
-    both = ArmResidualRegressor(
-        data.arm, harmonics=first, network=network(degree=-1), use="harmonics+network", cap=0.9
-    )
-    for model in (clone(first), both, clone(both).set_params(use="none")):
+    first = of_arm(data.arm, "kinematics", orders=2)
+    both = of_arm(data.arm, "kinematics", orders=2, regressor=network())
+    for model in (first, both):
         model.fit(data.data, data.target)
         X = np.tile(data.data[:1], (19, 1))
         for i, bad in enumerate([np.nan, np.inf, -np.inf]):

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    JointHarmonicRegressor,
+    PoseFeatures,
     RBFNetRegressor,
     calibrate,
     transfer_correction,
@@ -33,16 +34,13 @@ def residuals(angles, arcsec):
     return np.einsum("nij,nj->ni", ARM.jacobian(angles), error)
 
 
-def harmonics(**params):
-    return JointHarmonicRegressor(ARM, max_order=2, gravity=False, wobble=False, **params)
+def linear(**params):
+    return ArmResidualRegressor(ARM, orders=2, causes=["kinematics"], **params)
 
 
-def both(first=None, **params):
+def both(**params):
     net = RBFNetRegressor(10, length_scale=1.5, alpha=0.05, degree=-1)
-    first = harmonics() if first is None else first
-    return ArmResidualRegressor(
-        ARM, harmonics=first, network=net, joints="pose", use="harmonics+network", **params
-    )
+    return linear(regressor=make_pipeline(PoseFeatures(ARM), net), **params)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +80,7 @@ def agree(model, X, folder):
         np.testing.assert_allclose(correct(X), expected, rtol=0, atol=2e-12, err_msg=way)
 
 
-@pytest.mark.parametrize("make", [harmonics, both])
+@pytest.mark.parametrize("make", [linear, both])
 def test_degrees(data, tmp_path, make):
     X, y = data
     in_degrees = np.rad2deg(X)
@@ -94,7 +92,7 @@ def test_degrees(data, tmp_path, make):
     assert describe(model)["input"] == "6 joint angles in deg"
 
 
-@pytest.mark.parametrize("make", [harmonics, both])
+@pytest.mark.parametrize("make", [linear, both])
 def test_updated(data, new, tmp_path, make):
     model = make().fit(*data)
     updated = update_correction(model, *new, date="2026-01-02")
@@ -102,8 +100,6 @@ def test_updated(data, new, tmp_path, make):
     gap = np.abs(updated.predict(new[0]) - model.predict(new[0])).max()
     assert gap > 0.01  # mm: it is another model
     agree(updated, np.concatenate([new[0], 2 * new[0]]), tmp_path)
-    again = from_json(to_json(updated))
-    assert again.updates_ == updated.updates_
 
 
 EXTRA = ("temperature", "force x", "tool", "payload", "direction 2", "temperature 3")
@@ -133,8 +129,8 @@ def with_references(names, values):
 @pytest.mark.parametrize("guarded", [False, True])
 def test_extra_columns(with_extra, tmp_path, guarded):
     X, y = with_extra
-    model = harmonics(extra=EXTRA)
-    model = both(first=model).fit(X, y) if guarded else model.fit(X, y)
+    model = linear(extra=EXTRA)
+    model = both(extra=EXTRA).fit(X, y) if guarded else model.fit(X, y)
     assert len(model.linear_model_.terms.extra) == 6
     rng = np.random.default_rng(3)
     new = np.column_stack([rng.uniform(-3, 3, (40, 6)), rng.permuted(X[:40, 6:], axis=0)])
@@ -150,14 +146,14 @@ def test_extra_columns(with_extra, tmp_path, guarded):
     with pytest.raises(ValueError, match="tool 3, of which the model knows nothing"):
         model.predict(new)
     ways = dict(ways_out(model, tmp_path))
-    for way in set(ways) - {"JSON"}:
+    for way in ways:
         assert np.isnan(ways[way](new)).all(), way
 
 
 @pytest.mark.parametrize("dtype", ["double", "float"])
 def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
     X, y = with_extra
-    model = harmonics(extra=EXTRA, angle_unit="deg")
+    model = linear(extra=EXTRA, angle_unit="deg")
     X = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
     model.fit(X, y)
     card = describe(model, X, y)
@@ -179,7 +175,7 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
 
 def test_extra_columns_updated(with_extra, tmp_path):
     X, y = with_extra
-    model = harmonics(extra=EXTRA).fit(X[:150], y[:150])
+    model = linear(extra=EXTRA).fit(X[:150], y[:150])
     updated = update_correction(model, X[150:], 1.3 * y[150:], date="2026-01-02")
     assert np.abs(updated.predict(X) - model.predict(X)).max() > 0.01
     agree(updated, X[:40], tmp_path)
@@ -191,20 +187,16 @@ def test_extra_columns_updated(with_extra, tmp_path):
 def test_orientations_updated(data, new, tmp_path):
     rng = np.random.default_rng(5)
     turns = [rng.normal(0, 1e-4, (len(part[0]), 3)) for part in (data, new)]
-    model = harmonics().fit(*data, orientation_residuals=turns[0])
+    model = linear().fit(*data, orientation_residuals=turns[0])
     updated = update_correction(model, *new, orientation_residuals=turns[1], date="2026-01-02")
     agree(updated, new[0], tmp_path)
     assert_same_files(updated, new[0])
-    loaded = from_json(to_json(updated))
-    expected = updated.predict_orientation(new[0])
-    assert np.ptp(expected) > 1e-5
-    np.testing.assert_allclose(loaded.predict_orientation(new[0]), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("measured", [False, True])
 def test_started_from_earlier_arms(data, new, tmp_path, measured):
     """Without poses of its own, with some, and updated afterwards."""
-    earlier = [harmonics().fit(data[0], size * data[1]) for size in (1.0, 1.2)]
+    earlier = [linear().fit(data[0], size * data[1]) for size in (1.0, 1.2)]
     arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]))
     model = transfer_correction(earlier, arm, *(new if measured else ()), date="2026-01-02")
     agree(model, new[0], tmp_path)
@@ -219,12 +211,13 @@ def test_started_from_earlier_arms(data, new, tmp_path, measured):
 
 
 def assert_same_files(model, X):
-    """Pickle and JSON give back the same numbers and the same history."""
-    for again in (pickle.loads(pickle.dumps(model)), from_json(to_json(model))):
-        np.testing.assert_allclose(again.predict(X), model.predict(X), rtol=0, atol=1e-14)
-        std = model.predict(X, return_std=True)[1]
-        np.testing.assert_allclose(again.predict(X, return_std=True)[1], std, rtol=1e-12)
-        assert getattr(again, "updates_", ()) == getattr(model, "updates_", ())
+    """Pickle gives back the same numbers and the same history, JSON the same predictions."""
+    again = pickle.loads(pickle.dumps(model))
+    assert getattr(again, "updates_", ()) == getattr(model, "updates_", ())
+    for read in (again, from_json(to_json(model, std=True))):
+        mean, std = model.predict(X, return_std=True)
+        np.testing.assert_allclose(read.predict(X), mean, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(read.predict(X, return_std=True)[1], std, rtol=1e-9)
 
 
 def test_registered_through_the_model(data, new, tmp_path):
@@ -250,7 +243,7 @@ def test_a_registered_arm(data, tmp_path):
 
 def test_the_card_of_an_updated_model(data, new):
     X, y = new
-    updated = update_correction(harmonics().fit(*data), X, y, date="2026-01-02")
+    updated = update_correction(linear().fit(*data), X, y, date="2026-01-02")
     groups = np.arange(len(X)) // 5
     card = describe(updated, X, y, groups)
     (entry,) = card["updates"]
@@ -261,7 +254,7 @@ def test_the_card_of_an_updated_model(data, new):
     left = np.linalg.norm(y - updated.predict(X), axis=1)
     np.testing.assert_allclose(card["error"]["mean_after_mm"], left.mean(), rtol=1e-12)
     assert card["error"]["after_is_measured_at"].endswith("the model was updated after its fit")
-    fresh = describe(harmonics().fit(X, y), X, y, groups, n_folds=2)
+    fresh = describe(linear().fit(X, y), X, y, groups, n_folds=2)
     assert "updates" not in fresh
     assert fresh["error"]["after_is_measured_at"].startswith("positions not seen")
 
@@ -269,16 +262,16 @@ def test_the_card_of_an_updated_model(data, new):
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
     for make, damage in (
-        (harmonics, lambda model: model.linear_model_.coef),
-        (both, lambda model: model.network_.posterior_.coef),
+        (linear, lambda model: model.linear_model_.coef),
+        (both, lambda model: model.regressor_.regressor_[-1].networks_[0].coef),
     ):
         model = make().fit(*data)
         damage(model).flat[3] = bad
-        with pytest.raises(ValueError, match=r"not a finite double|holds NaN or infinity"):
+        with pytest.raises(ValueError, match=r"holds NaN or infinity, .* not finite, among the"):
             export_c(model, tmp_path / "arm.c")
         with pytest.raises(ValueError, match=r"holds NaN or infinity"):
             to_json(model, tmp_path / "arm.json")
-        pytest.importorskip("skl2onnx", reason="needs the extra onnx")
-        with pytest.raises(ValueError, match="holds a number that is not finite"):
+        pytest.importorskip("onnx", reason="needs the extra onnx")
+        with pytest.raises(ValueError, match="holds NaN or infinity"):
             to_onnx(model, tmp_path / "arm.onnx")
     assert not list(tmp_path.iterdir())

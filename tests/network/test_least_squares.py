@@ -1,14 +1,11 @@
 """Triangular factors of blocks of rows, against NumPy's QR of all rows at once."""
 
-from functools import reduce
-
 import numpy as np
 import pytest
 
 from sklearn_raacmm.network._least_squares import (
     divide,
     stack_triangles,
-    triangle_of_all,
     triangular_factor,
 )
 
@@ -55,30 +52,3 @@ def test_division_by_a_triangle():
     expected = np.linalg.solve(root.T, rows.T).T
     assert divide(rows, root) is rows
     np.testing.assert_allclose(rows, expected, rtol=1e-10, atol=1e-13)
-
-
-class Rows:
-    """As much of a problem as `triangle_of_all` looks at."""
-
-    def __init__(self, columns, sample=None):
-        self.columns, self.n_rows, self.sample = columns, len(columns), sample or self
-        self.passes = []
-
-    def reduce(self, function, combine, width):
-        self.passes.append(width)
-        blocks = np.array_split(self.columns, 5)
-        return reduce(combine, map(function, blocks))
-
-
-@pytest.mark.parametrize("like", [True, False])
-def test_factor_of_a_sample_divided_out_changes_nothing(like):
-    rng = np.random.default_rng(4)
-    columns = rng.normal(size=(2000, 12)) @ np.diag(10.0 ** -np.arange(0.0, 6.0, 0.5))
-    columns = columns @ rng.normal(size=(12, 12))  # a Gram matrix of these has four digits
-    few = columns[:100].copy()
-    if not like:  # what the sample hardly shows dominates the others: reflections are back
-        few[:, 3] = few[:, 4] + 1e-8 * few[:, 3]
-    problem = Rows(columns, Rows(few))
-    found = triangle_of_all(problem, np.copy, 12)
-    np.testing.assert_allclose(np.abs(found), magnitudes(columns), rtol=1e-9, atol=1e-13)
-    assert len(problem.passes) == (1 if like else 2)

@@ -147,7 +147,7 @@ def test_variances_are_the_means_of_their_posterior():
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (15, 2))
     y = np.sin(X[:, 0]) + 0.1 * rng.standard_normal(15)
-    found = RBFNetRegressor(kernel="gaussian").fit(X, y)
+    found = RBFNetRegressor(kernel="gaussian", max_centers=15).fit(X, y)
     n_widths = np.isfinite(found.length_scale_).sum()
     given = RBFNetRegressor(
         len(found.centers_),

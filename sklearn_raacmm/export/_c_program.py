@@ -1,0 +1,471 @@
+"""A program as C99: tables, and one static function that computes its outputs.
+
+Operations on single numbers of a row are written as one expression as far as each result is used
+once. The others have a loop of their own.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+
+from sklearn_raacmm.error_model import single_root
+from sklearn_raacmm.export._c_templates import (
+    ALL_FINITE,
+    EXP,
+    FRAMES,
+    HELPERS,
+    KERNEL_LOOPS,
+    TURNS,
+    VARIANCES,
+    exponential,
+)
+
+# Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
+# know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
+_VECTOR = 8
+# Of each number of a row by itself; {f} is the suffix of the precision.
+_ELEMENTWISE = {
+    "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})",
+    "max": "larger({}, {})", "min": "smaller({}, {})", "less": "less({}, {})",
+    "sqrt": "sqrt{f}({})", "sin": "sin{f}({})",
+    "cos": "cos{f}({})", "elevation": "atan2{f}({}, {})",
+}  # fmt: skip
+# Operations that take each number of a value once, so that it need not be an array; of the last two
+# that is the first value.
+_BY_NUMBER = {*_ELEMENTWISE, "join", "finite", "within"}
+
+
+def _whole(n):
+    """The next multiple of `_VECTOR`: zeros fill up the rest."""
+    return -(-n // _VECTOR) * _VECTOR
+
+
+class Tables:
+    """Tables of constants and helping functions, each there once."""
+
+    def __init__(self, numbers):
+        self.numbers, self.texts, self.helpers, self._names = numbers, [], {}, {}
+
+    def __call__(self, name, array, note=""):
+        """Name of a table: of whole numbers, or in single precision, if its type is such."""
+        array = np.asarray(array)
+        key = (array.dtype.str, array.shape, array.tobytes())
+        if key not in self._names:
+            self._names[key] = f"{name}_{len(self._names)}"
+            write = self.numbers.table if array.dtype.kind == "f" else self.numbers.integers
+            write = self.numbers.single if array.dtype == np.float32 else write
+            self.texts.append(write(self._names[key], array, note))
+        return self._names[key]
+
+    def help(self, name, text):
+        self.helpers[name] = text
+
+    @property
+    def text(self):
+        return "\n".join([*self.helpers.values(), *self.texts])
+
+
+class _Writer:
+    """Writes one program as a function."""
+
+    def __init__(self, program, tables):
+        self.ops, self.outputs, self.tables = program.ops, program.outputs, tables
+        self.numbers, self.real, self.f = tables.numbers, tables.numbers.real, tables.numbers.suffix
+        self.users = [[] for _ in self.ops]
+        for number, op in enumerate(self.ops):
+            for place, i in enumerate(op.inputs):
+                self.users[i].append((number, place))
+        self.kept = set(self.outputs.values())
+        self.padded = set()
+        self.lines = []
+        for number in range(1, len(self.ops)):
+            self._write(number)
+
+    # -- what stands for a value
+
+    def inline(self, number):
+        """Whether a value is an expression in the one place where it is used."""
+        op, users = self.ops[number], self.users[number]
+        if op.name == "constant":
+            return True
+        scattered = op.name == "take" and not self._start(op)
+        if not (op.name in _ELEMENTWISE or scattered) or number in self.kept or len(users) != 1:
+            return False
+        ((user, place),) = users
+        by_number = self.ops[user].name in _BY_NUMBER
+        if self.ops[user].name in ("finite", "within") and place == 1:
+            return False
+        return by_number and (self.ops[user].size == op.size or self.ops[user].name == "join")
+
+    def _start(self, op):
+        """First index of a `take` of numbers that follow each other, as text; else nothing."""
+        index = op.given["index"]
+        return f"{index[0]}" if np.all(np.diff(index) == 1) else ""
+
+    def at(self, number, i):
+        """Expression of one number of a value."""
+        op = self.ops[number]
+        i = "0" if op.size == 1 else i
+        if op.name == "constant":
+            if op.size == 1:
+                return self.numbers.literal(op.given["value"][0])
+            return f"{self.tables('constant', op.given['value'])}[{i}]"
+        if not self.inline(number):
+            return f"{self.array(number)}[{i}]"
+        if op.name == "take":
+            return self.at(op.inputs[0], f"{self.tables('index', op.given['index'])}[{i}]")
+        operands = [self.at(source, i) for source in op.inputs]
+        return self._format(op.name, operands)
+
+    def _format(self, name, operands):
+        if name in HELPERS:
+            self.tables.help(name, HELPERS[name].format(real=self.real))
+        return _ELEMENTWISE[name].format(*operands, f=self.f)
+
+    def array(self, number):
+        """Name of a value as an array."""
+        op = self.ops[number]
+        if op.name == "constant":
+            return self.tables("constant", op.given["value"])
+        return "input" if number == 0 else f"v{number}"
+
+    # -- statements
+
+    def put(self, *lines):
+        self.lines += lines
+
+    def loop(self, n, body):
+        """``for`` over n numbers, or the body itself with 0 in place of i."""
+        if n == 1:
+            self.put(body("0"))
+        else:
+            self.put(f"for (int i = 0; i < {n}; ++i)", f"    {body('i')}")
+
+    def declare(self, number, fill="", padded=False):
+        n = self.ops[number].size
+        self.padded |= {number} if padded else set()
+        self.put(f"{self.real} v{number}[{_whole(n) if padded else n}]{fill};")
+
+    def _write(self, number):
+        op = self.ops[number]
+        if self.inline(number):
+            return
+        if op.name in _ELEMENTWISE:
+            self.declare(number)
+            self.loop(
+                op.size,
+                lambda i: (
+                    f"v{number}[{i}] = "
+                    + self._format(op.name, [self.at(source, i) for source in op.inputs])
+                    + ";"
+                ),
+            )
+        else:
+            getattr(self, f"_{op.name}")(number, op)
+
+    def _take(self, number, op):
+        start, source = self._start(op), op.inputs[0]
+        if start and not (self.inline(source) and self.ops[source].name != "constant"):
+            self.put(f"const {self.real} *const v{number} = {self.array(source)} + {start};")
+            return
+        index = self.tables("index", op.given["index"])
+        self.declare(number)
+        self.loop(op.size, lambda i: f"v{number}[{i}] = {self.at(source, f'{index}[{i}]')};")
+
+    def _join(self, number, op):
+        self.declare(number)
+        start = 0
+        for source in op.inputs:
+            n = self.ops[source].size
+            place = "i" if start == 0 else f"{start} + i"
+            self.loop(
+                n,
+                lambda i, place=place, start=start, source=source: (
+                    f"v{number}[{place if i == 'i' else start}] = {self.at(source, i)};"
+                ),
+            )
+            start += n
+
+    def _dots(self, number, op):
+        (rows, x), r = (self.array(i) for i in op.inputs), op.size
+        n = self.ops[op.inputs[1]].size
+        self.declare(number)
+        row = f"{rows}[i * {n} + j]" if r > 1 else f"{rows}[j]"
+        self.put(f"for (int i = 0; i < {r}; ++i) {{")
+        self.put(*(f"    {line}" for line in self._sum(n, f"{row} * {x}[j]", f"v{number}[i]")))
+        self.put("}")
+
+    def _sum(self, n, term, result):
+        """Lines that sum up terms of j: several sums side by side where there are many."""
+        if n < 4 * _VECTOR:
+            return [f"{self.real} sum = 0;", f"for (int j = 0; j < {n}; ++j)",
+                    f"    sum += {term};", f"{result} = sum;"]  # fmt: skip
+        full = n // _VECTOR * _VECTOR
+        lines = [f"{self.real} part[{_VECTOR}] = {{0}}, sum = 0;",
+                 f"for (int k = 0; k < {full}; k += {_VECTOR})",
+                 f"    for (int j = 0; j < {_VECTOR}; ++j)",
+                 f"        part[j] += {term.replace('j]', 'k + j]')};",
+                 f"for (int j = 0; j < {_VECTOR}; ++j)", "    sum += part[j];"]  # fmt: skip
+        if full < n:
+            lines += [f"for (int j = {full}; j < {n}; ++j)", f"    sum += {term};"]
+        return [*lines, f"{result} = sum;"]
+
+    def _finite(self, number, op):
+        y, x = op.inputs
+        self._refused(number, f"all_finite({self.array(x)}, {self.ops[x].size})", y)
+
+    def _refused(self, number, condition, y):
+        self.put(f"const int ok{number} = {condition};")
+        self.declare(number)
+        nan = f"({self.real})NAN"
+        self.loop(
+            self.ops[number].size,
+            lambda i: f"v{number}[{i}] = ok{number} ? {self.at(y, i)} : {nan};",
+        )
+
+    def _within(self, number, op):
+        y, x = op.inputs
+        low, high = (self.numbers.literal(op.given[key]) for key in ("low", "high"))
+        name, n = self.array(x), self.ops[x].size
+        parts = [f"{name}[{j}] >= {low} && {name}[{j}] <= {high}" for j in range(n)]
+        self._refused(number, " && ".join(parts), y)
+
+    def _affine(self, number, op):
+        matrix, shift = op.given["matrix"], op.given["shift"]
+        rows, columns = matrix.shape
+        (source,), x = op.inputs, self.array(op.inputs[0])
+        if not np.any(matrix):
+            self.declare(number)
+            self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift, i)};")
+        elif 2 * np.count_nonzero(matrix) <= matrix.size:
+            self._sparse(number, matrix, shift, x)
+        elif rows < _VECTOR:
+            self.declare(number)
+            full = source in self.padded and columns >= _VECTOR
+            n = _whole(columns) if full else columns
+            table = self.tables("rows", np.pad(matrix, ((0, 0), (0, n - columns))))
+            self.put(f"for (int i = 0; i < {rows}; ++i) {{")
+            lines = self._sum(n, f"{table}[i][j] * {x}[j]", f"v{number}[i]")
+            self.put(*(f"    {line}" for line in lines))
+            self.put(*([f"    v{number}[i] += {self._init(shift)};"] if np.any(shift) else []), "}")
+        else:
+            n, packed, length = _packed(matrix.T)
+            table = self.tables("columns", packed.ravel())
+            self.declare(number, " = {0}", padded=True)
+            if np.any(shift):
+                self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift)};")
+            lines = ["for (int i = 0; i < n; ++i)", f"    v{number}[i] += row[i] * {x}[c];"]
+            self.put(
+                "{", f"    const {self.real} *row = {table};",
+                f"    for (int c = 0; c < {columns}; ++c) {{", f"        {length}",
+                *(f"        {line}" for line in lines), "        row += n;", "    }", "}",
+            )  # fmt: skip
+
+    def _init(self, shift, i="i"):
+        if len(shift) == 1:
+            return self.numbers.literal(shift[0])
+        return f"{self.tables('shift', np.asarray(shift, dtype=float))}[{i}]"
+
+    def _sparse(self, number, matrix, shift, x):
+        row, column = np.nonzero(matrix)
+        start = self.tables("start", np.searchsorted(row, np.arange(len(matrix) + 1)))
+        of, values = self.tables("column", column), self.tables("entry", matrix[row, column])
+        self.declare(number)
+        first = self._init(shift) if np.any(shift) else "0"
+        self.put(
+            f"for (int i = 0; i < {len(matrix)}; ++i) {{", f"    {self.real} sum = {first};",
+            f"    for (int e = {start}[i]; e < {start}[i + 1]; ++e)",
+            f"        sum += {values}[e] * {x}[{of}[e]];", f"    v{number}[i] = sum;", "}",
+        )  # fmt: skip
+
+    def _frames(self, number, op):
+        table = op.given["table"]
+        text = FRAMES.format(
+            real=self.real, f=self.f, v=f"v{number}", theta=self.array(op.inputs[0]),
+            n=len(table), table=self.tables("dh", table, "cos alpha, sin alpha, a mm, d mm"),
+            turn=TURNS[op.given["convention"]].format(real=self.real),
+        )  # fmt: skip
+        self.declare(number)
+        self.put(*text.splitlines())
+
+    def _waves(self, number, op):
+        """Powers of ``exp(i angle)``: each is the product of two others."""
+        joint, order = op.given["joint"], op.given["order"]
+        firsts, products, place = _chain(joint, np.abs(order))
+        out = np.where(order > 0, 2 * place, np.where(order < 0, 2 * place + 1, 0))
+        m, n, a = len(order), len(firsts) + len(products), self.array(op.inputs[0])
+        first = self.tables("wave_joint", np.array(firsts, dtype=int))
+        self.declare(number)
+        self.put(
+            "{", f"    {self.real} power[{2 * n + 2}] = {{1, 0}}; /* cosines and sines by turns */",
+            f"    for (int i = 0; i < {len(firsts)}; ++i) {{",
+            f"        power[2 * i + 2] = cos{self.f}({a}[{first}[i]]);",
+            f"        power[2 * i + 3] = sin{self.f}({a}[{first}[i]]);", "    }",
+        )  # fmt: skip
+        if products:
+            of = self.tables("wave_of", np.array(products, dtype=int))
+            self.put(
+                f"    for (int i = 0; i < {len(products)}; ++i) {{",
+                f"        const {self.real} *a = power + {of}[i][0], *b = power + {of}[i][1];",
+                f"        {self.real} *c = power + 2 * i + {2 * len(firsts) + 2};",
+                "        c[0] = a[0] * b[0] - a[1] * b[1];",
+                "        c[1] = a[0] * b[1] + a[1] * b[0];", "    }",
+            )  # fmt: skip
+        at = self.tables("wave_at", out)
+        self.put(
+            f"    for (int i = 0; i < {m}; ++i)", f"        v{number}[i] = power[{at}[i]];", "}"
+        )
+
+    def _radial(self, number, op):
+        centers, kernel = op.given["centers"].T, op.given["kernel"]
+        d, k = centers.shape
+        n, v, x = _whole(k), f"v{number}", self.array(op.inputs[0])
+        shift = self.tables("center_shift", op.given["shift"], "middle of the centres")
+        note = "1 / length scale; 0 for a feature that did not vary"
+        width = self.tables("inverse_width", op.given["inverse_width"], note)
+        note = "one column a centre, less their middle, in units of the length scales"
+        center = self.tables("center", np.pad(centers, ((0, 0), (0, n - k))), note)
+        most = self.numbers.literal(-EXP[self.real]["least"])
+        if any("falling_exp" in line for line in KERNEL_LOOPS[kernel]):
+            self.tables.help("falling_exp", exponential(self.numbers))
+        self.declare(number, " = {0}", padded=True)
+        self.put(
+            f"for (int i = 0; i < {d}; ++i) {{",
+            f"    const {self.real} z = ({x}[i] - {shift}[i]) * {width}[i];",
+            f"    for (int c = 0; c < {n}; ++c)",
+            f"        {v}[c] += (z - {center}[i][c]) * (z - {center}[i][c]);", "}",
+            f"/* {kernel}, of the squared distance in units of the length scales */",
+        )  # fmt: skip
+        roots = {f"sqrt{i}": self.numbers.literal(np.sqrt(i)) for i in (3, 5)}
+        for line in KERNEL_LOOPS[kernel]:
+            body = line.format(v=v, f=self.f, most=most, **roots)
+            self.put(f"for (int c = 0; c < {n}; ++c)", f"    {body}")
+
+    def _variances(self, number, op):
+        self.declare(number)
+        self.put(*self._squares(f"v{number}", op, op.given["root"], self.real))
+
+    def _squares(self, name, op, root, of):
+        """Lines that compute squared lengths of ``root' columns`` in some precision."""
+        n, packed, length = _packed(root)
+        note = "of the coefficients' covariance, row by row"
+        return VARIANCES.format(
+            real=self.real, of=of, cast=f"({of})" if of != self.real else "",
+            wide=f"({self.real})" if of != self.real else "", v=name, m=len(root),
+            r=n, axes=self.ops[op.inputs[0]].size // 3, length=length,
+            vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),
+            vector=self.tables("vector", op.given["vector"], "of each column"),
+            root=self.tables("root", packed.ravel(), note),
+        ).splitlines()  # fmt: skip
+
+    def _doubt(self, number, op):
+        root, known, v = op.given["root"], float(op.given["known"]), f"v{number}"
+        same = (
+            i
+            for i, other in enumerate(self.ops[:number])
+            if (other.name, other.inputs) == ("variances", op.inputs)
+            and other.given["root"] is root
+        )
+        found = next(same, None)
+        of = f"v{number}_of" if found is None else f"v{found}"
+        self.put(f"{self.real} {v}[1] = {{0}};")
+        lines = [f"{v}[0] = {of}[0] + {of}[1] + {of}[2] - {self.numbers.literal(known)};"]
+        lines += [f"if ({v}[0] < 0)", f"    {v}[0] = 0;"]
+        if found is None:
+            exact = [f"{self.real} {of}[3];", *self._squares(of, op, root, self.real), *lines]
+            lines = self._where_needed(v, op, known, exact)
+        self.put(*lines)
+
+    def _where_needed(self, name, op, known, exact):
+        """Lines of an exact variance, computed where a bound does not show that it is known."""
+        if self.real == "float" or known == 0:
+            return ["{", *(f"    {line}" for line in exact), "}"]
+        single, vectors = single_root(op.given["root"]), self.array(op.inputs[0])
+        gamma = self.numbers.literal(single.rounding)
+        limit = self.numbers.literal(np.sqrt(known))
+        lengths = self.tables("length", single.lengths.astype(float), "of the rows of the root")
+        n, m = self.ops[op.inputs[0]].size // 3, len(single.lengths)
+        vector = self.tables("vector", op.given["vector"], "of each column")
+        squares = self._squares("in_single", op, single.root, "float")
+        return [
+            "{ /* Single precision with a bound of its error shows that most poses are known. */",
+            f"    {self.real} in_single[3], error = 0;", *(f"    {line}" for line in squares),
+            f"    for (int c = 0; c < {m}; ++c) {{",
+            f"        const {self.real} *u = {vectors} + {vector}[c];",
+            f"        error += {lengths}[c] * fabs({self.array(op.inputs[1])}[c])",
+            f"            * (fabs(u[0]) + fabs(u[{n}]) + fabs(u[{2 * n}]));", "    }",
+            f"    if ((1 + {gamma}) * sqrt(in_single[0] + in_single[1] + in_single[2])",
+            f"            + {gamma} * error > {limit}) {{",
+            *(f"        {line}" for line in exact), "    }", "}",
+        ]  # fmt: skip
+
+
+def function(program, tables, name, faded_below):
+    """A static function that computes the outputs of a program; it returns a status."""
+    writer = _Writer(program, tables)
+    real, ops = tables.numbers.real, program.ops
+    tables.help("all_finite", ALL_FINITE.format(real=real))
+    outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
+    for out, i in program.outputs.items():
+        writer.loop(ops[i].size, lambda j, out=out, i=i: f"{out}_out[{j}] = {writer.at(i, j)};")
+    status = f"return all_finite(y_out, {program.n_outputs}) ? 0 : 2;"
+    if "trust" in program.outputs:
+        limit = tables.numbers.literal(faded_below)
+        status = (
+            f"return !all_finite(y_out, {program.n_outputs}) ? 2 : trust_out[0] < {limit} ? 1 : 0;"
+        )
+    body = "\n".join(f"    {line}" for line in [*writer.lines, status])
+    head = f"static int {name}(const {real} input[{program.n_inputs}], {', '.join(outputs)})"
+    return f"/* 0: fine, 1: faded, 2: not finite. */\n{head}\n{{\n{body}\n}}\n"
+
+
+def _packed(rows):
+    """Numbers in a row, the rows of a triangle one by one, and how many numbers row c has, in C.
+
+    Rows are filled up with zeros to whole vectors. What is no triangle stays a matrix.
+    """
+    n, last = _whole(rows.shape[1]), len(rows) - 1
+    full, c = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.arange(len(rows))
+    for at, text in ((c, "c"), (last - c, f"({last} - c)")):
+        if not np.any(full[at[:, None] < np.arange(n)]):
+            lengths = np.minimum(at // _VECTOR * _VECTOR + _VECTOR, n)
+            parts = [row[:length] for row, length in zip(full, lengths, strict=True)]
+            whole = f"{text} / {_VECTOR} * {_VECTOR} + {_VECTOR}"
+            return (
+                n,
+                np.concatenate(parts),
+                f"const int whole = {whole}, n = whole < {n} ? whole : {n};",
+            )
+    return n, full, f"const int n = {n};"
+
+
+def _chain(joint, order):
+    """How powers of ``exp(i angle)`` follow from each other.
+
+    Returns
+    -------
+    firsts : list of int
+        Joints whose first power is taken from cosine and sine.
+    products : list of (int, int)
+        Where the two factors of each further one stand, as the first of two numbers; 1 is at 0.
+    place : ndarray
+        Which power each wave is, 0 where it has none.
+    """
+    wanted = {(int(j), int(k)) for j, k in zip(joint, order, strict=True) if k}
+    firsts = sorted({j for j, _ in wanted})
+    place = {(j, 1): 1 + i for i, j in enumerate(firsts)}
+    products = []
+
+    def reach(j, k):
+        if (j, k) not in place:
+            half = (k // 2, k - k // 2) if k % 2 == 0 else (1, k - 1)
+            near = [reach(j, part) for part in half]
+            products.append((2 * near[0], 2 * near[1]))
+            place[j, k] = len(firsts) + len(products)
+        return place[j, k]
+
+    for j, k in sorted(wanted):
+        reach(j, k)
+    pairs = zip(joint, order, strict=True)
+    return firsts, products, np.array([place.get((int(j), int(k)), 0) for j, k in pairs])

@@ -1,0 +1,536 @@
+"""Fitted models as programs: the only file that knows what a model computes.
+
+One function for each kind of step: it adds the step's operations to those before it.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from sklearn.preprocessing import MinMaxScaler, RobustScaler
+
+from sklearn_raacmm.arm import MIN_LENGTH_MM
+from sklearn_raacmm.error_model import (
+    LOAD,
+    PUSH,
+    SHIFT,
+    ArmResidualRegressor,
+    column_table,
+    force_on_probe,
+    given_factors,
+)
+from sklearn_raacmm.export._program import Builder
+from sklearn_raacmm.export._steps import (
+    KNOWN,
+    REGRESSORS,
+    SCALERS,
+    arm_of,
+    check_fitted,
+    described,
+    extra_of,
+    is_flat,
+    leaves,
+    n_inputs,
+)
+from sklearn_raacmm.network import RBFNetRegressor
+from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, PoseFeatures
+
+# Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
+MOST_CENTERS = 2000
+# In place of a length that is nothing.
+_TINY = 1e-30
+
+
+# -- the whole chain ------------------------------------------------------------------------------
+
+
+class _Chain:
+    """A chain that adds its operations to a program, and the arm that its angles belong to."""
+
+    def __init__(self, model, p, std, x=None, unit=None):
+        self.p, self.std, self.x = p, std, p.x if x is None else x
+        self.arm, self.unit = arm_of(model)
+        self.unit = self.unit if unit is None else unit
+        self.trust = None
+
+    def angles(self):
+        """Joint angles in rad."""
+        n = self.arm.n_joints
+        angles = self.x if self.p.size(self.x) == n else self.p.take(self.x, np.arange(n))
+        return angles if self.unit == "rad" else self.p("mul", angles, np.pi / 180)
+
+    def frames(self):
+        """Axes and origin of every frame, 12 numbers each, the base first."""
+        arm = self.arm
+        theta = self.p("add", self.p("mul", self.angles(), arm.joint_signs), arm.theta_offset)
+        table = np.stack([np.cos(arm.alpha), np.sin(arm.alpha), arm.a, arm.d], axis=1)
+        return self.p("frames", theta, table=table, convention=arm.convention)
+
+    def probe(self):
+        """Centre of the probe in the base frame, mm."""
+        last = self.p.take(self.frames(), 12 * self.arm.n_joints + np.arange(12))
+        axes, eye = self.arm.probe.reshape(3, 1, 1), np.eye(3)
+        matrix = np.concatenate([*(axes * eye), eye], axis=1)
+        return self.p("affine", last, matrix=matrix, shift=np.zeros(3))
+
+    def direction(self):
+        """Cosine and sine of the probe's azimuth, and the probe's distance from the axis."""
+        p = self.p
+        xy = p.take(self.probe(), [0, 1])
+        radius = p.length(xy)
+        # On the axis itself 1 and 0, as atan2(0, 0) would have it.
+        on_axis = p("mul", p("less", radius, _TINY), [1.0, 0.0])
+        return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
+
+
+def program_of(model, std=False):
+    """The program of a fitted model.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+    std : bool, default=False
+        Whether the standard deviation is among its outputs.
+
+    Returns
+    -------
+    Program
+        Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
+        three numbers; ``trust``, the share of the correction that is left, where it fades; ``std``.
+
+    Raises
+    ------
+    ValueError
+        If a step cannot be exported: the sentence names it.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+    """
+    check_fitted(model)
+    p = Builder(n_inputs(model))
+    chain, steps = _Chain(model, p, std), list(leaves(model))
+    y, v = _read(chain, steps, p.x)
+    y = p("finite", y, p("join", p.x, y))
+    outputs = {"y": y}
+    corrects = chain.arm is not None and p.size(y) == 3
+    if corrects:
+        outputs["point"] = p("sub", chain.probe(), y)
+    if chain.trust is not None:
+        outputs["trust"] = p("finite", chain.trust, y)
+    if std:
+        outputs["std"] = p("finite", p("sqrt", v), y)
+    about = {"steps": [described(step) for _, step in steps], "corrects": corrects}
+    if chain.arm is not None:
+        label = f" {chain.arm.name}" if chain.arm.name else ""
+        n = chain.arm.n_joints
+        about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
+        about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_of(model)]}
+    about["flat"] = bool(p.size(y) == 1 and is_flat(model))
+    return p.program(outputs, about)
+
+
+def _read(chain, steps, x):
+    """Prediction and variance (or None) of steps, the last of which is a regressor."""
+    for number, (path, step) in enumerate(steps):
+        rest = steps[number + 1 :]
+        if isinstance(step, CylindricalResidualTarget):
+            return _cylindrical(chain, path, step, rest, x)
+        if isinstance(step, PoseFeatures):
+            _needs_angles(chain, path, x)
+            x = pose_features(chain, step)
+        elif isinstance(step, SCALERS):
+            x = scaler(chain.p, step, x)
+        elif isinstance(step, REGRESSORS):
+            if rest:
+                raise ValueError(
+                    f"{rest[0].path} comes after the regressor, which cannot be exported."
+                )
+            return _regressor(chain, path, step, x)
+        else:
+            raise ValueError(
+                f"{path} is a {type(step).__name__}, which cannot be exported: only "
+                f"{', '.join(kind.__name__ for kind in KNOWN)} and pipelines of these can. "
+                "to_onnx also takes what skl2onnx knows."
+            )
+    names = ", ".join(kind.__name__ for kind in REGRESSORS)
+    raise ValueError(f"The model has no regressor at its end: none of {names}.")
+
+
+def _needs_angles(chain, path, x):
+    if x != chain.x:
+        raise ValueError(
+            f"{path} comes after another transformer, which cannot be exported: it has to see the "
+            "joint angles."
+        )
+
+
+def _regressor(chain, path, step, x):
+    if isinstance(step, RBFNetRegressor):
+        return network(chain.p, step, x, chain.std, with_noise=True)
+    if isinstance(step, ArmResidualRegressor):
+        _needs_angles(chain, path, x)
+        return arm_model(chain, step)
+    if chain.std:
+        raise ValueError(
+            f"{path} is a {type(step).__name__}, which has no standard deviation: export it with "
+            "std=False."
+        )
+    matrix = np.atleast_2d(step.coef_)
+    shift = np.broadcast_to(np.atleast_1d(step.intercept_), (len(matrix),)).astype(float)
+    return chain.p("affine", x, matrix=matrix, shift=shift), None
+
+
+def _cylindrical(chain, path, step, rest, x):
+    """A regressor in the cylindrical frame of the probe's azimuth."""
+    p, direction = chain.p, None
+    if any(isinstance(inner, CylindricalResidualTarget) for _, inner in rest):
+        raise ValueError(f"{rest[0].path} is the second of its kind, which cannot be exported.")
+    if step._drops_direction:
+        n = step.n_features_in_ - 2
+        direction, x = given_direction(p, p.take(x, [n, n + 1])), p.take(x, np.arange(n))
+    elif step._rotates:
+        if x != chain.x:
+            raise ValueError(
+                f"{path} takes its azimuth from the joint angles but comes after a transformer, "
+                "which cannot be exported."
+            )
+        direction = chain.direction()[0]
+    y, v = _read(chain, rest, x)
+    return (y, v) if direction is None else to_cartesian(p, direction, y, v)
+
+
+def given_direction(p, direction):
+    """A direction that comes with the features, NaN where its norm is not 1."""
+    norm = p.length(direction)
+    return p("within", direction, norm, low=1 - NORM_TOLERANCE, high=1 + NORM_TOLERANCE)
+
+
+def to_cartesian(p, direction, y, v=None):
+    """Radial, tangential and axial numbers as x, y and z; variances of independent ones."""
+    along, across = p.take(direction, [0, 1]), p.take(direction, [1, 0])
+    across_signed = p("mul", across, [-1.0, 1.0])
+
+    def turned(values, first, second):
+        a = p("mul", p.take(values, [0, 0]), first)
+        b = p("mul", p.take(values, [1, 1]), second)
+        return p("join", p("add", a, b), p.take(values, [2]))
+
+    # x is radial cos - tangential sin, y radial sin + tangential cos.
+    both = p("join", p.take(along, [0]), p.take(along, [1]))
+    y = turned(y, both, across_signed)
+    if v is None:
+        return y, None
+    return y, turned(v, p("mul", along, along), p("mul", across, across))
+
+
+# -- parts of a chain, for converters that know the rest of it -------------------------------------
+
+
+def step_program(step):
+    """The program of one step by itself, transformer or regressor."""
+    p = Builder(n_inputs(step))
+    chain = _Chain(step, p, False)
+    if isinstance(step, PoseFeatures):
+        y = pose_features(chain, step)
+    else:
+        y = _read(chain, list(leaves(step)), p.x)[0]
+    return p.program({"y": p("finite", y, p.x)}, {})
+
+
+def direction_program(step):
+    """Cosine and sine of the azimuth that a `CylindricalResidualTarget` turns by."""
+    n = step.n_features_in_
+    p = Builder(n)
+    if step._drops_direction:
+        direction = given_direction(p, p.take(p.x, [n - 2, n - 1]))
+    else:
+        direction = _Chain(step, p, False).direction()[0]
+    return p.program({"y": p("finite", direction, p.x)}, {})
+
+
+def turning_program():
+    """From a direction, then radial, tangential and axial numbers, to x, y and z."""
+    p = Builder(5)
+    y, _ = to_cartesian(p, p.take(p.x, [0, 1]), p.take(p.x, [2, 3, 4]))
+    return p.program({"y": p("finite", y, p.x)}, {})
+
+
+# -- transformers ---------------------------------------------------------------------------------
+
+
+def pose_features(chain, step):
+    """What `PoseFeatures` makes of the joint angles."""
+    p = chain.p
+    columns = chain.angles()
+    if step.joints == "pose":
+        columns = pose_of(chain)
+    if step.encoding == "periodic":
+        n = p.size(columns)
+        both = p("join", p("cos", columns), p("sin", columns))
+        columns = p.take(both, np.arange(2 * n).reshape(2, n).T.ravel())
+    columns = p("finite", columns, chain.x)
+    if not step.append_azimuth:
+        return columns
+    direction, radius = chain.direction()
+    return p("join", columns, p("within", direction, radius, low=MIN_LENGTH_MM, high=_FAR))
+
+
+# Lengths above which there is no arm, mm.
+_FAR = 1e30
+
+
+def pose_of(chain):
+    """Angles of the pose's joints, and the elevation of the line from shoulder to wrist, rad."""
+    p, arm, frames = chain.p, chain.arm, chain.frames()
+    shoulder, wrist = (p.take(frames, 12 * i + 9 + np.arange(3)) for i in arm.pose_frames)
+    line = p("sub", wrist, shoulder)
+    reach = p.length(p.take(line, [0, 1]))
+    elevation = p("elevation", p.take(line, [2]), reach)
+    elevation = p("within", elevation, p.length(line), low=MIN_LENGTH_MM, high=_FAR)
+    used = p.take(chain.angles(), np.array(arm.pose_joints) - 1)
+    return p("join", used, elevation)
+
+
+def scaler(p, step, x):
+    """One of scikit-learn's scalers."""
+    if isinstance(step, MinMaxScaler):
+        x = p("add", p("mul", x, step.scale_), step.min_)
+        clip = step.feature_range if step.clip else None
+    else:
+        center = step.center_ if isinstance(step, RobustScaler) else getattr(step, "mean_", None)
+        if center is not None and getattr(step, "with_mean", True):
+            x = p("sub", x, center)
+        if step.scale_ is not None:
+            x = p("div", x, step.scale_)
+        clip = (-1.0, 1.0) if getattr(step, "clip", False) else None
+    return x if clip is None else p("min", p("max", x, clip[0]), clip[1])
+
+
+# -- networks -------------------------------------------------------------------------------------
+
+
+def network(p, step, x, std, with_noise):
+    """Prediction and variance (or None) of an `RBFNetRegressor`."""
+    found = [_one_network(p, part, x, std, with_noise) for part in step.networks_]
+    if len(found) == 1:
+        return found[0]
+    place = np.argsort(np.concatenate([part.outputs for part in step.networks_]))
+    y = p.take(p("join", *(y for y, _ in found)), place)
+    return y, p.take(p("join", *(v for _, v in found)), place) if std else None
+
+
+def _one_network(p, net, x, std, with_noise):
+    """Prediction and variance (or None) of outputs that share centres."""
+    k, phi = len(net.centers), None
+    linear = net.polynomial[1:].T
+    y = p("add", p.constant(net.polynomial[0]), 0.0)
+    if np.any(linear):
+        y = p("affine", x, matrix=linear, shift=net.polynomial[0])
+    if k:
+        # Centred as predict does it: the rounding is the same.
+        shift = net.centers.mean(axis=0)
+        phi = p(
+            "radial", x, kernel=net.kernel, centers=(net.centers - shift) / net.length_scale,
+            shift=shift, inverse_width=1 / net.length_scale,
+        )  # fmt: skip
+        nothing = np.zeros(len(linear))
+        if np.any(linear):
+            y = p("add", y, p("affine", phi, matrix=net.coef.T, shift=nothing))
+        else:
+            y = p("affine", phi, matrix=net.coef.T, shift=net.polynomial[0])
+    return y, _network_variance(p, net, x, phi, with_noise) if std else None
+
+
+def _network_variance(p, net, x, phi, with_noise):
+    """Variances of a network's outputs, as `Network` has them, by the same two matrices.
+
+    The first of them has rows of very different sizes where data have little noise. It must not be
+    multiplied by another: what is left of the prior's variance is small beside it, and 8 of its
+    digits would be lost (they were, with one matrix in place of two, at noise of 1e-4).
+    """
+    k, parts = len(net.centers), []
+    if np.any(net.noise_variance < 0) or np.any(net.signal_variance < 0):
+        raise ValueError(
+            f"The network's variances must not be negative, got {net.noise_variance} of the noise "
+            f"and {net.signal_variance} of the signal: it cannot be exported."
+        )
+    if k > MOST_CENTERS:
+        raise ValueError(
+            f"The standard deviation of a network of {k} centres would need a table of "
+            f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
+            f"max_centers={MOST_CENTERS}."
+        )
+    columns = [phi] if k else []
+    if len(net.tail_map):
+        slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
+        varies = np.any(slopes)
+        tail = p("affine", x, matrix=slopes, shift=constant) if varies else p.constant(constant)
+        columns.insert(0, tail)
+    for output in range(len(net.outputs)):
+        of_prior, of_weights = net.roots(output)
+        variance = p.constant(float(with_noise))
+        if len(of_weights):
+            # From the last row to the first, so that each column ends where its zeros begin.
+            seen = p(
+                "affine", p("join", *columns), matrix=of_weights[::-1], shift=_zeros(of_weights)
+            )
+            variance = p("add", p("dots", seen, seen), variance)
+        variance = p("mul", variance, net.noise_variance[output])
+        outside = p.constant(1.0)
+        if k:
+            seen = p("affine", phi, matrix=of_prior, shift=_zeros(of_prior))
+            outside = p("max", p("sub", 1.0, p("dots", seen, seen)), 0.0)
+        parts.append(p("add", p("mul", outside, net.signal_variance[output]), variance))
+    return p("join", *parts)
+
+
+def _zeros(matrix):
+    return np.zeros(len(matrix))
+
+
+# -- the arm's own error model --------------------------------------------------------------------
+
+
+def arm_model(chain, step):
+    """Correction and variance (or None) of an `ArmResidualRegressor`: both stages, faded."""
+    p, linear, fading = chain.p, step.linear_model_, step.fading_
+    for name in ("size_mm", "factor", "known_mm"):
+        value = getattr(fading, name)
+        if not 0 <= value < np.inf:
+            raise ValueError(
+                f"{name} of Fading must be a finite number of at least 0, got {value}."
+            )
+    y, v, doubt = linear_model(chain, linear, fading)
+    if not step.helps_:
+        y = p.constant(np.zeros(3))
+    if step.regressor_ is not None:
+        steps = list(leaves(step.regressor_))
+        second = _Chain(step.regressor_, p, False, chain.angles(), "rad")
+        y = p("add", y, _read(second, steps, second.x)[0])
+    if doubt is not None:
+        share = p.constant(1.0)
+        if fading.size_mm > 0:
+            size = fading.size_mm**2
+            share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
+        chain.trust, y = share, p("mul", y, share)
+    y = _known_tools(chain, linear.terms.extra, y)
+    return y, p("mul", v, linear.std_scale**2) if chain.std else None
+
+
+def _known_tools(chain, extra, y):
+    """NaN where a tool is none of the fit's, which predict refuses."""
+    p = chain.p
+    for i, (name, known) in enumerate(extra):
+        if name == "tool":
+            off = p("sub", p.take(chain.x, [chain.arm.n_joints + i]), np.array(known))
+            off = p("max", off, p("mul", off, -1.0))
+            least = p.take(off, [0])
+            for tool in range(1, len(known)):
+                least = p("min", least, p.take(off, [tool]))
+            y = p("within", y, least, low=0.0, high=0.0)
+    return y
+
+
+def linear_model(chain, linear, fading):
+    """Correction of a `LinearModel`, variances (or None), and by how much these leave the known."""
+    p, arm = chain.p, linear.arm
+    table = column_table(arm, linear.terms)
+    m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
+    if not m:
+        return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
+    # Columns that share a vector stand together; large groups last, where rows of a triangle are
+    # long anyway.
+    vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
+    order = np.lexsort([vector, np.bincount(vector)[vector]])
+    vectors = _vectors(chain)
+    sizes = p.take(_sizes(chain, linear, table, vectors), order)
+    vector = vector[order]
+    matrix = np.zeros((2 * n_axes, m))
+    matrix[vector, np.arange(m)] = linear.coef[order]
+    along = p("affine", sizes, matrix=matrix, shift=np.zeros(2 * n_axes))
+    y = p("dots", vectors, along)
+    # Any root gives the same variances; a triangle has half the entries.
+    root = np.linalg.qr(linear.gauge_free_half[order].T, mode="r").T
+    v = p("variances", vectors, sizes, vector=vector, root=root) if chain.std else None
+    if not fading.factor > 0:
+        return y, v, None
+    known = fading.known_mm**2
+    return y, v, p("doubt", vectors, sizes, vector=vector, root=root, known=known)
+
+
+def _vectors(chain):
+    """Turns about every axis of every frame, then shifts along them: x of all, then y, then z.
+
+    mm of the probe per rad, or per mm.
+    """
+    p, n_axes, frames = chain.p, 3 * (chain.arm.n_joints + 1), chain.frames()
+    axis = np.arange(n_axes)
+    of_axis = 12 * (axis // 3) + 3 * (axis % 3)
+    of_origin = 12 * (axis // 3) + 9
+    k = np.repeat(np.arange(3), n_axes)
+    lever = p("sub", p.take(chain.probe(), k), p.take(frames, np.tile(of_origin, 3) + k))
+
+    def part(shift):
+        at = (k + shift) % 3
+        return p.take(frames, np.tile(of_axis, 3) + at), p.take(
+            lever, n_axes * at + np.tile(axis, 3)
+        )
+
+    (u1, r1), (u2, r2) = part(1), part(2)
+    turns = p("sub", p("mul", u1, r2), p("mul", u2, r1))
+    both = p("join", turns, part(0)[0])
+    return p.take(both, np.arange(6 * n_axes).reshape(2, 3, n_axes).transpose(1, 0, 2).ravel())
+
+
+def _sizes(chain, linear, table, vectors):
+    """Size of each column: unit, wave, torque, and what an extra column says."""
+    p, arm, m = chain.p, linear.arm, len(table.kind)
+    n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
+    sizes = p.constant(table.unit)
+    if np.any(table.order):
+        waves = p("waves", chain.angles(), joint=table.of * (table.order != 0), order=table.order)
+        sizes = p("mul", sizes, waves)
+    loaded = np.flatnonzero(table.kind == LOAD)
+    if len(loaded):
+        # The torque of a load: gravity is along -z.
+        places = p("join", chain.frames(), chain.probe())
+        of, frame = (12 * at[loaded] + 9 for at in (table.of, table.frame))
+        of = np.where(table.of[loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
+        axis = 12 * table.frame[loaded] + 3 * table.axis[loaded]
+        x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in (0, 1))
+        ux, uy = (p.take(places, axis + k) for k in (0, 1))
+        torque = p("sub", p("mul", uy, x), p("mul", ux, y))
+        sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
+    if not extra:
+        return sizes
+    values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
+    pushed = np.flatnonzero(table.kind == PUSH)
+    if len(pushed):
+        mean = np.array([reference[0] for _, reference in extra])
+        force = p("affine", p("sub", values, mean), matrix=_force_of(extra), shift=np.zeros(3))
+        turns = 3 * table.frame[pushed] + table.axis[pushed]
+        at = np.arange(3) * 2 * n_axes + turns[:, None]
+        torque = p("dots", p.take(vectors, at.ravel()), force)
+        sizes = p("mul", sizes, _at_columns(p, m, pushed, torque))
+    factors = given_factors(arm, linear.terms)
+    for of_tool in np.unique(factors.of_tool):
+        column, by, reference, _ = (field[factors.of_tool == of_tool] for field in factors)
+        given = p("sub", p.take(values, by), reference)
+        if of_tool:  # 1 for this tool, 0 for others
+            given = p("less", p("mul", given, given), _TINY)
+        sizes = p("mul", sizes, _at_columns(p, m, column, given))
+    return sizes
+
+
+def _force_of(extra):
+    """Force on the probe of one unit of each extra column, (3, n_extra), base frame."""
+    mean = np.array([reference[0] for _, reference in extra])
+    one = force_on_probe(extra, mean + np.eye(len(extra)))
+    return np.round(one - force_on_probe(extra, mean[None])).T
+
+
+def _at_columns(p, m, columns, factors):
+    """Factors of m columns: those of some, 1 elsewhere."""
+    place = np.full(m, len(columns))
+    place[columns] = np.arange(len(columns))
+    return p.take(p("join", factors, 1.0), place)

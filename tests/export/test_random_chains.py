@@ -1,0 +1,202 @@
+"""Random chains of every kind: each way out of Python gives what predict gives."""
+
+import ctypes
+import json
+import shutil
+import subprocess
+from functools import partial
+
+import numpy as np
+import pytest
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    PoseFeatures,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.export import _reader, export_c, from_json, to_json, to_onnx
+from sklearn_raacmm.network import KERNELS
+
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
+SANITIZE = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+N_CHAINS, N_ALWAYS = 200, 18
+MAIN = """
+#include "arm.h"
+#include <stdio.h>
+#include <stdlib.h>
+int main(void)
+{
+    /* From the heap: every byte beyond the ends is watched. */
+    double *rows = malloc(sizeof(double) * %(n)d * %(d)d);
+    double *out = malloc(sizeof(double) * %(n)d * 3);
+    for (int i = 0; i < %(n)d * %(d)d; ++i)
+        if (scanf("%%lf", rows + i) != 1)
+            return 2;
+    arm_correct_n(rows, out, %(n)d);
+    for (int i = 0; i < %(n)d; ++i) {
+        double *mean = malloc(3 * sizeof *mean), *other = malloc(3 * sizeof *other);
+        arm_point(rows + %(d)d * i, other);
+        arm_correct_std(rows + %(d)d * i, mean, other);
+        for (int k = 0; k < 3; ++k)
+            printf("%%.17g %%.17g\\n", mean[k], other[k]);
+        free(mean);
+        free(other);
+    }
+    free(rows);
+    free(out);
+    return 0;
+}
+"""
+
+
+def random_model(rng):
+    """A chain of random parts, fitted on random poses; rows; whether it has a deviation."""
+    name = str(rng.choice(["aacmm6", "panda", "ur10"]))
+    arm = Arm.from_name(name, joint_signs=int(rng.choice([-1, 1])), theta_offset=0.2)
+    n = int(rng.integers(30, 60))
+    X = rng.uniform(-2, 2, (n, arm.n_joints))
+    y = 0.05 * np.cos(X[:, :3]) + 0.002 * rng.normal(size=(n, 3))
+    unit = str(rng.choice(["rad", "deg"]))
+    network = RBFNetRegressor(
+        int(rng.integers(1, 20)),
+        kernel=str(rng.choice(list(KERNELS))),
+        length_scale=2.0,
+        alpha=0.1,
+        degree=int(rng.integers(-1, 2)),
+        shared=bool(rng.integers(2)),
+    )
+    scalers = [StandardScaler(), MinMaxScaler(clip=True), RobustScaler(), MaxAbsScaler()]
+    scaler = scalers[rng.integers(4)]
+    last = [network, network, LinearRegression(), Ridge()][rng.integers(4)]
+    pose = {"joints": str(rng.choice(["pose", "all"]))}
+    pose["encoding"] = str(rng.choice(["angle", "periodic"]))
+    kind, std = rng.integers(6), last is network
+    if kind in (0, 1):
+        causes = [c for c in ("gravity", "kinematics", "wobble") if rng.random() < 0.6]
+        extra = ["temperature", "force y", "tool"] if rng.random() < 0.5 else []
+        if extra:
+            X = np.column_stack([X, rng.normal(size=(n, 2)), rng.integers(1, 3, n)])
+        second = make_pipeline(PoseFeatures(arm, **pose), scaler, last) if kind else None
+        fade = [0.0, 0.7, "auto"][rng.integers(3)]
+        model = ArmResidualRegressor(
+            arm, orders=int(rng.integers(0, 4)), causes=causes, extra=extra, fade=fade,
+            regressor=second, angle_unit=unit,
+        )  # fmt: skip
+        std = True
+    elif kind == 2:
+        inner = make_pipeline(PoseFeatures(arm, angle_unit=unit, **pose), scaler, last)
+        azimuth = arm.azimuth if unit == "rad" else partial(arm.azimuth, angle_unit="deg")
+        model = CylindricalResidualTarget(inner, azimuth=azimuth)
+    elif kind == 3:
+        model = make_pipeline(
+            PoseFeatures(arm, append_azimuth=True, angle_unit=unit, **pose),
+            CylindricalResidualTarget(make_pipeline(scaler, last)),
+        )
+    elif kind == 4:
+        model, unit = make_pipeline(scaler, last), "rad"
+    else:  # a direction that is given
+        turns = rng.uniform(-3, 3, n)
+        X = np.column_stack([X, np.cos(turns), np.sin(turns)])
+        model, unit = CylindricalResidualTarget(last), "rad"
+    far = rng.uniform(-6, 6, (20, X.shape[1]))
+    far[:, arm.n_joints :] = X[:20, arm.n_joints :]  # a tool or a direction that can be
+    new = np.concatenate([X[:10], far])
+    if unit == "deg":
+        for rows in (X, new):
+            rows[:, : arm.n_joints] = np.rad2deg(rows[:, : arm.n_joints])
+    if kind == 4 and rng.integers(2):
+        y = y[:, 0]
+    return model.fit(X, y), new, bool(std)
+
+
+def in_c(folder, compiler, model, X, std):
+    """Mean, and deviation or None, of the compiled file, with every warning an error."""
+    source, header = export_c(model, folder / "arm.c", std=std)
+    library = folder / f"{compiler}.so"
+    command = [compiler, "-std=c99", "-O1", *STRICT, "-shared", "-fPIC", "-o", library, source]
+    subprocess.run([*command, "-lm"], check=True)
+    loaded = ctypes.CDLL(str(library))
+    verb = "correct" if "arm_correct(" in header.read_text() else "predict"
+    q = np.reshape(model.predict(X[:1]), -1).size
+    mean, spread, place = np.empty((len(X), q)), np.empty((len(X), q)), ctypes.c_void_p
+    getattr(loaded, f"arm_{verb}_n")(
+        place(X.ctypes.data), place(mean.ctypes.data), ctypes.c_size_t(len(X))
+    )
+    if std:
+        again = np.empty(q)
+        for row, own in zip(X, spread, strict=True):
+            function = getattr(loaded, f"arm_{verb}_std")
+            function(*(place(array.ctypes.data) for array in (row, again, own)))
+    return mean, spread if std else None
+
+
+def ways_out(folder, model, X, std):
+    """Name, mean and deviation or None of every way out of Python."""
+    for compiler in COMPILERS:
+        yield compiler, *in_c(folder, compiler, model, X, std)
+    text = to_json(model, std=std)
+    read = from_json(text)
+    yield "JSON", *(read.predict(X, return_std=True) if std else (read.predict(X), None))
+    rows = [_reader.run(json.loads(text), row) for row in X.tolist()]
+    yield "plain Python", *(np.array([row.get(key, [0]) for row in rows]) for key in ("y", "std"))
+    try:
+        import onnxruntime
+    except ImportError:
+        return
+    session = onnxruntime.InferenceSession(to_onnx(model, std=std).SerializeToString())
+    yield "ONNX", *session.run(None, {"X": X}), *([] if std else [None])
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(seed, marks=[] if seed < N_ALWAYS else [pytest.mark.exhaustive])
+        for seed in range(N_CHAINS)
+    ],
+)
+def test_every_way_gives_what_predict_gives(tmp_path, seed):
+    model, X, std = random_model(np.random.default_rng(seed))
+    mean = model.predict(X)
+    deviation = model.predict(X, return_std=True)[1] if std else None
+    size = np.abs(mean).max()  # far from the poses columns grow to metres per radian
+    for way, got, spread in ways_out(tmp_path, model, X, std):
+        got = got.reshape(mean.shape)
+        np.testing.assert_allclose(got, mean, rtol=0, atol=1e-12 * max(1, 10 * size), err_msg=way)
+        if std:
+            spread = spread.reshape(deviation.shape)
+            np.testing.assert_allclose(spread, deviation, rtol=1e-6, atol=1e-12, err_msg=way)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("seed", range(N_CHAINS))
+def test_sanitizers(tmp_path, compiler, seed):
+    model, X, std = random_model(np.random.default_rng(seed))
+    if not std or not hasattr(model, "arm_"):
+        pytest.skip("the program below asks for a point and a deviation")
+    source, _ = export_c(model, tmp_path / "arm.c", std=True)
+    (tmp_path / "main.c").write_text(MAIN % {"n": len(X) + 1, "d": X.shape[1]})
+    program = tmp_path / "main"
+    command = [compiler, "-std=c99", *SANITIZE, "-o", program, tmp_path / "main.c", source, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "cannot find" in done.stderr:
+        pytest.skip("the sanitizers' libraries are not installed")
+    assert done.returncode == 0, done.stderr
+    rows = np.concatenate([X, np.full((1, X.shape[1]), np.nan)])
+    given = " ".join(map(repr, rows.ravel().tolist()))
+    done = subprocess.run([program], input=given, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    got = np.array(done.stdout.split(), dtype=float).reshape(-1, 3, 2)
+    mean, std = model.predict(X, return_std=True)
+    # Coefficients may nearly cancel far from the poses.
+    np.testing.assert_allclose(got[:-1, :, 0], mean, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(got[:-1, :, 1], std, rtol=1e-3, atol=1e-10)
+    assert np.isnan(got[-1]).all()
