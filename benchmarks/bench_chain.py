@@ -28,7 +28,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.residuals import bp_network_chain, database_chain, polynomial_chain
+from sklearn_raacmm.residuals import _positions, bp_network_chain, database_chain, polynomial_chain
 
 MIXES = ["gravity", "typical", "eccentricity"]
 # Positions that are learnt from, and poses at each of them.
@@ -37,7 +37,7 @@ TEST_POSITIONS, TEST_POSES = 20, 20
 REAL = ["panda_3", "panda_2", "ur10"]
 
 
-# Ridges, widths and so on are those that compare_regressors.py chose most often.
+# Plain settings, the same for both fits.
 MODELS = {
     "RBF network": lambda arm, inputs: chain(arm, RBFNetRegressor(random_state=0), inputs),
     "RBF network, shared": lambda arm, inputs: chain(
@@ -149,11 +149,14 @@ def main(argv=None):
     parser.add_argument("--models", nargs="*", default=["RBF network"], choices=list(MODELS))
     parser.add_argument("--real", nargs="*", default=REAL, choices=REAL)
     parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
+    parser.add_argument("--turns", type=int, help="most fits by turns (default: the package's)")
     parser.add_argument("--rows", action="store_true", help="time one row, and nothing else")
     args = parser.parse_args(argv)
     if args.rows:
         one_row()
         return
+    if args.turns is not None:
+        _positions.MOST_TURNS = args.turns
     columns = [("inputs", 24, ""), ("data", 26, ""), ("regressor", 19, "")]
     columns += [
         ("without", 7, ".3f"),

@@ -12,6 +12,7 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
+from sklearn_raacmm.residuals._direction import NORM_TOLERANCE
 from sklearn_raacmm.residuals._earlier import (
     bp_network_chain,
     database_chain,
@@ -25,7 +26,7 @@ from sklearn_raacmm.residuals._plausible import (
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
 from sklearn_raacmm.residuals._positions import positions_of, within_positions_score
-from sklearn_raacmm.residuals._target import NORM_TOLERANCE, CylindricalResidualTarget
+from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
 __all__ = [
     "NORM_TOLERANCE",

@@ -13,7 +13,6 @@ here are reconstructions, checked numerically.
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import issparse
 from sklearn import get_config
 from sklearn.base import RegressorMixin, clone
 from sklearn.linear_model import LinearRegression
@@ -29,6 +28,11 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
+from sklearn_raacmm.residuals._direction import (
+    NORM_TOLERANCE,
+    appended_direction,
+    ends_in_direction,
+)
 from sklearn_raacmm.residuals._plausible import (
     refuse_large,
     refuse_points,
@@ -39,6 +43,7 @@ from sklearn_raacmm.residuals._positions import (
     before_last,
     constants_of,
     last_step_of,
+    n_features_of,
     positions_of,
     takes_groups,
     within_positions_score,
@@ -62,9 +67,6 @@ from sklearn_raacmm.utils import (
     show,
     whole_fit,
 )
-
-# A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
-NORM_TOLERANCE = 1e-5
 
 
 class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
@@ -134,10 +136,10 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
 
     A single-point test shows the residuals of a position up to one constant, and `groups` says
     which rows are of one position. A regressor whose `fit` takes groups is handed them, with
-    metadata routing off or on. For others the constants are estimated here: together with the
-    coefficients where the last step is linear in its features (least squares, ridge, lasso), else
-    by turns, in at most five more fits. Residuals whose means at the positions are not small are
-    known in full, as those against a tracker, and have no constants.
+    metadata routing off or on, if there are more positions than features. For others the constants
+    are estimated here: exactly for least squares, ridge, kernel ridge and Gaussian processes, by
+    one more fit; else by turns, in at most three more fits. Residuals whose means at the positions
+    are not small are known in full, as those against a tracker, and have no constants.
 
     A target of one dimension or one column has no direction and passes through unrotated; so
     does one of more than three columns if `X` has no azimuth appended. With an azimuth known,
@@ -237,7 +239,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
 
         self._rotates = n_targets == 3 and self.azimuth is not None
         self._drops_direction = self.azimuth == "appended" and (
-            self._rotates or _ends_in_direction(X)
+            self._rotates or ends_in_direction(X)
         )
         if n_targets == 2 or (n_targets > 3 and (callable(self.azimuth) or self._drops_direction)):
             raise ValueError(
@@ -277,7 +279,11 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
                 last.set_fit_request(groups=True)
         weights = check_weights(fit_params.get(f"{prefix}sample_weight"), y.reshape(len(y), -1))
         self.by_position_ = are_deviations(y, codes, weights)
-        if takes:
+        # With no more positions than features a linear function of these imitates any constants:
+        # what is learnt besides them went wrong by up to a third at places far from all positions
+        # (benchmarks/bench_chain.py, ten positions, all joints).
+        known = self.by_position_ and knows
+        if takes and not (known and codes.max() < n_features_of(self.regressor_, features, y)):
             fit_params = {f"{prefix}groups": groups} | fit_params
         if self.by_position_ and not knows:
             constants = constants_of(self.regressor_, features, y, codes, weights, fit_params)
@@ -450,7 +456,7 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
                 tail = X[:, -2:]  # sound ones are not worth a full check
                 if np.all(np.abs(np.hypot(*tail.T) - 1) <= NORM_TOLERANCE):
                     return X[:, :-2], (tail[:, 0], tail[:, 1])
-            direction = _appended_direction(X)
+            direction = appended_direction(X)
             return safe_indexing(X, slice(None, -2), axis=1), direction
         if self._rotates and (arm := self._arm()) is not None:
             # The method of an arm: the direction of its points, without the angle in between.
@@ -529,41 +535,3 @@ def _refuse_no_rows(X):
     """Refuse an empty list, in which scikit-learn would look for the first row."""
     if isinstance(X, list | tuple) and not len(X):
         raise ValueError(f"X has no rows, got {show(X)}.")
-
-
-def _last_two_columns(X):
-    """Return the two last columns of X as floats."""
-    if issparse(X):
-        check_array(X, input_name="X")  # raises: sparse X is for the regressor alone
-    if len(X.shape) != 2 or X.shape[1] < 3:
-        raise ValueError(
-            f"X has shape {tuple(X.shape)}, but needs at least one feature and, in the two last "
-            "columns, the direction of the azimuth."
-        )
-    tail = safe_indexing(X, slice(-2, None), axis=1)
-    return check_array(tail, dtype=[np.float64, np.float32], input_name="X")
-
-
-def _appended_direction(X):
-    """Cosine and sine of the azimuth, the two last columns of X, checked."""
-    tail = _last_two_columns(X)
-    norm = np.hypot(*tail.T)
-    wrong = np.flatnonzero(np.abs(norm - 1) > NORM_TOLERANCE)
-    if wrong.size:
-        raise ValueError(
-            "The two last columns of X must be the direction (cos, sin) of the azimuth, as "
-            f"PoseFeatures(append_azimuth=True) leaves them, but {wrong.size} of {len(norm)} rows "
-            f"have a norm other than 1 (row {wrong[0]}: {norm[wrong[0]]:.4g}). Put a scaler inside "
-            "the regressor, not before CylindricalResidualTarget; or give azimuth=arm.azimuth and "
-            "fit on joint angles."
-        )
-    return tail[:, 0], tail[:, 1]
-
-
-def _ends_in_direction(X):
-    """Whether the two last columns of X are the direction of an azimuth."""
-    try:
-        _appended_direction(X if hasattr(X, "shape") else np.asarray(X))
-    except (TypeError, ValueError):
-        return False
-    return True

@@ -112,7 +112,7 @@ def test_trees_take_turns():
     assert left[0] < left[1]
     by_hand, means = clone(trees).fit(X, y), 0
     size = np.sqrt(np.square(y).sum(axis=1).mean())
-    for _ in range(5):
+    for _ in range(3):
         left = pd.DataFrame(y - by_hand.predict(X)).groupby(groups).mean().to_numpy()
         change, means = left - means, left
         if np.sqrt(np.square(change).sum(axis=1).mean()) < 0.01 * size:
@@ -139,6 +139,19 @@ def test_a_regressor_that_takes_groups_is_handed_them():
     assert_array_equal(plain(scaled).fit(X, y, regressor__groups=names).predict(X), expected)
 
 
+def test_constants_that_features_imitate_are_not_handed_on():
+    X, y, groups = deviations()
+    network = RBFNetRegressor(10, random_state=0)
+    wide = make_pipeline(PolynomialFeatures(2, include_bias=False), network)  # 5 features
+    for n_positions, told in ((6, True), (5, False)):
+        rows = groups < n_positions
+        model = plain(wide).fit(X[rows], y[rows], groups=groups[rows])
+        labels = {"rbfnetregressor__groups": groups[rows]} if told else {}
+        expected = clone(wide).fit(X[rows], y[rows], **labels)
+        assert_array_equal(model.predict(X), expected.predict(X))
+        assert np.any(model.regressor_[-1].group_std_ > 0) == told
+
+
 @pytest.mark.parametrize("regressor", [Ridge(), KernelRidge(), RBFNetRegressor(10), None])
 def test_residuals_known_in_full_have_no_constants(regressor):
     X, y, groups = deviations()
@@ -146,6 +159,15 @@ def test_residuals_known_in_full_have_no_constants(regressor):
     told, not_told = plain(regressor).fit(X, y, groups=groups), plain(regressor).fit(X, y)
     assert not told.by_position_
     assert_array_equal(told.predict(X), not_told.predict(X))
+
+
+def test_a_ridge_for_each_target_takes_turns():
+    X, y, groups = deviations()
+    told = plain(Ridge([1e-6, 1e-6, 1e6])).fit(X, y, groups=groups).predict(X)
+    expected = plain(Ridge(1e-6)).fit(X, y, groups=groups).predict(X)
+    assert_allclose(told[:, 2], y[:, 2].mean(), atol=1e-3)
+    left = [np.abs(centred(p - y, groups))[:, :2].mean() for p in (expected, told)]
+    assert left[0] <= left[1]
 
 
 def test_one_dimension_and_one_column():
