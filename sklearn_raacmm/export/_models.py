@@ -266,8 +266,12 @@ def pose_features(chain, step):
     """What `PoseFeatures` makes of the joint angles."""
     p = chain.p
     columns = chain.angles()
+    if step.encoding == "angle":  # into the turn around its middle
+        middle = step.turn_start_ + np.pi
+        turned = p("sub", columns, middle)
+        columns = p("add", p("elevation", p("sin", turned), p("cos", turned)), middle)
     if step.joints == "pose":
-        columns = pose_of(chain)
+        columns = pose_of(chain, columns)
     if step.encoding == "periodic":
         n = p.size(columns)
         both = p("join", p("cos", columns), p("sin", columns))
@@ -283,15 +287,15 @@ def pose_features(chain, step):
 _FAR = 1e30
 
 
-def pose_of(chain):
-    """Angles of the pose's joints, and the elevation of the line from shoulder to wrist, rad."""
+def pose_of(chain, angles):
+    """Given angles of the pose's joints, and the elevation of the line from shoulder to wrist, rad."""
     p, arm, frames = chain.p, chain.arm, chain.frames()
     shoulder, wrist = (p.take(frames, 12 * i + 9 + np.arange(3)) for i in arm.pose_frames)
     line = p("sub", wrist, shoulder)
     reach = p.length(p.take(line, [0, 1]))
     elevation = p("elevation", p.take(line, [2]), reach)
     elevation = p("within", elevation, p.length(line), low=MIN_LENGTH_MM, high=_FAR)
-    used = p.take(chain.angles(), np.array(arm.pose_joints) - 1)
+    used = p.take(angles, np.array(arm.pose_joints) - 1)
     return p("join", used, elevation)
 
 
