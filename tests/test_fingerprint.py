@@ -62,7 +62,7 @@ def fingerprint():
     Y = np.stack([np.sin(3 * X[:, 0]) + X[:, 1], np.cos(2 * X[:, 1])], axis=1)
     Y += noise(150, 2, 0.05)
     network = RBFNetRegressor(random_state=0).fit(X, Y)
-    given = RBFNetRegressor(25, length_scale=[0.4, 0.6], alpha=1e-3).fit(X, Y)
+    given = RBFNetRegressor(25, length_scale=[0.4, 0.6], alpha=1e-3, shared=True).fit(X, Y)
     new = spread(200, 2)[195:]
     arm, angles, residuals = arm_data()
     chain = make_pipeline(

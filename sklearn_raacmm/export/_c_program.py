@@ -114,7 +114,7 @@ class _Writer:
         if not self.inline(number):
             return f"{self.array(number)}[{i}]"
         if op.name == "take":
-            return self.at(op.inputs[0], f"{self.tables('index', op.given['index'])}[{i}]")
+            return self.at(op.inputs[0], self._index(op, i))
         operands = [self.at(source, i) for source in op.inputs]
         return self._format(op.name, operands)
 
@@ -169,9 +169,14 @@ class _Writer:
         if start and not (self.inline(source) and self.ops[source].name != "constant"):
             self.put(f"const {self.real} *const v{number} = {self.array(source)} + {start};")
             return
-        index = self.tables("index", op.given["index"])
         self.declare(number)
-        self.loop(op.size, lambda i: f"v{number}[{i}] = {self.at(source, f'{index}[{i}]')};")
+        self.loop(op.size, lambda i: f"v{number}[{i}] = {self.at(source, self._index(op, i))};")
+
+    def _index(self, op, i):
+        """Which number of its source a `take` has in place i."""
+        if self.ops[op.inputs[0]].size == 1:
+            return "0"
+        return f"{self.tables('index', op.given['index'])}[{i}]"
 
     def _join(self, number, op):
         self.declare(number)

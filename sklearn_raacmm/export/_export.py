@@ -10,13 +10,7 @@ import numpy as np
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model import (
-    ArmResidualRegressor,
-    Fading,
-    Judgement,
-    LinearModel,
-    Terms,
-)
+from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.export import _onnx, _reader
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files

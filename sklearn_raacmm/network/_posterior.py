@@ -15,7 +15,7 @@ from sklearn_raacmm.network._kernels import (
 )
 from sklearn_raacmm.network._least_squares import penalise, triangular_factor
 from sklearn_raacmm.network._linear import ridge_rows, without_constants
-from sklearn_raacmm.utils import check_shapes, chunks, invert_triangle
+from sklearn_raacmm.utils import check_shapes, chunks, invert_triangle, one_blas_thread
 
 # Kernel values held at a time while predicting: they stay in a core's cache. For the standard
 # deviation of thousands of centres a hundred points at once are 1.7 times as fast as 26.
@@ -190,12 +190,14 @@ class Network:
         find = self._roots_of_process if self.all_rows else self._roots_of_centers
         return {alpha: find(alpha) for alpha in np.unique(self.alpha)}
 
+    @one_blas_thread
     def _roots_of_centers(self, alpha):
         centers, p = self._scaled_centers[1], len(self.tail_map)
         root = psd_root(kernel_matrix(centers, centers, self.kernel))
         R = penalise(self.design_triangle(), p, root, alpha)[1]
         return self.prior_root, lapack.dtrtri(R)[0].T if R.size else R.T
 
+    @one_blas_thread
     def _roots_of_process(self, alpha):
         root, p = np.sqrt(self.weights)[:, None], len(self.tail_map)
         factor = covariance_factor(

@@ -294,13 +294,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         problem = read_problem(self, X, y, sample_weight, groups, labelled, rng)
         q = len(problem.spread)
         alpha = of_each_output("alpha", self.alpha, q)
+        group_std = of_each_output("group_std", group_std, q)
+        widths = check_length_scale(self.length_scale, problem.X, q, alpha, self.shared)
         if self.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
             raise ValueError(
                 'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
                 f"or the share of variance they may leave; got a least alpha of {alpha.min():g}."
             )
-        group_std = of_each_output("group_std", group_std, q)
-        widths = check_length_scale(self.length_scale, problem.X, q, alpha, self.shared)
         kernels = check_kernel(self.kernel, widths, q)
         parts = [np.arange(q)] if self.shared else [np.array([i]) for i in range(q)]
         state, found = rng.get_state(), []

@@ -16,7 +16,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import export_c
+from sklearn_raacmm.export import _export, export_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -90,6 +90,58 @@ def test_the_cmake_project_builds_and_passes(models, data, tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
     assert "100% tests passed" in done.stdout
     assert not run(["build/my_arm_test"], tmp_path).returncode
+
+
+CONSUMER = """
+cmake_minimum_required(VERSION 3.12)
+project(consumer C)
+find_package(my_arm 0.1 REQUIRED)
+add_executable(consumer main.c)
+target_link_libraries(consumer PRIVATE my_arm::my_arm)
+"""
+MAIN = """
+#include <my_arm.h>
+int main(void)
+{
+    const double q[6] = {0.1, 0.2, 0.3, 0.4, 0.5, 0.6};
+    double y[3];
+    return my_arm_correct(q, y) == MY_ARM_NOT_FINITE;
+}
+"""
+
+
+@needs_compiler
+@pytest.mark.skipif(not shutil.which("cmake"), reason="cmake is not on PATH")
+def test_an_installed_model_is_found(models, data, tmp_path):
+    export_c(models["chain"], tmp_path / "my_arm.c", poses="random")
+    other = tmp_path / "consumer"
+    other.mkdir()
+    (other / "CMakeLists.txt").write_text(CONSUMER)
+    (other / "main.c").write_text(MAIN)
+    for command, folder in (
+        ("cmake -S . -B build", tmp_path),
+        ("cmake --build build", tmp_path),
+        (f"cmake --install build --prefix {tmp_path / 'place'}", tmp_path),
+        (f"cmake -S . -B build -DCMAKE_PREFIX_PATH={tmp_path / 'place'}", other),
+        ("cmake --build build", other),
+        ("./build/consumer", other),
+    ):
+        done = run(command.split(), folder)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_compiler
+def test_a_source_that_does_not_keep_its_promise_is_refused(models, tmp_path, monkeypatch):
+    write = _export.sources
+
+    def wrong(*args):
+        source, header = write(*args)
+        return re.sub(r"(rows_\d+\[\d\]\[24\] = \{\n    \{)", r"\g<1>1 + ", source), header
+
+    monkeypatch.setattr(_export, "sources", wrong)
+    with pytest.raises(ValueError, match=r"the C source is up to .* away from predict, .* of the"):
+        export_c(models["chain"], tmp_path / "arm.c")
+    assert not list(tmp_path.iterdir())
 
 
 CPP = """

@@ -85,8 +85,8 @@ def random_model(rng):
         second = make_pipeline(PoseFeatures(arm, **pose), scaler, last) if kind else None
         fade = [0.0, 0.7, "auto"][rng.integers(3)]
         model = ArmResidualRegressor(
-            arm, orders=int(rng.integers(0, 4)), causes=causes, extra=extra, fade=fade,
-            regressor=second, angle_unit=unit,
+            arm, orders=int(rng.integers(0 if causes else 1, 4)), causes=causes, extra=extra,
+            fade=fade, regressor=second, angle_unit=unit,
         )  # fmt: skip
         std = True
     elif kind == 2:
