@@ -107,10 +107,10 @@ def test_what_the_pages_say_of_the_results_is_true(results):
         others = [name for name in models if name != results.LINEAR]
         best = min(models[name]["mean_mm"] for name in others)
         assert models[results.LINEAR]["mean_mm"] < best
-        # "All joints were better on every arm that we have tried but `panda_2`, where they were
-        # equal to 1 %."
+        # "All joints were better on every arm that we have tried but `panda_2`, where they left 3 %
+        # more."
         three, every = (models[name]["mean_mm"] for name in (results.THREE, results.ALL))
-        assert abs(every / three - 1) < 0.01 if data == "real, panda_2" else every < three
+        assert 1 < every / three < 1.04 if data == "real, panda_2" else every < three
     # "The paper's 15 % lies in this range."
     low, high = map(int, results.substitutions()["span_three_typical"].split(" to "))
     assert low <= 15 <= high
@@ -121,7 +121,6 @@ def test_what_the_pages_say_of_the_results_is_true(results):
         assert found.of(data, results.ALL)["mean_mm"] < found.of(data, results.THREE)["mean_mm"]
         others = [found.of(data, name)["r2"] for name in (results.THREE, results.ALL)]
         assert found.of(data, results.LINEAR)["r2"] < min(*others, 0)
-        assert found.of(data, results.ALL)["r2"] > 0
 
 
 def test_the_recipe_asks_for_what_the_project_asks_for():

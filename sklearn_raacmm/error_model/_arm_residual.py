@@ -18,11 +18,7 @@ from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
-from sklearn_raacmm.residuals import (
-    CylindricalResidualTarget,
-    positions_of,
-    within_positions_score,
-)
+from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
     HasMethods,
     Interval,
@@ -30,7 +26,6 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     centred,
     check_flags,
-    check_points,
     encode_groups,
     fit_context,
     one_blas_thread,
@@ -38,7 +33,9 @@ from sklearn_raacmm.utils import (
 )
 
 
-class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
+class ArmResidualRegressor(
+    PointCorrectionMixin, MultiOutputMixin, RegressorMixin, VersionedEstimator
+):
     r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
     An encoder's error is a periodic function of its own angle,
@@ -238,7 +235,6 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
 
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__fit = {"groups": True}
-    __metadata_request__score = {"groups": True}
 
     _parameter_constraints: dict = {
         "arm": [Arm, None],
@@ -477,83 +473,12 @@ class ArmResidualRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator)
             mean = share[:, None] * mean
         return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
 
-    def correct(self, X, points=None, **predict_params):
-        """Correct measured points: subtract the predicted residuals.
+    def _points_of(self, X):
+        """Where the arm says that its probe is, (n, 3) in mm."""
+        return self.arm_.forward(check_poses(self, X)[:, : self.arm_.n_joints])
 
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            As for `predict`.
-
-        points : array-like of shape (n_samples, 3), default=None
-            Measured points in the arm's base frame, mm. None: where the arm says that its probe
-            is.
-
-        **predict_params : dict
-            As for `predict`.
-
-        Returns
-        -------
-        points : ndarray of shape (n_samples, 3)
-            Corrected points, mm; with ``return_std=True`` also their standard deviations.
-
-        Raises
-        ------
-        ValueError
-            If `points` are not one for each row; as in `predict`.
-        """
-        angles = check_poses(self, X)
-        if points is None:
-            points = self.arm_.forward(angles[:, : self.arm_.n_joints])
-        points = check_points(points, 3)
-        if len(points) != len(angles):
-            raise ValueError(f"points has {len(points)} rows, but X has {len(angles)}.")
-        predicted = self.predict(X, **predict_params)
-        if isinstance(predicted, tuple):
-            return points - predicted[0], predicted[1]
-        return points - predicted
-
-    def score(self, X, y, groups=None, sample_weight=None):
-        """Score predictions: R2, of deviations within positions where only these are known.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            As for `predict`.
-
-        y : array-like of shape (n_samples, 3)
-            Residuals in mm.
-
-        groups : array-like of shape (n_samples,), default=None
-            Label of the position of each row. None: rows are of one position where
-            ``arm_.forward(angles) - y``, the point that their residual is from, is the same.
-
-        sample_weight : array-like of shape (n_samples,), default=None
-            Weight of each row.
-
-        Returns
-        -------
-        score : float
-            See :func:`~sklearn_raacmm.residuals.within_positions_score`; without positions that of
-            any regressor of scikit-learn.
-
-        Raises
-        ------
-        ValueError
-            If positions had unknown offsets in `fit`, and the positions of these rows are unknown.
-        """
-        angles = check_poses(self, X)[:, : self.arm_.n_joints]
-        if groups is None:
-            groups = positions_of(self.arm_, angles, check_points(y, 3))
-        if groups is not None:
-            return within_positions_score(y, self.predict(X), groups, sample_weight)
-        if self.offsets_:
-            raise ValueError(
-                "This model was fitted on deviations from positions' means, which plain R2 "
-                "misjudges, and score got no groups: take "
-                "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
-            )
-        return super().score(X, y, sample_weight)
+    def _knows_deviations_only(self):
+        return self.offsets_
 
     def second_stage(self, angles):
         """What the second stage adds, before it fades.

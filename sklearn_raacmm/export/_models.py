@@ -288,7 +288,7 @@ _FAR = 1e30
 
 
 def pose_of(chain, angles):
-    """Given angles of the pose's joints, and the elevation of the line from shoulder to wrist, rad."""
+    """Given angles of the pose's joints, and the elevation of the line shoulder to wrist, rad."""
     p, arm, frames = chain.p, chain.arm, chain.frames()
     shoulder, wrist = (p.take(frames, 12 * i + 9 + np.arange(3)) for i in arm.pose_frames)
     line = p("sub", wrist, shoulder)

@@ -23,14 +23,19 @@ from sklearn_raacmm.residuals._plausible import (
     refuse_points,
     warn_of_another_frame,
 )
+from sklearn_raacmm.residuals._point_correction import (
+    PointCorrectionMixin,
+    positions_of,
+    within_positions_score,
+)
 from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
 from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
-from sklearn_raacmm.residuals._positions import positions_of, within_positions_score
 from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
 __all__ = [
     "NORM_TOLERANCE",
     "CylindricalResidualTarget",
+    "PointCorrectionMixin",
     "PoseFeatures",
     "bp_network_chain",
     "cartesian_to_cylindrical",

@@ -1,4 +1,4 @@
-"""Residuals known up to a constant at each position: fits that find the constants, and a score."""
+"""Residuals known up to a constant at each position: fits that find the constants."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -8,17 +8,12 @@ from sklearn.base import clone
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression, Ridge
-from sklearn.metrics import r2_score
 from sklearn.model_selection._search import BaseSearchCV
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.utils import (
     CENTRED,
-    centred,
-    check_points,
-    check_weights,
-    encode_groups,
     group_means,
     share_of_means,
 )
@@ -31,90 +26,11 @@ _SINGULAR = 1e-9
 # which they are settled. With six turns trees and perceptrons leave the same to 1 % in the mean
 # of twelve simulated sets (`benchmarks/bench_chain.py --turns`).
 MOST_TURNS, _SETTLED = 3, 0.01
-# Reference points that are the same to so many digits of a mm are those of one position.
-_DIGITS = 3
-
-
-def within_positions_score(y, prediction, groups, sample_weight=None):
-    """R2 of deviations within positions, or of all, by what the targets are.
-
-    In a single-point test the residuals of a position are known up to one constant: their mean is
-    zero whatever the arm does. There the score is the share of the sum of squared deviations from
-    positions' means that the prediction takes away. Where residuals are known in full, against a
-    reference, the means of positions are not small, and the score is plain R2.
-
-    Parameters
-    ----------
-    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
-        Residuals, mm.
-
-    prediction : array-like of the shape of y
-        Predicted residuals, mm.
-
-    groups : array-like of shape (n_samples,)
-        Label of the position of each row.
-
-    sample_weight : array-like of shape (n_samples,), default=None
-        Weight of each row.
-
-    Returns
-    -------
-    score : float
-        1 for a perfect prediction, 0 for one that is no better than none. Deviations of all
-        coordinates count in one sum; plain R2 is the mean over coordinates, as in scikit-learn.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, something is not a finite number, or labels are missing.
-
-    See Also
-    --------
-    sklearn_raacmm.metrics.within_position_r2_score : The first of the two, always.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.residuals import within_positions_score
-    >>> y = [0.1, -0.1, 0.2, -0.2]
-    >>> within_positions_score(y, [0.6, 0.4, 0.2, -0.2], ["A", "A", "B", "B"])
-    1.0
-    """
-    y, prediction = check_points(y), check_points(prediction)
-    if y.shape != prediction.shape:
-        raise ValueError(f"y has shape {y.shape}, but the prediction {prediction.shape}.")
-    codes = encode_groups(groups, len(y))[1]
-    weights = check_weights(sample_weight, y)
-    if not are_deviations(y, codes, weights):
-        return r2_score(y, prediction, sample_weight=weights)
-    parts = (centred(values, codes, weights) for values in (y, prediction))
-    return r2_score(*parts, sample_weight=weights, multioutput="variance_weighted")
 
 
 def are_deviations(y, codes, weights):
     """Whether targets are known up to a constant at each position: their means there are small."""
     return bool(share_of_means(y.reshape(len(y), -1), codes, weights)[0] < CENTRED)
-
-
-def positions_of(arm, angles, y):
-    """Find the positions of residuals from position means: the points that they are from coincide.
-
-    Parameters
-    ----------
-    arm : Arm
-    angles : array-like of shape (n, n_joints)
-        Joint angles, rad.
-    y : ndarray of shape (n, 3)
-        Residuals, mm.
-
-    Returns
-    -------
-    codes : ndarray of shape (n,) or None
-        Position of each row. None where most rows are a position of their own, as against a
-        tracker, or where y are from points of another arm.
-    """
-    references = np.round(arm.forward(angles) - y, _DIGITS)
-    labels, codes = np.unique(references, axis=0, return_inverse=True)
-    return codes.ravel() if 2 * len(labels) <= len(y) else None
 
 
 def last_step_of(regressor):

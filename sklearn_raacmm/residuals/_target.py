@@ -38,15 +38,14 @@ from sklearn_raacmm.residuals._plausible import (
     refuse_points,
     warn_of_another_frame,
 )
+from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
     are_deviations,
     before_last,
     constants_of,
     last_step_of,
     n_features_of,
-    positions_of,
     takes_groups,
-    within_positions_score,
 )
 from sklearn_raacmm.utils import (
     HasMethods,
@@ -55,7 +54,6 @@ from sklearn_raacmm.utils import (
     check_feature_names,
     check_fitted,
     check_n_features,
-    check_points,
     check_weights,
     encode_groups,
     fit_context,
@@ -69,7 +67,7 @@ from sklearn_raacmm.utils import (
 )
 
 
-class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
+class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedEstimator):
     """Meta-estimator to regress on residuals in the cylindrical frame of the probe.
 
     The target is the Cartesian residual of the probe point, measured minus reference. It is
@@ -167,7 +165,6 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
 
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__fit = {"groups": True}
-    __metadata_request__score = {"groups": True}
 
     _parameter_constraints: dict = {
         "regressor": [HasMethods(["fit", "predict"]), None],
@@ -342,106 +339,14 @@ class CylindricalResidualTarget(RegressorMixin, VersionedEstimator):
             return to_cartesian(mean, direction), std_to_cartesian(std, direction)
         return to_cartesian(prediction, direction)
 
-    def correct(self, X, points=None, **predict_params):
-        """Correct measured points: subtract the predicted residuals.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            As in `fit`.
-
-        points : array-like of shape (n_samples, 3), default=None
-            Measured points in the arm's base frame, mm. None: where the arm says that its probe
-            is, if ``azimuth=arm.azimuth``.
-
-        **predict_params : dict
-            As in `predict`.
-
-        Returns
-        -------
-        points : ndarray of shape (n_samples, 3)
-            Corrected points, mm; with ``return_std=True`` also their standard deviations.
-
-        Raises
-        ------
-        ValueError
-            If `points` are not one for each row, or missing where there is no arm.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm.datasets import make_single_point
-        >>> from sklearn_raacmm.metrics import single_point_repeatability
-        >>> from sklearn_raacmm.residuals import polynomial_chain
-        >>> test = make_single_point(machine="gravity", random_state=0)  # simulated
-        >>> learn, rest = test.groups % 3 > 0, test.groups % 3 == 0
-        >>> model = polynomial_chain(test.arm)
-        >>> model = model.fit(test.data[learn], test.target[learn], groups=test.groups[learn])
-        >>> corrected = model.correct(test.data[rest], test.points[rest])
-        >>> before = single_point_repeatability(test.points[rest], test.groups[rest])
-        >>> bool(single_point_repeatability(corrected, test.groups[rest]) < before)
-        True
-        """
+    def _points_of(self, X):
+        """Where the arm says that its probe is, (n, 3) in mm; None where there is no arm."""
         check_fitted(self, "regressor_")
         arm = self._arm()
-        if points is None:
-            if arm is None:
-                raise ValueError("points must be given where azimuth is not the method of an arm.")
-            points = arm.forward(X)
-        points = check_points(points, 3)
-        predicted = self.predict(X, **predict_params)
-        mean = predicted[0] if isinstance(predicted, tuple) else predicted
-        if points.shape != mean.shape:
-            raise ValueError(
-                f"points has shape {points.shape}, but predictions {mean.shape}: one point is "
-                "needed for each row of X."
-            )
-        corrected = points - mean
-        return (corrected, *predicted[1:]) if isinstance(predicted, tuple) else corrected
+        return None if arm is None or not self._rotates else arm.forward(X)
 
-    def score(self, X, y, groups=None, sample_weight=None):
-        """Score predictions: R2, of deviations within positions where only these are known.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            As in `fit`.
-
-        y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
-            Residuals in mm.
-
-        groups : array-like of shape (n_samples,), default=None
-            Label of the position of each row. None: if ``azimuth=arm.azimuth``, rows are of one
-            position where ``arm.forward(X) - y``, the point that their residual is from, is the
-            same.
-
-        sample_weight : array-like of shape (n_samples,), default=None
-            Weight of each row.
-
-        Returns
-        -------
-        score : float
-            See :func:`~sklearn_raacmm.residuals.within_positions_score`; without positions that of
-            any regressor of scikit-learn.
-
-        Raises
-        ------
-        ValueError
-            If the model was fitted on deviations from positions' means, and the positions of these
-            rows are unknown.
-        """
-        check_fitted(self, "regressor_")
-        arm = self._arm()
-        if groups is None and arm is not None and self._rotates:
-            groups = positions_of(arm, X, check_points(y, 3))
-        if groups is not None:
-            return within_positions_score(y, self.predict(X), groups, sample_weight)
-        if self.by_position_:
-            raise ValueError(
-                "This model was fitted on deviations from positions' means, which plain R2 "
-                "misjudges, and score got no groups: take "
-                "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
-            )
-        return super().score(X, y, sample_weight)
+    def _knows_deviations_only(self):
+        return self.by_position_
 
     def _arm(self):
         """The arm whose method gives the azimuth, or None."""

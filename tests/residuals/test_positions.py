@@ -227,12 +227,12 @@ def test_score_against_pandas(weighted):
 
 
 def test_the_points_that_residuals_are_from_tell_positions(test):
-    codes = positions_of(test.arm, test.data, test.target)
+    codes = positions_of(test.arm.forward(test.data), test.target)
     table = pd.crosstab(codes, test.groups).to_numpy()
     assert table.shape == (12, 12)
     assert np.count_nonzero(table) == 12
     rng = np.random.default_rng(0)
-    assert positions_of(test.arm, test.data, rng.normal(size=(180, 3))) is None
+    assert positions_of(test.arm.forward(test.data), rng.normal(size=(180, 3))) is None
 
 
 def test_score_of_the_chain(test):

@@ -1,0 +1,196 @@
+"""What a fitted model of an arm's residuals does with measured points: correct and score."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+from sklearn.metrics import r2_score
+
+from sklearn_raacmm.residuals._positions import are_deviations
+from sklearn_raacmm.utils import centred, check_points, check_weights, encode_groups
+
+# Reference points that are the same to so many digits of a mm are those of one position.
+_DIGITS = 3
+
+
+class PointCorrectionMixin:
+    """`correct` and `score` of a regressor that predicts residuals of an arm's points.
+
+    The estimator has `_points_of`, which gives the arm's points at X or None where it has no arm,
+    and `_knows_deviations_only`, whether it was fitted on residuals that are known up to one
+    constant at each position.
+    """
+
+    # With metadata routing on, groups are asked for without a word.
+    __metadata_request__score = {"groups": True}
+
+    def correct(self, X, points=None, **predict_params):
+        """Correct measured points: subtract the predicted residuals.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            As in `fit`.
+
+        points : array-like of shape (n_samples, 3), default=None
+            Measured points in the arm's base frame, mm. None: where the arm says that its probe
+            is, if the model has an arm.
+
+        **predict_params : dict
+            As in `predict`.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            Corrected points, mm; with ``return_std=True`` also their standard deviations.
+
+        Raises
+        ------
+        ValueError
+            If `points` are not one for each row, or missing where there is no arm.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import ArmResidualRegressor
+        >>> from sklearn_raacmm.datasets import make_single_point
+        >>> from sklearn_raacmm.metrics import single_point_repeatability
+        >>> test = make_single_point(machine="gravity", random_state=0)  # simulated
+        >>> learn, rest = test.groups % 3 > 0, test.groups % 3 == 0
+        >>> model = ArmResidualRegressor(test.arm, orders=4)
+        >>> model = model.fit(test.data[learn], test.target[learn], groups=test.groups[learn])
+        >>> corrected = model.correct(test.data[rest], test.points[rest])
+        >>> before = single_point_repeatability(test.points[rest], test.groups[rest])
+        >>> bool(single_point_repeatability(corrected, test.groups[rest]) < before)
+        True
+        """
+        points = self._points_of(X) if points is None else points
+        if points is None:
+            raise ValueError("points must be given where azimuth is not the method of an arm.")
+        points = check_points(points, 3)
+        predicted = self.predict(X, **predict_params)
+        mean = predicted[0] if isinstance(predicted, tuple) else predicted
+        if points.shape != mean.shape:
+            raise ValueError(
+                f"points has shape {points.shape}, but predictions {mean.shape}: one point is "
+                "needed for each row of X."
+            )
+        corrected = points - mean
+        return (corrected, *predicted[1:]) if isinstance(predicted, tuple) else corrected
+
+    def score(self, X, y, groups=None, sample_weight=None):
+        """Score predictions: R2, of deviations within positions where only these are known.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            As in `fit`.
+
+        y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
+            Residuals in mm.
+
+        groups : array-like of shape (n_samples,), default=None
+            Label of the position of each row. None: where the model has an arm, rows are of one
+            position if the arm's point less y, the point that their residual is from, is the same.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weight of each row.
+
+        Returns
+        -------
+        score : float
+            See :func:`~sklearn_raacmm.residuals.within_positions_score`; without positions that of
+            any regressor of scikit-learn.
+
+        Raises
+        ------
+        ValueError
+            If the model was fitted on deviations from positions' means, and the positions of these
+            rows are unknown.
+        """
+        points = self._points_of(X) if groups is None else None
+        if points is not None:
+            groups = positions_of(points, check_points(y, 3))
+        if groups is not None:
+            return within_positions_score(y, self.predict(X), groups, sample_weight)
+        if self._knows_deviations_only():
+            raise ValueError(
+                "This model was fitted on deviations from positions' means, which plain R2 "
+                "misjudges, and score got no groups: take "
+                "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
+            )
+        return super().score(X, y, sample_weight)
+
+
+def within_positions_score(y, prediction, groups, sample_weight=None):
+    """R2 of deviations within positions, or of all, by what the targets are.
+
+    In a single-point test the residuals of a position are known up to one constant: their mean is
+    zero whatever the arm does. There the score is the share of the sum of squared deviations from
+    positions' means that the prediction takes away. Where residuals are known in full, against a
+    reference, the means of positions are not small, and the score is plain R2.
+
+    Parameters
+    ----------
+    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
+        Residuals, mm.
+
+    prediction : array-like of the shape of y
+        Predicted residuals, mm.
+
+    groups : array-like of shape (n_samples,)
+        Label of the position of each row.
+
+    sample_weight : array-like of shape (n_samples,), default=None
+        Weight of each row.
+
+    Returns
+    -------
+    score : float
+        1 for a perfect prediction, 0 for one that is no better than none. Deviations of all
+        coordinates count in one sum; plain R2 is the mean over coordinates, as in scikit-learn.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, something is not a finite number, or labels are missing.
+
+    See Also
+    --------
+    sklearn_raacmm.metrics.within_position_r2_score : The first of the two, always.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.residuals import within_positions_score
+    >>> y = [0.1, -0.1, 0.2, -0.2]
+    >>> within_positions_score(y, [0.6, 0.4, 0.2, -0.2], ["A", "A", "B", "B"])
+    1.0
+    """
+    y, prediction = check_points(y), check_points(prediction)
+    if y.shape != prediction.shape:
+        raise ValueError(f"y has shape {y.shape}, but the prediction {prediction.shape}.")
+    codes = encode_groups(groups, len(y))[1]
+    weights = check_weights(sample_weight, y)
+    if not are_deviations(y, codes, weights):
+        return r2_score(y, prediction, sample_weight=weights)
+    parts = (centred(values, codes, weights) for values in (y, prediction))
+    return r2_score(*parts, sample_weight=weights, multioutput="variance_weighted")
+
+
+def positions_of(points, y):
+    """Find the positions of residuals from position means: the points that they are from coincide.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3)
+        Where the arm says that its probe is, mm.
+    y : ndarray of shape (n, 3)
+        Residuals, mm.
+
+    Returns
+    -------
+    codes : ndarray of shape (n,) or None
+        Position of each row. None where most rows are a position of their own, as against a
+        tracker, or where y are from points of another arm.
+    """
+    labels, codes = np.unique(np.round(points - y, _DIGITS), axis=0, return_inverse=True)
+    return codes.ravel() if 2 * len(labels) <= len(y) else None
