@@ -85,7 +85,7 @@ except KeyboardInterrupt:
     print("interrupted")
 _selection._ForwardPass.choose = choose
 print(len(steps), hasattr(model, "coef_"))
-fresh = RBFNetRegressor(20, length_scale=0.5, alpha=0.01).fit(X[:200], y[:200])
+fresh = RBFNetRegressor(20, length_scale=0.5, alpha=0.01, shared=True).fit(X[:200], y[:200])
 model.set_params(n_centers=20, length_scale=0.5).fit(X[:200], y[:200])
 print(np.array_equal(model.predict(X[:9]), fresh.predict(X[:9])))
 """

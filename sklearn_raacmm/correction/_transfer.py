@@ -167,7 +167,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
         new.fading_ = replace(own.fading_, factor=0.0)
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
-    new.updates_ = (entry | {"n_arms": len(linears), "gain_nats": gain},)
+    new.updates_ = (entry | {"n_arms": len(linears), "gain_nats": float(gain)},)
     return new
 
 
