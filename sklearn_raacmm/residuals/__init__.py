@@ -6,11 +6,8 @@
 from sklearn_raacmm.residuals._cylindrical import (
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
-    direction_of,
     position_residuals,
-    std_to_cartesian,
     to_cartesian,
-    to_cylindrical,
 )
 from sklearn_raacmm.residuals._direction import NORM_TOLERANCE
 from sklearn_raacmm.residuals._earlier import (
@@ -28,7 +25,7 @@ from sklearn_raacmm.residuals._point_correction import (
     positions_of,
     within_positions_score,
 )
-from sklearn_raacmm.residuals._pose_features import PoseFeatures, pose_columns
+from sklearn_raacmm.residuals._pose_features import PoseFeatures
 from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
 from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
@@ -41,18 +38,14 @@ __all__ = [
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
     "database_chain",
-    "direction_of",
     "elbow_angle",
     "polynomial_chain",
-    "pose_columns",
     "position_residuals",
     "positions_of",
     "refuse_large",
     "refuse_points",
     "shoulder_wrist_distance",
-    "std_to_cartesian",
     "to_cartesian",
-    "to_cylindrical",
     "warn_of_another_frame",
     "within_positions_score",
 ]

@@ -13,7 +13,8 @@ from sklearn_raacmm import (
     learn_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import MOVED, _moved_seats, find_steps, warn_of_moved_seats
+from sklearn_raacmm.measurements import _moved_seats, find_steps, warn_of_moved_seats
+from sklearn_raacmm.measurements._moved_seats import MOVED
 
 NOISE = 0.01
 # In the order of the rows; what is left of the poses is random.

@@ -32,7 +32,7 @@ from sklearn_raacmm import (
     cylindrical_to_cartesian,
     position_residuals,
 )
-from sklearn_raacmm.residuals import direction_of
+from sklearn_raacmm.residuals._cylindrical import direction_of
 
 
 def first_column(X):
