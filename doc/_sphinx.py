@@ -9,6 +9,7 @@ SCIPY = "https://docs.scipy.org/doc/scipy/"
 NAMES = {
     SKLEARN: {
         "py:class": [
+            "sklearn.compose.ColumnTransformer",
             "sklearn.compose.TransformedTargetRegressor",
             "sklearn.decomposition.TruncatedSVD",
             "sklearn.gaussian_process.GaussianProcessRegressor",
@@ -16,9 +17,11 @@ NAMES = {
             "sklearn.linear_model.OrthogonalMatchingPursuit",
             "sklearn.model_selection.GridSearchCV",
             "sklearn.model_selection.GroupKFold",
+            "sklearn.model_selection.HalvingGridSearchCV",
             "sklearn.model_selection.LeaveOneGroupOut",
             "sklearn.multioutput.MultiOutputRegressor",
             "sklearn.pipeline.Pipeline",
+            "sklearn.preprocessing.PowerTransformer",
             "sklearn.preprocessing.StandardScaler",
             "sklearn.preprocessing.TargetEncoder",
             "sklearn.exceptions.NotFittedError",

@@ -84,8 +84,7 @@ class ArmResidualRegressor(
         joint is offered no more orders than it shows different angles. 0 offers none. A list offers
         these orders only, for all joints or for each.
 
-    causes : list of {"gravity", "kinematics", "wobble"}, default=("gravity", "kinematics", \
-            "wobble")
+    causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
 
     offsets : bool or "auto", default="auto"

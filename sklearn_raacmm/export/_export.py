@@ -94,7 +94,7 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
         Fitted. A pipeline, in either of the two forms of :class:`CylindricalResidualTarget`, of
         :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler or
         RobustScaler, and :class:`RBFNetRegressor`, LinearRegression or Ridge; one of these
-        regressors, :class:`JointHarmonicRegressor` or :class:`ArmResidualRegressor` by itself; or a
+        regressors, :class:`ArmResidualRegressor` by itself; or a
         search that has found one of all these.
 
     path : str or path-like
