@@ -25,8 +25,9 @@ _MAX_ROUNDS = 10
 _STEPS_WHILE_LEAVING = 1
 # Of the next best candidates, how many are named as likely to be asked for next.
 _LIKELY = 48
-# The field is tried where this share of its price is promised (``benchmarks/bench_prices.py --field``
-# moves both together); sizes of its variance that are tried, relative to that of the lines.
+# The field is tried where this share of its price is promised: ``bench_prices.py --field`` in
+# ``benchmarks`` moves both together. Sizes of its variance that are tried, relative to that of the
+# lines.
 _LEAST_PROMISE, _FIELD_SIZES = 0.6, 10.0 ** np.arange(-4.0, 0.5, 0.5)
 
 
