@@ -23,6 +23,12 @@ from sklearn_raacmm.utils._checks import (
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import check_path, write_whole
+from sklearn_raacmm.utils._findings import (
+    Finding,
+    FindingWarning,
+    heard_findings,
+    say_findings,
+)
 from sklearn_raacmm.utils._groups import (
     CENTRED,
     centred,
@@ -61,6 +67,8 @@ __all__ = [
     "CENTRED",
     "LARGEST",
     "TUKEY_CUT",
+    "Finding",
+    "FindingWarning",
     "HasMethods",
     "InconsistentPackageVersionWarning",
     "Interval",
@@ -91,6 +99,7 @@ __all__ = [
     "group_means",
     "group_sums",
     "group_weights",
+    "heard_findings",
     "html_table",
     "invert_triangle",
     "is_plain",
@@ -102,6 +111,7 @@ __all__ = [
     "refuse_masked",
     "robust_scale",
     "safe_indexing",
+    "say_findings",
     "share_of_means",
     "show",
     "stage",
