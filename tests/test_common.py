@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.datasets import make_regression
@@ -288,3 +289,18 @@ def test_the_arm_of_somebody_else_is_not_taken_without_a_word(estimator):
         own.fit(X, y)
     if hasattr(own, "predict"):
         np.testing.assert_array_equal(silent.predict(X), own.predict(X))
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS[:5], ids=lambda e: type(e).__name__)
+def test_sparse_and_foreign_arrays_are_refused_in_a_sentence(estimator):
+    xp = pytest.importorskip("array_api_strict")
+    n_joints = (getattr(estimator, "arm", None) or Arm.from_name("aacmm6")).n_joints
+    X = np.random.default_rng(0).uniform(-1, 1, (40, n_joints))
+    y = 0.05 * np.cos(X[:, :3])
+    with pytest.raises(TypeError, match="Sparse data was passed for X, but dense data is required"):
+        clone(estimator).fit(csr_array(X), y)
+    with (
+        config_context(array_api_dispatch=True),
+        pytest.raises(TypeError, match="X is an array of array_api_strict, and array_api_dispatch"),
+    ):
+        clone(estimator).fit(xp.asarray(X), xp.asarray(y))
