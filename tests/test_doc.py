@@ -111,7 +111,12 @@ def test_estimators_in_a_notebook_link_to_their_pages(monkeypatch):
     assert RBFNetRegressor()._get_doc_link() == ""  # no public place yet
     monkeypatch.setattr(VersionedEstimator, "_doc_link_template", link_template(place))
     top = (DOC / "api.rst").read_text(encoding="utf-8").split(".. currentmodule:: ")[1]
-    for estimator in (PoseFeatures, RBFNetRegressor, CylindricalResidualTarget, ArmResidualRegressor):
+    for estimator in (
+        PoseFeatures,
+        RBFNetRegressor,
+        CylindricalResidualTarget,
+        ArmResidualRegressor,
+    ):
         page = f"{place}generated/sklearn_raacmm.{estimator.__name__}.html"
         assert estimator()._get_doc_link() == page
         assert f'href="{page}"' in estimator()._repr_html_()

@@ -42,8 +42,8 @@ def refuse_disguised(name, value):
         and get_config()["array_api_dispatch"]
     ):
         raise TypeError(
-            f"{name} is an array of {own().__name__}, and array_api_dispatch is on, but this package "
-            "computes with NumPy: convert the array, or switch array_api_dispatch off."
+            f"{name} is an array of {own().__name__}, and array_api_dispatch is on, but this "
+            "package computes with NumPy: convert the array, or switch array_api_dispatch off."
         )
     if isinstance(value, dict) and not issparse(value):  # SciPy has a sparse one
         raise TypeError(
