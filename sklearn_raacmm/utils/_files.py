@@ -6,19 +6,21 @@
 import os
 import secrets
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from sklearn_raacmm.utils._checks import show
 
 
-def check_path(name, value):
+def check_path(name: str, value: object) -> Path:
     """Refuse what is no path of a file or folder, and give it as a `Path`."""
     if not isinstance(value, str | os.PathLike):
         raise TypeError(f"{name} must be the path of a file or folder, got {show(value)}.")
     return Path(value)
 
 
-def write_whole(contents):
+def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     """Write files beside their places, and rename them when all are complete.
 
     What goes wrong while writing, such as a full disk, leaves files of these names as they were.

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
@@ -45,19 +46,19 @@ class Finding:
     joints: tuple = ()
     size_mm: float | None = None
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.text} {self.advice}".rstrip()
 
 
 class FindingWarning(UserWarning):
     """A warning that says a finding; ``warning.finding`` is the value."""
 
-    def __init__(self, finding):
+    def __init__(self, finding: Finding) -> None:
         super().__init__(str(finding))
         self.finding = finding
 
 
-def say_findings(findings):
+def say_findings(findings: Iterable[Finding]) -> None:
     """Warn of each finding that is more than a note."""
     for finding in findings:
         if finding.weight != "note":
@@ -65,7 +66,7 @@ def say_findings(findings):
 
 
 @contextmanager
-def heard_findings():
+def heard_findings() -> Iterator[list[Finding]]:
     """Collect the findings that are said within, instead of warning; other warnings go on.
 
     Yields

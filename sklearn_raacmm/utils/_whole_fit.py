@@ -3,10 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from functools import wraps
+from typing import Any, TypeVar, cast
+
+Fit = TypeVar("Fit", bound=Callable[..., Any])
 
 
-def whole_fit(fit):
+def whole_fit(fit: Fit) -> Fit:
     """Make a `fit` that leaves the estimator as it was until it is complete.
 
     The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
@@ -31,4 +35,4 @@ def whole_fit(fit):
         self.__dict__ = aside.__dict__
         return self
 
-    return wrapper
+    return cast(Fit, wrapper)
