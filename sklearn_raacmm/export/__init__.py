@@ -7,7 +7,6 @@ import contextlib
 
 from sklearn_raacmm.export._export import (
     TRUSTED_TYPES,
-    describe,
     export_c,
     fingerprint,
     from_json,
@@ -18,7 +17,7 @@ from sklearn_raacmm.export._export import (
 )
 from sklearn_raacmm.export._json import ExportedModel
 from sklearn_raacmm.export._load_c import CompiledModel
-from sklearn_raacmm.export._model_card import ModelCard
+from sklearn_raacmm.export._model_card import ModelCard, describe
 
 __all__ = [
     "TRUSTED_TYPES",

@@ -14,8 +14,10 @@ import tempfile
 import threading
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import program_of
@@ -50,7 +52,7 @@ class CompiledModel:
         Number of outputs.
     """
 
-    def __init__(self, text, facts, compiler, folder):
+    def __init__(self, text: Any, facts: Any, compiler: Any, folder: Any) -> None:
         self._state = text, facts, compiler, folder
         self.fingerprint, self.n_features_in_, self.n_outputs_ = facts[:3]
         self._verb, self._flat, self._has_point, self._has_std = facts[3:]
@@ -65,16 +67,16 @@ class CompiledModel:
         self._many.restype = ctypes.c_int
         self._local = threading.local()
 
-    def __reduce__(self):
+    def __reduce__(self) -> Any:
         return CompiledModel, self._state
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return (
             f"<CompiledModel {self.fingerprint[:12]}: {self.n_features_in_} inputs, "
             f"{self.n_outputs_} outputs>"
         )
 
-    def predict(self, X):
+    def predict(self, X: ArrayLike) -> np.ndarray:
         """What ``predict`` of the model gives, without its checks.
 
         Parameters
@@ -96,7 +98,7 @@ class CompiledModel:
         out = self._rows(X) if X.ndim == 2 else self._row(X, self._verb)[1]
         return out[..., 0] if self._flat else out
 
-    def correct(self, angles):
+    def correct(self, angles: ArrayLike) -> np.ndarray:
         """Correction in mm, to be subtracted from the measured point; as :meth:`predict`.
 
         Parameters
@@ -112,7 +114,7 @@ class CompiledModel:
             raise ValueError("The model has no arm and three outputs, so predict is all it has.")
         return self.predict(angles)
 
-    def point(self, angles):
+    def point(self, angles: ArrayLike) -> np.ndarray:
         """Corrected centre of the probe in the base frame, mm.
 
         Parameters
@@ -128,7 +130,7 @@ class CompiledModel:
             raise ValueError("The model has no arm and three outputs, so it has no point.")
         return self._row(angles, "point")[1]
 
-    def status(self, angles):
+    def status(self, angles: ArrayLike) -> int:
         """What the C function returns for one row: 0 fine, 1 faded, 2 not finite.
 
         Parameters
@@ -141,7 +143,7 @@ class CompiledModel:
         """
         return self._row(angles, self._verb)[0]
 
-    def predict_std(self, X):
+    def predict_std(self, X: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Prediction and standard deviation of one row.
 
         Parameters
@@ -154,8 +156,8 @@ class CompiledModel:
         """
         if not self._has_std:
             raise ValueError("The model was compiled without standard deviation: std=True.")
-        _, out, spread = self._row(X, f"{self._verb}_std", results=2)
-        return out, spread
+        found: Any = self._row(X, f"{self._verb}_std", results=2)
+        return found[1], found[2]
 
     def _row(self, row, name, results=1):
         """Status and results of one row, through buffers that each thread has for itself."""

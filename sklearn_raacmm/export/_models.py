@@ -53,8 +53,8 @@ class _Chain:
 
     def __init__(self, model, p, std, x=None, unit=None):
         self.p, self.std, self.x = p, std, p.x if x is None else x
-        self.arm, self.unit = arm_of(model)
-        self.unit = self.unit if unit is None else unit
+        self.arm, own = arm_of(model)
+        self.unit = own if unit is None else unit
         self.trust = None
 
     def angles(self):
@@ -434,7 +434,7 @@ def _of_polynomial(p, net, x, phi, T, D, turn, alpha, known):
     """Squared length of R (t - J g), see above: what T is beside D, by orthogonal columns."""
     weights = D.T @ T / known[:, None]
     left = np.vstack([T - D @ weights, -np.sqrt(alpha) * weights])
-    root = np.linalg.qr(left, mode="r").T
+    root = np.asarray(np.linalg.qr(left, mode="r")).T
     of_x, J = np.linalg.solve(root, net.tail_map), np.linalg.solve(root, weights.T @ turn)
     u = p("sub", p.constant(of_x[:, 0]), p("affine", phi, matrix=J, shift=_zeros(J)))
     if np.any(of_x[:, 1:]):
@@ -508,7 +508,7 @@ def linear_model(chain, linear, fading):
     along = p("affine", sizes, matrix=matrix, shift=np.zeros(2 * n_axes))
     y = p("dots", vectors, along)
     # Any root gives the same variances; a triangle has half the entries.
-    root = np.linalg.qr(linear.gauge_free_half[order].T, mode="r").T
+    root = np.asarray(np.linalg.qr(linear.gauge_free_half[order].T, mode="r")).T
     v = p("variances", vectors, sizes, vector=vector, root=root) if chain.std else None
     if not fading.factor > 0:
         return y, v, None

@@ -59,7 +59,9 @@ class Posterior(NamedTuple):
     left_out: LeftOut
 
 
-def condition(prior, columns, free, y, weights):
+def condition(
+    prior: Prior, columns: np.ndarray, free: np.ndarray, y: np.ndarray, weights: np.ndarray
+) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
     With A the columns and B those that are nearly free,
@@ -97,8 +99,8 @@ def condition(prior, columns, free, y, weights):
     [1.8, 3.0]
     """
     p, y = len(prior.mean), y - columns @ prior.mean
-    factor, logs = np.ones(len(y)), None
-    for _ in range(_ROUNDS):
+    factor, logs, rounds = np.ones(len(y)), None, 0
+    while True:
         rows = _Rows.of(columns, free, y, weights * factor)
         evidence = _Evidence(prior, rows)
         logs = evidence.lowest(logs)
@@ -113,7 +115,8 @@ def condition(prior, columns, free, y, weights):
         # Few rows are followed closely: what is left of them is less than the noise.
         left = y - columns @ mean[:p] - free @ mean[p:]
         before, factor = factor, tukey_weights(left, weights, least_scale=noise_sd)
-        if np.abs(factor - before).max() < _SETTLED_WEIGHT:
+        rounds += 1
+        if rounds == _ROUNDS or np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
     half = narrowed(_prior_root(prior.half, sd), rows.A / noise_sd)
     spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
@@ -123,7 +126,7 @@ def condition(prior, columns, free, y, weights):
     return Posterior(mean, half, tau, noise_sd, before, left_out)
 
 
-def narrowed(half, rows):
+def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Root of the covariance of coefficients after rows have been measured.
 
     What is measured does not enter, only where: with ``I + F' A' A F = L L'`` it is ``F L^-T``.
@@ -153,7 +156,7 @@ def narrowed(half, rows):
     return solve_triangular(factor, half.T, lower=True, check_finite=False).T
 
 
-def log_density(y, seen, noise_sd, n_data):
+def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float) -> float:
     """Log density of y under ``N(0, seen seen' + noise_sd^2)``, without constants.
 
     Parameters
@@ -193,7 +196,7 @@ class _Rows(NamedTuple):
         A, y = A.reshape(-1, A.shape[2]), (y[kept] * root).ravel()
         n_data = len(y)
         if n_data > A.shape[1] + 1:
-            R = np.linalg.qr(np.column_stack([A, y]), mode="r")
+            R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
             A, y = R[:, :-1], R[:, -1]
         return cls(A, y, n_data)
 
@@ -283,7 +286,7 @@ def _prior_root(half, sd):
     root[:p, :r], root[:, r:] = half, np.diag(sd)
     root = root[:, np.any(root != 0, axis=0)]
     # As many columns as rows hold the same covariance.
-    return np.linalg.qr(root.T, mode="r").T if root.shape[1] > len(root) else root
+    return np.asarray(np.linalg.qr(root.T, mode="r")).T if root.shape[1] > len(root) else root
 
 
 def _left_out(left, spread, weights, noise_sd):

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import chi2
@@ -41,7 +43,7 @@ class Whitened:
     ([1.0, -1.0], 1)
     """
 
-    def __init__(self, root, nuisance):
+    def __init__(self, root: np.ndarray, nuisance: np.ndarray) -> None:
         self.root = root
         basis = self.scaled(nuisance)
         if basis.size:
@@ -50,17 +52,19 @@ class Whitened:
         self.basis = basis
         self.freedom = len(root) - basis.shape[1]
 
-    def scaled(self, values):
+    def scaled(self, values: np.ndarray) -> np.ndarray:
         """Values divided by the root, the nuisances among them."""
         return solve_triangular(self.root, values, lower=True, check_finite=False)
 
-    def __call__(self, values):
+    def __call__(self, values: np.ndarray) -> np.ndarray:
         """Values divided by the root, less what the nuisances explain of them."""
         values = self.scaled(values)
         return values - self.basis @ (self.basis.T @ values)
 
 
-def score_tests(causes, whiten, residual):
+def score_tests(
+    causes: Mapping[str, np.ndarray], whiten: Whitened, residual: np.ndarray
+) -> np.ndarray:
     """Test the size of all residuals, and for each cause whether it is there.
 
     What of a cause is not taken up by the nuisances spans some directions. If the covariance is
@@ -95,7 +99,7 @@ def score_tests(causes, whiten, residual):
     return tests
 
 
-def best_cause(tests):
+def best_cause(tests: np.ndarray) -> str:
     """The cause that explains most for its numbers (BIC), or "noise" if it leaves too much.
 
     Where the best cause leaves residuals no better than before it is not the cause.

@@ -74,7 +74,7 @@ def heard_findings() -> Iterator[list[Finding]]:
     list of Finding
         Filled when the block ends, each finding once.
     """
-    heard = []
+    heard: list[Finding] = []
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", UserWarning)
         yield heard

@@ -41,7 +41,7 @@ def robust_scale(
         median = np.median(distances)
     else:
         counted = weights > 0
-        rule = {"q": 0.5, "weights": weights[counted], "method": "inverted_cdf"}
+        rule: dict = {"q": 0.5, "weights": weights[counted], "method": "inverted_cdf"}
         # The mean of the lower and the upper median, as of rows without weights.
         lower, upper = (sign * np.quantile(sign * distances[counted], **rule) for sign in (1, -1))
         median = (lower + upper) / 2

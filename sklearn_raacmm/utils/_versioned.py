@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Mapping
 from typing import Any
 
 from sklearn.base import BaseEstimator
@@ -45,7 +44,7 @@ class VersionedEstimator(BaseEstimator):
     def __getstate__(self) -> dict[str, Any]:
         return {**super().__getstate__(), _KEY: __version__}
 
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         state = dict(state)
         version = state.pop(_KEY, "before 0.1.0")
         if version != __version__:
