@@ -10,13 +10,12 @@ from sklearn_raacmm.export._export import (
     export_c,
     fingerprint,
     from_json,
-    load_c,
     register_onnx,
     to_json,
     to_onnx,
 )
 from sklearn_raacmm.export._json import ExportedModel
-from sklearn_raacmm.export._load_c import CompiledModel
+from sklearn_raacmm.export._load_c import CompiledModel, load_c
 from sklearn_raacmm.export._model_card import ModelCard, describe
 
 __all__ = [

@@ -6,6 +6,7 @@
 import json
 import re
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,12 @@ from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._json import ExportedModel, content_of, program_of_text, text_of
-from sklearn_raacmm.export._load_c import NAME, CompiledModel, answers_in_c, compiled
+from sklearn_raacmm.export._load_c import NAME, answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
-from sklearn_raacmm.export._steps import check_fitted
+from sklearn_raacmm.export._steps import check_fitted, check_std
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_path, show, write_whole
@@ -59,11 +60,6 @@ def _check_card(card):
         raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
 
 
-def _check_std(std):
-    if not isinstance(std, bool):
-        raise ValueError(f"std must be True or False, got {show(std)}.")
-
-
 def _check_dtype(dtype):
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
@@ -94,7 +90,7 @@ def export_c(
     std: bool = False,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
-) -> tuple[str | PathLike[str], str | PathLike[str]]:
+) -> tuple[Path, Path]:
     r"""Write a fitted model as one C99 file and its header.
 
     The file needs nothing but the mathematical library: no memory is allocated, nothing static
@@ -209,7 +205,7 @@ def export_c(
         )
     name = check_name(path.stem if name is None else name)
     _check_dtype(dtype)
-    _check_std(std)
+    check_std(std)
     _check_card(card)
     program = program_of(model, std)
     given = None if isinstance(poses, str) and poses == "random" else poses
@@ -243,64 +239,6 @@ def _proved_in_c(model, program, rows, dtype):
             gap = np.abs(found["point"] - exact)[known].max(initial=0.0)
             notes[-1] += f"; the point within {gap:.1e} mm"
     return notes
-
-
-def load_c(
-    model: Any,
-    *,
-    std: bool = False,
-    compiler: str | None = None,
-    cache_dir: str | PathLike[str] | None = None,
-) -> CompiledModel:
-    """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
-
-    The source is what :func:`export_c` writes. It is compiled once, and kept for the next time.
-
-    Parameters
-    ----------
-    model : estimator
-        Fitted, of a kind that :func:`export_c` writes.
-
-    std : bool, default=False
-        Whether ``predict_std`` is there.
-
-    compiler : str, default=None
-        C compiler, called as gcc is; None: the environment variable CC, or cc, gcc or clang.
-
-    cache_dir : str or path-like, default=None
-        Folder to keep the library in, which must be the user's own. None: the environment variable
-        SKLEARN_RAACMM_CACHE, or ``sklearn_raacmm`` in the user's cache folder; where that cannot be
-        written, nothing is kept.
-
-    Returns
-    -------
-    CompiledModel
-        Has ``predict(X)``, ``correct(angles)``, ``point(angles)``, ``status(angles)`` and
-        ``predict_std(X)``: on one row, the first two on many rows, too. Threads may share it; a
-        pickle holds the source and compiles it where it is loaded.
-
-    Raises
-    ------
-    ValueError
-        If the model cannot be exported, or others may write to the folder.
-    RuntimeError
-        If there is no compiler, or it fails: the first lines of what it says are shown.
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-
-    Notes
-    -----
-    Inputs are not checked but for their number. Where ``predict`` raises, the result is NaN.
-
-    Examples
-    --------
-    ::
-
-        compiled = load_c(model)
-        compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
-    """
-    _check_std(std)
-    return compiled(model, std, compiler, cache_dir)
 
 
 def to_json(
@@ -357,7 +295,7 @@ def to_json(
     True
     """
     path = None if path is None else check_path("path", path)
-    _check_std(std)
+    check_std(std)
     _check_card(card)
     program = program_of(model, std)
     rows = _rows_of(model, poses, std, program.n_inputs)
@@ -523,7 +461,7 @@ def to_onnx(
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
     _check_dtype(dtype)
-    _check_std(std)
+    check_std(std)
     if target_opset is not None and not isinstance(target_opset, int | dict):
         raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
     _check_card(card)

@@ -13,6 +13,7 @@ import subprocess
 import tempfile
 import threading
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
+from sklearn_raacmm.export._steps import check_std
 from sklearn_raacmm.utils import check_path, show, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
@@ -204,8 +206,61 @@ class CompiledModel:
         )
 
 
-def compiled(model, std=False, compiler=None, cache_dir=None):
-    """See `sklearn_raacmm.export.load_c`."""
+def load_c(
+    model: Any,
+    *,
+    std: bool = False,
+    compiler: str | None = None,
+    cache_dir: str | PathLike[str] | None = None,
+) -> CompiledModel:
+    """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
+
+    The source is what :func:`export_c` writes. It is compiled once, and kept for the next time.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted, of a kind that :func:`export_c` writes.
+
+    std : bool, default=False
+        Whether ``predict_std`` is there.
+
+    compiler : str, default=None
+        C compiler, called as gcc is; None: the environment variable CC, or cc, gcc or clang.
+
+    cache_dir : str or path-like, default=None
+        Folder to keep the library in, which must be the user's own. None: the environment variable
+        SKLEARN_RAACMM_CACHE, or ``sklearn_raacmm`` in the user's cache folder; where that cannot be
+        written, nothing is kept.
+
+    Returns
+    -------
+    CompiledModel
+        Has ``predict(X)``, ``correct(angles)``, ``point(angles)``, ``status(angles)`` and
+        ``predict_std(X)``: on one row, the first two on many rows, too. Threads may share it; a
+        pickle holds the source and compiles it where it is loaded.
+
+    Raises
+    ------
+    ValueError
+        If the model cannot be exported, or others may write to the folder.
+    RuntimeError
+        If there is no compiler, or it fails: the first lines of what it says are shown.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Notes
+    -----
+    Inputs are not checked but for their number. Where ``predict`` raises, the result is NaN.
+
+    Examples
+    --------
+    ::
+
+        compiled = load_c(model)
+        compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
+    """
+    check_std(std)
     program = program_of(model, std)
     text = sources(program, NAME, NAME, "double")
     facts = (

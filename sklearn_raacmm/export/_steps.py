@@ -72,6 +72,12 @@ def check_fitted(model: Any) -> None:
             raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
 
 
+def check_std(std):
+    """Refuse what is neither True nor False."""
+    if not isinstance(std, bool):
+        raise ValueError(f"std must be True or False, got {show(std)}.")
+
+
 def _azimuth_arm(path, azimuth):
     """Arm and angle unit of a callable `azimuth`, which has to be the method of an `Arm`."""
     unit, method = "rad", azimuth
