@@ -83,18 +83,20 @@ class SimulatedArm:
         *,
         random_state: int | np.random.RandomState | None = 0,
     ) -> None:
-        self.errors = errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
+        self.errors: ArmErrors = (
+            errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
+        )
         # RandomState, not Generator: its stream is frozen, so a seed means the same data for ever.
         rng = check_random_state(random_state)
-        self.nominal_arm = Arm.from_name("aacmm6")
-        self.reach = float(
+        self.nominal_arm: Arm = Arm.from_name("aacmm6")
+        self.reach: float = float(
             self.nominal_arm.d[[2, 4]].sum() + np.linalg.norm(self.nominal_arm.probe)
         )
-        self.shoulder = np.array([0.0, 0.0, self.nominal_arm.d[0]])
+        self.shoulder: np.ndarray = np.array([0.0, 0.0, self.nominal_arm.d[0]])
         length, angle = self.errors.length_mm, np.deg2rad(self.errors.angle_deg)
         # Base height and the first encoder's zero define the base frame: they have no error.
         free = np.arange(6) > 0
-        self.true_arm = self.nominal_arm.replace(
+        self.true_arm: Arm = self.nominal_arm.replace(
             a=self.nominal_arm.a + length * rng.normal(size=6),
             d=self.nominal_arm.d + length * rng.normal(size=6) * free,
             alpha=self.nominal_arm.alpha + angle * rng.normal(size=6),
@@ -104,7 +106,7 @@ class SimulatedArm:
         )
         self._amplitudes = rng.uniform(0.5, 1.5, size=(2, 6))
         self._phases = rng.uniform(-np.pi, np.pi, size=(4, 6))
-        self.calibration_seed = rng.randint(2**31 - 1)
+        self.calibration_seed: int = rng.randint(2**31 - 1)
         # A stream of its own: sources that are off by default do not move the draws of the others.
         own = np.random.RandomState([self.calibration_seed, 1])
         self._play = own.uniform(0.5, 1.5, size=6) * self.errors.play_arcsec * _ARCSEC

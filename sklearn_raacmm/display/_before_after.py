@@ -95,6 +95,10 @@ class RepeatabilityDisplay:
     >>> plt.close(display.figure_)
     """
 
+    ax_: Any
+    figure_: Any
+    unit_: str
+
     def __init__(
         self,
         *,
@@ -112,7 +116,7 @@ class RepeatabilityDisplay:
         self.positions = positions
         self.floor = floor
         self.statistic = statistic
-        self.name = check_name(name)
+        self.name: str = check_name(name)
         self.before_interval = before_interval
         self.after_interval = after_interval
 
@@ -326,6 +330,10 @@ class LengthErrorDisplay:
     >>> plt.close(display.figure_)
     """
 
+    axes_: Any
+    figure_: Any
+    unit_: str
+
     def __init__(
         self,
         *,
@@ -339,7 +347,7 @@ class LengthErrorDisplay:
         self.after = after
         self.lengths = lengths
         self.floor = floor
-        self.name = check_name(name)
+        self.name: str = check_name(name)
 
     @classmethod
     def from_estimator(

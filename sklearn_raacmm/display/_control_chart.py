@@ -56,14 +56,17 @@ class ControlChartDisplay:
     >>> plt.close(display.figure_)
     """
 
+    axes_: Any
+    figure_: Any
+
     def __init__(self, *, records: list[Any]) -> None:
-        self.records = listed("records", records)
+        self.records: list[Any] = listed("records", records)
         if not self.records:
             raise ValueError("There are no records to draw: append those of some checks first.")
         if not all(isinstance(record, dict) and "suspect" in record for record in self.records):
             raise ValueError("records must be those of check_correction or read_check_records.")
         suspects = [record["suspect"] for record in self.records]
-        self.alarms = np.flatnonzero([suspect != "nothing" for suspect in suspects])
+        self.alarms: np.ndarray = np.flatnonzero([suspect != "nothing" for suspect in suspects])
 
     @classmethod
     def from_file(cls, path: str | PathLike[str], *, axes: Any = None) -> Self:

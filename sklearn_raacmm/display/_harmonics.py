@@ -71,17 +71,20 @@ class HarmonicDisplay:
     >>> plt.close(display.figure_)
     """
 
+    axes_: Any
+    figure_: Any
+
     def __init__(self, *, harmonics: np.ndarray, n_joints: int) -> None:
         self.harmonics = harmonics
         self.n_joints = n_joints
         cos, sin = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
         cos_sd, sin_sd = harmonics["cos_sd_arcsec"], harmonics["sin_sd_arcsec"]
-        self.gear_ratios = _likely_gear_ratios(
+        self.gear_ratios: np.ndarray = _likely_gear_ratios(
             harmonics["joint"], harmonics["order"], harmonics["log_bayes_factor"], n_joints
         )
         size = np.hypot(cos, sin)
-        self.amplitude_sd = np.hypot(cos * cos_sd, sin * sin_sd) / size
-        self.phase_sd = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
+        self.amplitude_sd: np.ndarray = np.hypot(cos * cos_sd, sin * sin_sd) / size
+        self.phase_sd: np.ndarray = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
 
     @classmethod
     def from_estimator(cls, estimator: ArmResidualRegressor, *, axes: Any = None) -> Self:

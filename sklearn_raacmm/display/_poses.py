@@ -77,6 +77,10 @@ class ArmPosesDisplay:
     >>> plt.close(display.figure_)
     """
 
+    ax_: Any
+    figure_: Any
+    magnification_: Any
+
     def __init__(
         self,
         *,
@@ -88,7 +92,7 @@ class ArmPosesDisplay:
         self.chains = chains
         self.before = before
         self.after = after
-        self.name = check_name(name)
+        self.name: str = check_name(name)
 
     @classmethod
     def from_estimator(

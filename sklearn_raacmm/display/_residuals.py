@@ -76,6 +76,10 @@ class ResidualDisplay:
     >>> plt.close(display.figure_)
     """
 
+    axes_: Any
+    figure_: Any
+    unit_: str
+
     def __init__(
         self,
         *,
@@ -89,7 +93,7 @@ class ResidualDisplay:
         self.before = before
         self.after = after
         self.feature_names = feature_names
-        self.name = check_name(name)
+        self.name: str = check_name(name)
 
     @classmethod
     def from_estimator(

@@ -40,9 +40,12 @@ class ExportedModel:
     """
 
     def __init__(self, program: Any, test_rows: dict[str, Any]) -> None:
-        self._program, self.test_rows = program, test_rows
-        self.about, self.fingerprint = program.about, fingerprint_of(program)
-        self.n_features_in_, self.n_outputs_ = program.n_inputs, program.n_outputs
+        self._program = program
+        self.test_rows: dict[str, Any] = test_rows
+        self.about: dict[str, Any] = program.about
+        self.fingerprint: str = fingerprint_of(program)
+        self.n_features_in_: int = program.n_inputs
+        self.n_outputs_: int = program.n_outputs
 
     def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
         """What ``predict`` of the model gave.

@@ -54,6 +54,10 @@ class CompiledModel:
         Number of outputs.
     """
 
+    fingerprint: str
+    n_features_in_: int
+    n_outputs_: int
+
     def __init__(self, text: Any, facts: Any, compiler: Any, folder: Any) -> None:
         self._state = text, facts, compiler, folder
         self.fingerprint, self.n_features_in_, self.n_outputs_ = facts[:3]

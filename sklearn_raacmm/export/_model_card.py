@@ -41,7 +41,7 @@ _CENTRED = 0.3
 _LONGEST = 200
 
 
-class ModelCard(dict):
+class ModelCard(dict[str, Any]):
     """Facts about a model: plain numbers, text, lists and dicts, fit for ``json.dumps``.
 
     ``str(card)`` is Markdown, in which what is long, such as the hull's corners, is left out. Text

@@ -108,8 +108,8 @@ def arm_of(model) -> tuple[Any, Any]:
     for path, step in leaves(model):
         if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             found.append((path, *_azimuth_arm(path, step.azimuth)))
-        elif isinstance(getattr(step, "arm_", None), Arm):
-            found.append((path, step.arm_, step.angle_unit))
+        elif isinstance(arm := getattr(step, "arm_", None), Arm):
+            found.append((path, arm, getattr(step, "angle_unit", "rad")))
     for path, arm, unit in found[1:]:
         if (arm, unit) != found[0][1:]:
             what = "arms" if arm != found[0][1] else "angle units"

@@ -37,7 +37,7 @@ class Prior(NamedTuple):
     size: np.ndarray  # (p,) standard deviation of the change of each where tau is 1
     free_sd: float  # of the coefficients of the columns that are nearly free
     noise_variance: float
-    log_noise: tuple  # bounds of the logarithm of the noise, in units of the prior's
+    log_noise: tuple[float, float]  # bounds of the logarithm of the noise, in units of the prior's
 
 
 class LeftOut(NamedTuple):
@@ -53,7 +53,7 @@ class Posterior(NamedTuple):
 
     mean: np.ndarray  # (p + q,)
     half: np.ndarray  # (p + q, k) root of their covariance
-    tau: dict  # by the name of the part
+    tau: dict[str, float]  # by the name of the part
     noise_sd: float
     row_weight: np.ndarray  # (n,) what the loss left of the weight of each row
     left_out: LeftOut

@@ -209,7 +209,7 @@ class GramRows:
     ) -> None:
         self._sum_up = sum_up
         self._place: dict[int, int] = {}
-        self.terms = [(1.0, self)] if terms is None else terms
+        self.terms: list[tuple[float, Any]] = [(1.0, self)] if terms is None else terms
         self._rows = np.empty((0, n_columns))
 
     def __call__(
@@ -250,12 +250,14 @@ class Problem:
     """
 
     def __init__(self, sums: Sums, structures: Structures, extra: Extra | None = None) -> None:
-        self.sums, self.structures, self.extra = _without_rounding(sums), structures, extra
-        self.n = max(sums.n_observations, 1.0)
-        self.start = max(sums.square / self.n, _NO_NOISE)
-        self.assumed = _ASSUMED_SHARE * self.start
-        self.known = np.isfinite(structures.given)
-        self.guess = self._first_guess()
+        self.sums: Sums = _without_rounding(sums)
+        self.structures: Structures = structures
+        self.extra: Extra | None = extra
+        self.n: float = max(sums.n_observations, 1.0)
+        self.start: float = max(sums.square / self.n, _NO_NOISE)
+        self.assumed: float = _ASSUMED_SHARE * self.start
+        self.known: np.ndarray = np.isfinite(structures.given)
+        self.guess: np.ndarray = self._first_guess()
         self._last = None  # pairs and products: most choices have the columns of the last one
 
     def _first_guess(self):

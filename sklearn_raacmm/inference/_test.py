@@ -50,7 +50,7 @@ class Whitened:
             u, size, _ = np.linalg.svd(basis, full_matrices=False)
             basis = u[:, size > _ROUNDING * size.max()]
         self.basis = basis
-        self.freedom = len(root) - basis.shape[1]
+        self.freedom: int = len(root) - basis.shape[1]
 
     def scaled(self, values: np.ndarray) -> np.ndarray:
         """Values divided by the root, the nuisances among them."""

@@ -5,7 +5,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.network._kernels import KERNELS
@@ -20,6 +19,8 @@ from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
     Interval,
+    MultiOutputMixin,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
     check_features,
@@ -206,6 +207,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "random_state": ["random_state"],
     }
 
+    n_features_in_: int
+    _flat: bool  # y had one dimension
+
     def __init__(
         self,
         n_centers: int | float | str = "auto",
@@ -320,16 +324,18 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             found.append(fit_outputs(self, problem, of, kernels[of[0]], width, ridge, std, rng))
         fits, slopes, values = zip(*found, strict=True)
         if values[0] is not None:
-            self.log_marginal_likelihood_value_ = sum(values)
-        self.networks_ = tuple(fit.network for fit in fits)
-        self.center_indices_ = np.concatenate([problem.first[fit.centers] for fit in fits])
-        self.error_reduction_ = np.concatenate([fit.error_reduction for fit in fits])
-        self.criterion_path_ = np.concatenate([fit.path for fit in fits])
+            self.log_marginal_likelihood_value_: float = sum(values)
+        self.networks_: tuple[Network, ...] = tuple(fit.network for fit in fits)
+        self.center_indices_: np.ndarray = np.concatenate(
+            [problem.first[fit.centers] for fit in fits]
+        )
+        self.error_reduction_: np.ndarray = np.concatenate([fit.error_reduction for fit in fits])
+        self.criterion_path_: np.ndarray = np.concatenate([fit.path for fit in fits])
         self.stop_reason_ = ", ".join(fit.stop_reason for fit in fits)
-        self.n_iter_ = sum(fit.n_tried for fit in fits)
+        self.n_iter_: int = sum(fit.n_tried for fit in fits)
         slope = np.sqrt(sum(slopes))
         total = slope.sum()
-        self.relevance_ = slope / total if 0 < total < np.inf else np.zeros(len(slope))
+        self.relevance_: np.ndarray = slope / total if 0 < total < np.inf else np.zeros(len(slope))
         return problem.codes is not None
 
     def predict(
@@ -480,7 +486,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             return of_mean
         return of_mean, self._shaped([part for _, part in parts], axis=1)
 
-    def _checked_rows(self, X):
+    def _checked_rows(self, X) -> np.ndarray:
         check_fitted(self, "networks_")
         return check_features(self, X, dtype=np.float64, reset=False)
 

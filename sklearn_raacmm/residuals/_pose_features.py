@@ -9,7 +9,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import TransformerMixin
 
 from sklearn_raacmm.arm import (
     MIN_LENGTH_MM,
@@ -22,6 +21,7 @@ from sklearn_raacmm.arm import (
 )
 from sklearn_raacmm.utils import (
     StrOptions,
+    TransformerMixin,
     VersionedEstimator,
     check_feature_names_in,
     check_features,
@@ -159,9 +159,11 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             infinity.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
-        self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1])
+        self.arm_: Arm = arm_for(self.arm, type(self).__name__, X.shape[1])
         factor = np.pi / 180 if self.angle_unit == "deg" else 1.0
-        self.turn_start_ = np.array([_turn_start(factor * column) for column in X.T.astype(float)])
+        self.turn_start_: np.ndarray = np.array(
+            [_turn_start(factor * column) for column in X.T.astype(float)]
+        )
         return self
 
     def transform(self, X: ArrayLike) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn import get_config
-from sklearn.base import RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 from sklearn.utils import check_consistent_length, get_tags
@@ -51,6 +51,7 @@ from sklearn_raacmm.residuals._positions import (
 )
 from sklearn_raacmm.utils import (
     HasMethods,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
     check_array,
@@ -262,8 +263,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         routing = get_config()["enable_metadata_routing"]
         if routing:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
-        self.regressor_ = clone(self._get_regressor())
-        self.by_position_ = False
+        self.regressor_: Any = clone(self._get_regressor())
+        self.by_position_: bool = False
         target = y
         try:
             if codes is not None:

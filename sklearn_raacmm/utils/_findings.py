@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from sklearn_raacmm.utils._warn_user import warn_user
 
@@ -41,9 +41,9 @@ class Finding:
     text: str
     advice: str = ""
     weight: Literal["note", "doubt", "repair"] = "doubt"
-    positions: tuple = ()
-    rows: tuple = ()
-    joints: tuple = ()
+    positions: tuple[Any, ...] = ()
+    rows: tuple[int, ...] = ()
+    joints: tuple[int, ...] = ()
     size_mm: float | None = None
 
     def __str__(self) -> str:

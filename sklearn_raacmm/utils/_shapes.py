@@ -12,7 +12,7 @@ import numpy as np
 def check_shapes(
     owner: str,
     values: Mapping[str, Any],
-    shapes: Mapping[str, tuple],
+    shapes: Mapping[str, tuple[Any, ...]],
     sizes: Mapping[str, int],
     may_be_infinite: tuple[str, ...] = (),
 ) -> None:

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from sklearn import base, utils
@@ -12,9 +12,13 @@ from sklearn.utils import _param_validation, validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
 __all__ = [
+    "BaseEstimator",
     "HasMethods",
     "Interval",
+    "MultiOutputMixin",
+    "RegressorMixin",
     "StrOptions",
+    "TransformerMixin",
     "check_array",
     "check_feature_names",
     "check_feature_names_in",
@@ -28,6 +32,28 @@ __all__ = [
 ]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
+
+    class BaseEstimator:
+        def get_params(self, deep: bool = True) -> dict[str, Any]: ...
+        def set_params(self, **params: Any) -> Self: ...
+        def __getstate__(self) -> dict[str, Any]: ...
+        def __setstate__(self, state: dict[str, Any]) -> None: ...
+        def __sklearn_tags__(self) -> Any: ...
+        def get_metadata_routing(self) -> Any: ...
+
+    class RegressorMixin:
+        def score(self, X: Any, y: Any, *args: Any, **kwargs: Any) -> float: ...
+
+    class TransformerMixin:
+        def fit_transform(self, X: Any, y: Any = None, **fit_params: Any) -> np.ndarray: ...
+        def set_output(self, *, transform: str | None = None) -> Self: ...
+
+    class MultiOutputMixin: ...
+
+else:
+    from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, TransformerMixin
 
 safe_indexing: Callable[..., Any] = utils._safe_indexing
 check_array: Callable[..., np.ndarray] = utils.check_array

@@ -5,10 +5,10 @@
 
 from typing import Any
 
-from sklearn.base import BaseEstimator
 from sklearn.exceptions import InconsistentVersionWarning
 
 from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
+from sklearn_raacmm.utils._sklearn import BaseEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
 
 _KEY = "_sklearn_raacmm_version"
