@@ -23,7 +23,6 @@ from sklearn_raacmm.correction._scores import (
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.utils import Finding, check_path, heard_findings, say_findings, write_whole
 
-
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
 _MUCH_SCATTER_MM = 1.0

@@ -19,6 +19,7 @@ from sklearn_raacmm.error_model._checks import (
     poses_of,
 )
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
+from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
@@ -352,7 +353,11 @@ class ArmResidualRegressor(
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
         terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
         with_field = isinstance(self.orders, Integral)
-        fitted = fit_linear_model(rows, terms, with_field, turns)
+        if groups is None or rows.codes is not None or turns is not None or self.offsets is False:
+            fitted = fit_linear_model(rows, terms, with_field, turns)
+        else:
+            fitted = fit_with_constants(rows, positions, terms, with_field)
+            rows = fitted.rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         mean, std = model.predict(rows.X, return_std=True)

@@ -150,10 +150,11 @@ def are_not_of_these_points(targets, points):
     for shift, of_y, of_shown in ((1, y[1:], shown[:-1]), (-1, y[:-1], shown[1:])):
         left = of_y[together] - of_shown[together]
         if together.any() and _rms(left) < _LEFT_OF_FACTOR * size * 4:
+            late = "later" if shift > 0 else "earlier"
             yield Finding(
                 "rows-shifted",
-                f"y are the deviations of the arm's points one row {'later' if shift > 0 else 'earlier'}"
-                " than the angles of their row.",
+                f"y are the deviations of the arm's points one row {late} than the angles of their "
+                "row.",
                 "Are angles and points from two files, of which one has a row more?",
                 "repair",
                 size_mm=size,
