@@ -28,10 +28,9 @@ _LEAST_SD_MM = 1e-9
 # nothing on the average one in forty does by chance.
 _HARM = 2.0
 # What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
-# part of the reach; a reach.
+# part of the reach.
 _FAR = 10.0
 SHARE_OF_REACH = 0.02
-_LEAST_REACH_MM = 20.0
 
 
 def check_problem(angles, groups, points, lengths, tools, stations, orientations):
@@ -183,10 +182,6 @@ def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after)
     """Say that a fit which has settled makes no sense: wrong input can be fitted, too."""
     signs = []
     reach = reach_mm(arm)
-    if reach < _LEAST_REACH_MM:
-        signs.append(
-            f"The nominal arm reaches {reach:.3g} mm: are its lengths in metres, not millimetres?"
-        )
     departure = np.abs(values - nominal) / prior_sd
     worst = int(np.argmax(departure))
     if departure[worst] > _FAR:

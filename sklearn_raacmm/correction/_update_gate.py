@@ -12,7 +12,7 @@ from sklearn_raacmm.correction._new_poses import place_columns
 from sklearn_raacmm.utils import Finding, centred
 
 # Residuals below so many standard deviations of the noise show nothing of the model; an explanation
-# is named where it leaves less than this part of what the model leaves; rows that are needed for it.
+# is named where it leaves less than this part of what the model leaves; rows that it needs.
 _SEEN, _BETTER, _LEAST_ROWS = 1.5, 0.6, 12
 # Of another arm: the part of the model that its residuals contain, while they are no larger than
 # so many times what the model expects (a knock may be).
