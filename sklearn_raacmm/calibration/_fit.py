@@ -391,8 +391,21 @@ class Fit:
         return max(sigma, _MIN_SIGMA_MM)
 
     def covariance(self, mask):
-        """Posterior covariance of the free parameters; infinite where nothing is known."""
-        return covariance_of(self._residuals_and_jacobian(self.x, mask)[1])
+        """Posterior covariance of the free parameters; infinite where nothing is known.
+
+        What the table does not explain is much the same in all poses of one position. The ends of a
+        known length are therefore no better known than one of their points, however many there are.
+        """
+        jac = self._residuals_and_jacobian(self.x, mask)[1]
+        covariance = covariance_of(jac)
+        if self.problem.lengths:
+            first = len(jac) - mask[: len(self.nominal)].sum() - len(self.problem.lengths)
+            sd = np.array([entry[3] for entry in self.problem.lengths])
+            of_ends = np.sqrt(2 * self.length_weights) * self.sigma / sd
+            slopes = jac[first : first + len(sd)] * of_ends[:, None]
+            spread = np.where(np.isfinite(covariance), covariance, 0.0) @ slopes.T
+            covariance = covariance + spread @ spread.T
+        return covariance
 
 
 def gauss_newton_step(jac, rows, damping):
