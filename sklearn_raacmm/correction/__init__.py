@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.correction._deviations import columns_of, corrected_points
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import predict_with_std
@@ -20,6 +21,8 @@ __all__ = [
     "LearnedCorrection",
     "TableChange",
     "check_correction",
+    "columns_of",
+    "corrected_points",
     "cross_validate_correction",
     "learn_correction",
     "next_poses",

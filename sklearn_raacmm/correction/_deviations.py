@@ -42,7 +42,7 @@ def corrected_points(arm, model, angles, facts, std_of="coordinate"):
     points, within = arm.forward(angles) - correction, facts["std_factor"] * std
     if std_of == "position":
         return points, within
-    return points, np.hypot(within, facts["scale_sd"] * (points - _shoulder(arm)))
+    return points, _of_coordinate(arm, points, within, facts)
 
 
 def distances(first, second, scale_sd):
@@ -65,6 +65,22 @@ def distances(first, second, scale_sd):
     along = apart / np.maximum(lengths, 1e-300)[:, None]
     ends = np.sum(along**2 * (first[1] ** 2 + second[1] ** 2), axis=1)
     return lengths, np.sqrt(ends + (scale_sd * lengths) ** 2)
+
+
+def columns_of(arm, model, facts, angles):
+    """What a corrected table gets, (n_samples, 10); parameters as of `corrected_points`.
+
+    Points; standard deviations of the coordinates in the base frame and within a position; that of
+    a distance of 1 m from here to a point that is known as well.
+    """
+    points, within = corrected_points(arm, model, angles, facts, "position")
+    of_metre = np.sqrt(2 * np.mean(within**2, axis=1) + (1000 * facts["scale_sd"]) ** 2)
+    of_coordinate = _of_coordinate(arm, points, within, facts)
+    return np.column_stack([points, of_coordinate, within, of_metre])
+
+
+def _of_coordinate(arm, points, within, facts):
+    return np.hypot(within, facts["scale_sd"] * (points - _shoulder(arm)))
 
 
 def _shoulder(arm):

@@ -31,9 +31,13 @@ from sklearn_raacmm.utils._files import (
 )
 from sklearn_raacmm.utils._findings import (
     Finding,
+    FindingError,
     FindingWarning,
     heard_findings,
+    one_warning,
     say_findings,
+    unheard,
+    with_findings,
 )
 from sklearn_raacmm.utils._groups import (
     CENTRED,
@@ -45,6 +49,7 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     group_weights,
     share_of_means,
+    slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
@@ -74,6 +79,7 @@ __all__ = [
     "LARGEST",
     "TUKEY_CUT",
     "Finding",
+    "FindingError",
     "FindingWarning",
     "HasMethods",
     "InconsistentPackageVersionWarning",
@@ -114,6 +120,7 @@ __all__ = [
     "listed",
     "nearest_rotation",
     "one_blas_thread",
+    "one_warning",
     "refuse_disguised",
     "refuse_huge",
     "refuse_masked",
@@ -122,12 +129,15 @@ __all__ = [
     "say_findings",
     "share_of_means",
     "show",
+    "slip_factors",
     "stage",
     "tukey_weights",
+    "unheard",
     "validate_parameter_constraints",
     "validate_params",
     "warn_user",
     "whole_file",
     "whole_fit",
+    "with_findings",
     "write_whole",
 ]

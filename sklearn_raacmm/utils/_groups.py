@@ -8,6 +8,7 @@ from scipy.sparse import csc_array
 from scipy.special import fdtr
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
+from sklearn_raacmm.utils._robust import tukey_weights
 
 # How a missing label that is no text prints: NaN, None, and those of pandas.
 _MISSING = ("nan", "None", "NaT", "<NA>")
@@ -17,6 +18,8 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 CENTRED = 0.5
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
+# Rounds of weights that leave slips out of means, and the change at which they have settled.
+_ROUNDS, _SETTLED = 10, 0.01
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -150,6 +153,35 @@ def centred(values, codes, weights=None):
     return values if codes is None else values - group_means(values, codes, weights)[codes]
 
 
+def slip_factors(values, codes, weights=None):
+    """Factors of the rows' weights in the means of their groups: slips take no part.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n, q)
+    codes : ndarray of shape (n,)
+        Group of each row, from 0.
+    weights : ndarray of shape (n,), default=None
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Tukey's, from 0 to 1: all 1 where no row is far off, and in groups of which nothing would
+        be left.
+    """
+    weights = np.ones(len(values)) if weights is None else weights
+    factor = np.ones(len(values))
+    for _ in range(_ROUNDS):
+        before, weighed = factor, bool(np.any(factor < 1))
+        left = centred(values, codes, weights * factor)
+        factor = tukey_weights(left, weights, weighed=weighed)
+        lost = group_weights(codes, weights * factor) == 0
+        factor[lost[codes]] = 1.0
+        if np.abs(factor - before).max(initial=0.0) < _SETTLED:
+            break
+    return factor
+
+
 def share_of_means(y, codes, weights):
     """Mean squares of positions' means over what the scatter within positions explains.
 
@@ -167,6 +199,7 @@ def share_of_means(y, codes, weights):
     by_chance : float
         Probability that independent rows have means as small as these.
     """
+    weights = weights * slip_factors(y, codes, weights)
     # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
     weights = weights / min(weights[weights > 0].mean(), 1.0)
     total, q = group_weights(codes, weights), y.shape[1]
