@@ -254,7 +254,10 @@ def export(options):
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
         source = folder / f"{options.name}.c"
-        paths += export_c(saved.model, source, std=options.std, poses="random")
+        card = describe(saved.model)
+        names = ("noise_mm", "std_factor", "scale_sd")
+        card["standard_deviation"] = {name: saved.facts[name] for name in names}
+        paths += export_c(saved.model, source, std=options.std, card=card, poses="random")
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)

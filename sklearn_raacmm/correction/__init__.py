@@ -6,7 +6,6 @@
 from sklearn_raacmm.correction._deviations import columns_of, corrected_points
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._records import read_check_records
 from sklearn_raacmm.correction._saved import read_correction, write_correction
@@ -26,7 +25,6 @@ __all__ = [
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
-    "predict_with_std",
     "read_check_records",
     "read_correction",
     "search_table",

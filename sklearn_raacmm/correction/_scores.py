@@ -424,8 +424,8 @@ def _summary(before, after, blocks):
     """Means over positions and their ratio, with their 95 % intervals.
 
     Student's t of the logarithm, whose error is linear in that of the mean. Blocks are independent,
-    not the positions of one. Of 5 to 20 positions of three simulated arms it holds 94 to 95 % where a bootstrap holds
-    83 to 93 % (``benchmarks/bench_lengths.py intervals``).
+    not the positions of one. Of 5 to 20 positions of three simulated arms it holds 94 to 95 %
+    where a bootstrap holds 83 to 93 % (``benchmarks/bench_lengths.py intervals``).
     """
     blocks = np.unique(blocks, return_inverse=True)[1]
     n = blocks.max() + 1
