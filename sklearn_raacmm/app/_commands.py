@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of, picture_of
 from sklearn_raacmm.app._files import (
@@ -25,6 +26,7 @@ from sklearn_raacmm.app._files import (
     open_beside,
     write_corrected,
 )
+from sklearn_raacmm.app._lengths import length_of
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
@@ -65,7 +67,8 @@ def learn(options):
     arm = load_arm(options.arm)
     table = read_table(options.table, arm.n_joints, **_columns(options, points=options.points))
     _say_notes(table.notes)
-    lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else ()
+    lengths = [length_of(text) for text in options.length or ()]
+    lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     facts = {"file": Path(options.table).name}
     for name, value in (("serial number", options.serial), ("operator", options.operator)):
         if value:
@@ -286,7 +289,9 @@ def arm(options):
     elif options.source:
         shown = load_arm(options.source)
     else:
-        shown = _ask_for_an_arm()
+        if not sys.stdin.isatty():
+            raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
+        shown = ask_for_an_arm()
     print(shown)
     if options.out == "-":
         options.stdout.write(shown.to_json())
@@ -299,37 +304,25 @@ def arm(options):
     return OK, json.loads(shown.to_json())
 
 
-def _ask_for_an_arm():
-    if not sys.stdin.isatty():
-        raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
-    print("Lengths in mm, as in the drawing of the arms page of the documentation.")
-    layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
-    names = ("height of the shoulder", "shoulder to elbow", "elbow to wrist", "wrist to probe")
-    return Arm.from_lengths(layout, *(_number(input(f"{name}: ")) for name in names))
-
-
-def _number(text):
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        raise TableError(f"{text!r} is not a number.") from None
-
-
 def demo(options):
     """Run the main job on a simulated arm, from the table on."""
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    test = make_single_point(n_positions=10, n_poses=25, random_state=0)
+    test = make_single_point(n_positions=10, n_poses=25, bars=[500], random_state=0)
+    ((first, second, length, sd),) = test.lengths
+    names = [f"cone {i + 1}" for i in range(first)] + ["bar, left", "bar, right"]
     lines = ["simulated arm;no real measurement", "position;" + ";".join(
         f"q{i} [deg]" for i in range(1, 7))]  # fmt: skip
     for label, angles in zip(test.groups, np.rad2deg(test.data), strict=True):
         cells = (f"{angle:.6f}".replace(".", ",") for angle in angles)
-        lines.append(f"cone {label + 1};" + ";".join(cells))
+        lines.append(f"{names[label]};" + ";".join(cells))
+    options.length = [f"{names[first]}:{names[second]}:{length:.3f}:{sd}"]
     options.table, options.arm = out / "cone_test.csv", out / "nominal_arm.json"
     write_whole({options.table: "\r\n".join(lines) + "\r\n"})
     test.nominal_arm.to_json(options.arm)
     print(f"A simulated single-point test: {options.table}")
-    print(f"raacmm learn {options.table} --arm {options.arm} --out {out}")
+    known = options.length[0]
+    print(f'raacmm learn {options.table} --arm {options.arm} --length "{known}" --out {out}')
     return learn(options)
 
 

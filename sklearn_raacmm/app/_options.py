@@ -11,6 +11,8 @@ def learn(parser):
     _add_learning(parser, out=None)
     _add_columns(parser)
     parser.add_argument("--points", metavar="X,Y,Z", help="columns of a tracker's points")
+    text = "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved"
+    parser.add_argument("--length", action="append", metavar="FROM:TO:MM:SD", help=text)
     parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
     parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
     parser.add_argument("--serial", help="serial number, for the report")
@@ -65,7 +67,8 @@ def demo(parser):
     """Add the options of ``raacmm demo``."""
     _add_learning(parser, out="raacmm-demo")
     parser.set_defaults(
-        angles=None, position=None, unit=None, points=None, lengths=None, length_sd=None,
+        angles=None, position=None, unit=None, points=None, lengths=None, length=None,
+        length_sd=None,
         serial="simulated", operator=None,
     )  # fmt: skip
 
