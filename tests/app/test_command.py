@@ -290,11 +290,13 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
     offsets = ["--elbow-offset", "62", "--wrist-offset", "40", "--out", f"{tmp_path}/own.json"]
     assert main(["arm", "--lengths-222", "376", "750", "500", "98", *offsets]) == 0
     assert Arm.from_json(tmp_path / "own.json").a.tolist() == [0, 62, 0, 40, 0, 0]
-    answers = iter(["2-2-2", "300", "420,5", "380", "120"])
+    answers = iter(["2-2-2", "300", "420,5", "380", "120", "62", "0"])
     monkeypatch.setattr(_commands.sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda _: next(answers))
     assert main(["arm"]) == 0
-    assert "420.5" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "420.5" in said
+    assert "decide the scale of the arm" in said
 
 
 @pytest.mark.parametrize(
