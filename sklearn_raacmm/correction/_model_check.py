@@ -150,7 +150,8 @@ def check_correction(
         ends: tuples or the rows of an array. They show a change of scale, as by temperature.
 
     arm : Arm, default=None
-        The arm with today's probe, which `lengths` are computed with; None: the model's.
+        The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
+        model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
 
     sample_weight : array-like of shape (n_samples,), default=None
         Weights.
@@ -210,11 +211,13 @@ def check_correction(
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
     """
-    linear = _widened(linear_model_of(model, "checked"))
+    linear_model_of(model, "checked")
+    model = model if arm is None else model.with_arm(arm)
+    linear = _widened(model.linear_model_)
     labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
     lengths = _check_lengths(lengths, labels)
     today = NewPoses.checked(model, X, y, groups, sample_weight)
-    poses, slipped = _poses_of(linear, model, today, lengths, linear.arm if arm is None else arm)
+    poses, slipped = _poses_of(linear, model, today, lengths)
     nuisance = poses.nuisance(refitted)
     root = poses.root_of_covariance()
     whiten = Whitened(root, nuisance)
@@ -256,7 +259,7 @@ def _widened(linear):
     )
 
 
-def _poses_of(linear, model, today, lengths, arm):
+def _poses_of(linear, model, today, lengths):
     """Today's poses that count, and which of the rows have slipped."""
     correction = copy(model).set_params(angle_unit="rad").predict(today.angles)
     left = today.residuals - correction
@@ -264,7 +267,7 @@ def _poses_of(linear, model, today, lengths, arm):
     kept = (today.weights > 0) & ~slipped
     angles, weights = today.angles[kept], today.weights[kept]
     codes = None if today.codes is None else today.codes[kept]
-    points = arm.forward(angles[:, : arm.n_joints]) - correction[kept]
+    points = linear.arm.forward(angles[:, : linear.arm.n_joints]) - correction[kept]
     known = _Lengths.between(points, codes, weights, lengths)
     return _Poses(linear, angles, left[kept], tamed[kept], weights, codes, known), slipped
 
