@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -347,6 +348,7 @@ class ArmResidualRegressor(
         fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
+        model = replace(model, n_positions=float(positions.max() + 1))
         mean, std = model.predict(rows.X, return_std=True)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes

@@ -90,6 +90,9 @@ class LinearModel:
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out (see :func:`with_honest_intervals`); 1 where that is not known.
 
+    n_positions : float
+        From how many positions these factors are; infinity where that is not known.
+
     turn_mm : float
         The noise of a coordinate over that of a component of the orientation, mm per rad; 0 where
         no orientations were given.
@@ -107,6 +110,7 @@ class LinearModel:
     gauge_free_half: np.ndarray
     std_scale: float = 1.0
     noise_scale: float = 1.0
+    n_positions: float = float("inf")
     turn_mm: float = 0.0
 
     def __getstate__(self):

@@ -13,7 +13,7 @@ from sklearn_raacmm.error_model._columns import TEMPERATURE, other_columns
 # Fields of the table, none of which a probe changes, and by how much rounding may.
 _TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
 _ROUNDING = 1e-9
-# Poses at which the sizes of the corrections with two probes are compared.
+# Poses at which the standard deviations with two probes are compared: a number for speed.
 _COMPARED = 200
 # Families whose columns are all per reach.
 _PER_REACH = ("gravity", "force")
@@ -91,7 +91,10 @@ def moved_model(linear, arm):
 
 
 def moved_fading(fading, old, new):
-    """Fading in proportion to the sizes that corrections and their deviations have by now.
+    """Fading that takes nowhere more of a correction than with the old probe.
+
+    A longer probe makes every standard deviation larger, and the errors with it: that is no reason
+    to take the correction back.
 
     Parameters
     ----------
@@ -103,11 +106,13 @@ def moved_fading(fading, old, new):
     -------
     Fading
     """
-    n = old.arm.n_joints
-    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (_COMPARED, n))
+    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (_COMPARED, old.arm.n_joints))
     extra = [np.full(_COMPARED, reference[0]) for _, reference in old.terms.extra]
     tried = np.column_stack([tried, *extra])
-    (mean, std), (new_mean, new_std) = (m.predict(tried, return_std=True) for m in (old, new))
-    sizes = [float(np.linalg.norm(part)) for part in (mean, new_mean, std, new_std)]
-    of_mean, of_std = (b / a if a > 0 else 1.0 for a, b in (sizes[:2], sizes[2:]))
-    return replace(fading, size_mm=fading.size_mm * of_mean, known_mm=fading.known_mm * of_std)
+    before, after = (
+        np.linalg.norm(one.predict(tried, return_std=True)[1], axis=1) for one in (old, new)
+    )
+    ratio = float(np.max(after / np.maximum(before, 1e-300), initial=1.0))
+    if not before.all():
+        return fading
+    return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
