@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._figures import chart_of, picture_of
+from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
     files_of,
     in_rad,
@@ -24,10 +24,11 @@ from sklearn_raacmm.app._files import (
     open_beside,
     write_corrected,
 )
+from sklearn_raacmm.app._life import check_by_causes, say_check
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import check_correction, learn_correction, read_check_records
+from sklearn_raacmm.correction import check_correction, learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -147,7 +148,7 @@ def correct(options):
         else open_beside(options.out, layout.dialect.encoding)
     )
     with stream as file:
-        n_rows = write_corrected(layout, lambda angles: saved.correct(angles)[1:], file)
+        n_rows = write_corrected(layout, saved.correct, file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
@@ -157,11 +158,12 @@ def check(options):
     inputs = [options.table, *files_of(options.model)]
     check_places(filter(None, (options.record, options.chart)), inputs)
     saved = load_correction(options.model)
-    if saved.facts["measure"] != "2S":
-        raise TableError("check needs a correction that was learnt from a single-point test.")
+    if options.points or options.lengths or saved.facts["measure"] != "2S":
+        return check_by_causes(saved, options)
     table = read_table(options.table, saved.arm.n_joints, **_columns(options))
     _say_notes(table.notes)
-    measured, corrected, _ = saved.correct(in_rad(table))
+    angles = in_rad(table)
+    measured, corrected = saved.arm.forward(angles), saved.correct(angles)[0]
     before, after = (
         single_point_repeatability(points, table.positions, aggregate=None)
         for points in (measured, corrected)
@@ -209,17 +211,8 @@ def _name_the_suspect(saved, measured, table, options, rate):
         saved.model, angles, position_residuals(measured, positions), groups=positions,
         false_alarm_rate=rate,
     )  # fmt: skip
-    if not found.holds:
-        print(f"Suspect: {found.suspect} (p = {found.p_value:.2g}). {found.advice}")
-    for row in found.slipped:
-        print(f"slipped: row {table.rows[row]} ({positions[row]}), measure it again")
-    if options.record:
-        found.append_to(options.record)
-        print(f"Appended to {options.record}")
-    if options.chart:
-        records = read_check_records(options.record) if options.record else [found.record]
-        write_whole({options.chart: chart_of(records)})
-        print(f"Written to {options.chart}")
+    rows = [f"{table.rows[row]} ({positions[row]})" for row in range(len(positions))]
+    say_check(found, options, rows)
     return not found.holds
 
 

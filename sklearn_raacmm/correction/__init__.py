@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
+from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
@@ -15,9 +16,11 @@ from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
+    "TRUSTED_TYPES",
     "CorrectionCheck",
     "CorrectionScores",
     "LearnedCorrection",
+    "SavedCorrection",
     "TableChange",
     "check_correction",
     "cross_validate_correction",

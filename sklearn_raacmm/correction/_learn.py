@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
+from sklearn_raacmm.correction._loaded import SavedCorrection, base_as_facts
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.correction._saved import write_correction
 from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
@@ -132,15 +133,36 @@ class LearnedCorrection:
         contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
         return write_correction(folder, self.facts(), contents)
 
+    @staticmethod
+    def load(folder):
+        """Load what `save` wrote, without the data: see `SavedCorrection`.
+
+        Parameters
+        ----------
+        folder : str or path-like
+
+        Returns
+        -------
+        SavedCorrection
+            The arm, the model, the base, and the facts of ``correction.json``.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import LearnedCorrection
+        >>> saved = LearnedCorrection.load("my_arm")  # doctest: +SKIP
+        """
+        return SavedCorrection.load(folder)
+
     def facts(self):
         """Scores and verdict as plain values, fit for JSON."""
-        scores = self.scores
+        scores, found = self.scores, self.calibration
         return {
             "written_by": f"sklearn_raacmm {__version__}",
             "verdict": scores.verdict,
             "helps": scores.helps,
             "measure": scores.measure,
             "noise_mm": self.noise,
+            "base": base_as_facts((found.base_rotation, found.base_translation)),
             "std_factor": scores.std_factor,
             "coverage": scores.coverage,
             "n_rows": len(self.angles),

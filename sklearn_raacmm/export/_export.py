@@ -9,8 +9,6 @@ import re
 import numpy as np
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.export import _onnx, _reader
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files
@@ -22,29 +20,7 @@ from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
 from sklearn_raacmm.export._steps import check_fitted
-from sklearn_raacmm.network import Network, RBFNetRegressor
-from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import check_path, show, write_whole
-
-#: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
-#: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
-TRUSTED_TYPES = [
-    f"{kind.__module__}.{kind.__qualname__}"
-    for kind in (
-        Arm,
-        Arm.azimuth,
-        ArmResidualRegressor,
-        CylindricalResidualTarget,
-        Fading,
-        Judgement,
-        LinearModel,
-        Network,
-        PoseFeatures,
-        RBFNetRegressor,
-        Terms,
-    )
-]
-
 
 # Numbers of a JSON file that plain Python goes through for its proof: a second or so.
 _PLAIN_NUMBERS = 3_000_000
