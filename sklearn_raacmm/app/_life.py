@@ -15,6 +15,7 @@ from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction
 from sklearn_raacmm.app._tables import read_lengths, read_table
+from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction import check_correction, read_check_records, update_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -25,6 +26,8 @@ OK, CHANGED = 0, 3
 # Scatter through the correction over what it left when it was learnt, from which on a registration
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
+# A base of which more is open is none that a correction could be used with, mm.
+_WELL_KNOWN_MM = 1.0
 # Parts of the model that have changed by less than this share of what is usual are not named.
 _NAMED_TAU = 0.1
 
@@ -66,10 +69,18 @@ class _Today(NamedTuple):
 
     def register(self, saved, free=("probe",)):
         """Probe and base through the correction."""
-        return calibrate(
+        found = calibrate(
             saved.arm, self.angles, self.positions, points=self.points, lengths=self.lengths,
             correction=saved.model, free=list(free),
         )  # fmt: skip
+        turns = np.char.startswith(found.names, "base_r")
+        open_mm = reach_mm(saved.arm) * found.standard_deviations[turns].max(initial=0.0)
+        if open_mm > _WELL_KNOWN_MM:
+            raise TableError(
+                f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "
+                "points that are spread in all directions, not along a line."
+            )
+        return found
 
     def left(self, calibration, model):
         """Mean distance of corrected points from where they should be, mm."""
@@ -89,17 +100,18 @@ def register(options):
     found = today.register(saved)
     new = saved.registered(found)
     said, facts = _what_has_moved(saved, new)
-    left, usual = today.left(found, new.model), _usual_mm(saved)
+    left, usual = today.left(found, new.model), _usual_mm(saved, today)
     print(f"Registered with {today.said}.", *said, sep="\n")
-    print(f"Mean deviation {today.left(found, _Nothing()):.3f} -> {left:.3f} mm; {usual:.3f} mm is "
-          "usual for this correction.")  # fmt: skip
-    enough = left <= _MUCH_MORE * usual
-    if enough:
-        print("The correction holds with it: use the folder.")
+    print(f"Mean deviation {today.left(found, _Nothing()):.3f} -> {left:.3f} mm.")
+    enough = usual is None or left <= _MUCH_MORE * usual
+    if usual is None:
+        print("The correction was learnt by another kind of measurement: run raacmm check.")
+    elif enough:
+        print(f"The correction holds with it: {usual:.3f} mm is usual.")
     else:
-        print("More is left than usual: the arm itself may have changed. Run raacmm update.")
+        print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
     _write(new, out, "register", today, facts)
-    return (OK if enough else CHANGED), facts | {"left_mm": left, "usual_mm": usual}
+    return (OK if enough else CHANGED), facts | {"left_mm": left}
 
 
 def update(options):
@@ -231,8 +243,10 @@ def _opened(options):
     return load_correction(options.model), out
 
 
-def _usual_mm(saved):
-    """Mean deviation that the correction left at positions left out when it was learnt, mm."""
+def _usual_mm(saved, today):
+    """Mean deviation that was left when it was learnt, mm; None if that was another measure."""
+    if (saved.facts["measure"] == "2S") != (today.points is None):
+        return None
     left = float(np.mean(saved.facts["positions"]["after"]))
     if saved.facts["measure"] == "2S":  # of normal errors: twice their length's root mean square
         left *= np.sqrt(8 / (3 * np.pi)) / 2

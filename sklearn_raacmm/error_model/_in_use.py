@@ -70,7 +70,7 @@ class ModelInUseMixin:
             )
         moved = copy(self)
         moved.arm, moved.linear_model_ = arm, moved_model(old, arm)
-        moved.fading_ = moved_fading(self.fading_, old, moved.linear_model_)
+        moved.fading_ = moved_fading(self.fading_, old.arm, arm)
         return moved
 
     def sample_y(self, X, n_samples=1, random_state=None, *, with_noise=False, with_unseen=False):

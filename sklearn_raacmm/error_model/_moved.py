@@ -13,8 +13,6 @@ from sklearn_raacmm.error_model._columns import TEMPERATURE, other_columns
 # Fields of the table, none of which a probe changes, and by how much rounding may.
 _TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
 _ROUNDING = 1e-9
-# Poses at which the standard deviations with two probes are compared: a number for speed.
-_COMPARED = 200
 # Families whose columns are all per reach.
 _PER_REACH = ("gravity", "force")
 
@@ -91,28 +89,21 @@ def moved_model(linear, arm):
 
 
 def moved_fading(fading, old, new):
-    """Fading that takes nowhere more of a correction than with the old probe.
+    """Fading that takes no more of a correction than with the old probe.
 
     A longer probe makes every standard deviation larger, and the errors with it: that is no reason
-    to take the correction back.
+    to take the correction back. Those of the last joint grow as its lever does, others less.
 
     Parameters
     ----------
     fading : Fading
-        Of the model `old`.
-    old, new : LinearModel
+        Of a model of the arm `old`.
+    old, new : Arm
 
     Returns
     -------
     Fading
     """
-    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (_COMPARED, old.arm.n_joints))
-    extra = [np.full(_COMPARED, reference[0]) for _, reference in old.terms.extra]
-    tried = np.column_stack([tried, *extra])
-    before, after = (
-        np.linalg.norm(one.predict(tried, return_std=True)[1], axis=1) for one in (old, new)
-    )
-    ratio = float(np.max(after / np.maximum(before, 1e-300), initial=1.0))
-    if not before.all():
-        return fading
+    levers = [float(np.hypot(arm.a, arm.d)[-1] + np.linalg.norm(arm.probe)) for arm in (old, new)]
+    ratio = max(levers[1] / levers[0], 1.0) if levers[0] > 0 else 1.0
     return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
