@@ -1,7 +1,7 @@
 """False alarms and found knocks of a check, on arms whose errors no model describes completely.
 
 Simulated single-point tests of several kinds of arms: 12 cones are learnt, and 6 others of the same
-arm, 10 poses each, are checked on another day, as they are and with one joint knocked (2 to 5 in
+arm, 10 poses each, are checked on another day, as they are and with one joint knocked (2 to 4 in
 turn). Tracker series: a simulated arm with eccentric encoders, whose base then settles by 40 um or
 drifts by that much, and, with ``--real``, random halves of the UR10 and of the two Pandas.
 
@@ -68,7 +68,7 @@ def single_points(kind, errors, arms, days):
         model = ArmResidualRegressor(known.arm).fit(known.data, known.target, groups=known.groups)
         for day in range(days):
             new = make_single_point(6, 10, machine=machine, random_state=1000 * (day + 1) + seed)
-            joint = 1 + (seed + day) % 4
+            joint = 1 + (seed + day) % 3
             knock = known.arm.jacobian(new.data)[:, :, joint] * 10 * ARCSEC
             for name, moved, cause in (
                 ("none", 0.0, "nothing"),
@@ -143,7 +143,7 @@ def pandas(runs):
                 continue
             rest = ~known
             y = found.residuals(data.data[rest], groups=data.groups[rest])
-            joint = 1 + run % 4
+            joint = 1 + run % 3
             knock = found.arm.jacobian(data.data[rest])[:, :, joint] * 40 * ARCSEC
             for moved, where, cause in (
                 (0.0, count, "nothing"), (knock, knocked, f"offset of joint {joint + 1}"),

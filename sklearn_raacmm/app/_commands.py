@@ -251,7 +251,9 @@ def export(options):
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
         source = folder / f"{options.name}.c"
-        paths += export_c(saved.model, source, std=options.std, poses="random")
+        paths += export_c(
+            saved.model, source, std=options.std, poses="random", any_probe=options.any_probe
+        )
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)

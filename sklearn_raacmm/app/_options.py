@@ -62,6 +62,8 @@ def export(parser):
     parser.add_argument("--onnx", metavar="FILE", help="ONNX file to write")
     parser.add_argument("--name", default="arm_correction", help="name of the C functions")
     parser.add_argument("--std", action="store_true", help="standard deviations in C, too")
+    text = "functions in C take the vector of the probe, too"
+    parser.add_argument("--any-probe", action="store_true", help=text)
 
 
 def arm(parser):

@@ -21,6 +21,7 @@ from sklearn_raacmm.error_model import LinearModel
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
     Interval,
+    centred,
     encode_groups,
     group_means,
     listed,
@@ -76,7 +77,8 @@ class CorrectionCheck:
     advice : str
         What to do, in one sentence.
     size_mm : float
-        What the suspect does to the probe at these poses, root mean square; 0 for "nothing".
+        What the suspect does to the probe at these poses, root mean square; of a single-point test
+        about the means of the positions. 0 for "nothing".
     usual_mm : float
         The same of what a correction that holds leaves.
     matters : bool
@@ -256,11 +258,10 @@ def check_correction(
     holds = p_value >= false_alarm_rate
     suspect = "nothing" if holds else best_cause(tests)
     n = 3 * len(poses.left)
-    usual_mm = float(np.sqrt(np.square(root[:n, :n]).sum() / len(poses.left)))
+    usual_mm = poses.usual_mm()
     size_mm = 0.0
     if suspect in causes:
-        change = explained(causes[suspect], whiten, poses.residual())[:n]
-        size_mm = float(np.sqrt(np.square(change).sum() / len(poses.left)))
+        size_mm = poses.size_mm(explained(causes[suspect], whiten, poses.residual())[:n])
     elif suspect == "noise":  # as much as all exceed what is expected of them
         more = tests["statistic"][0] / tests["freedom"][0] - 1
         size_mm = usual_mm * float(np.sqrt(max(more, 0.0)))
@@ -396,6 +397,17 @@ class _Poses(NamedTuple):
         n = 3 * len(self.left)
         covariance[range(n, len(half)), range(n, len(half))] += np.square(noise.sd)
         return cholesky(covariance, lower=True, check_finite=False)
+
+    def usual_mm(self):
+        """Root mean square of what a correction that holds leaves of what the poses can show."""
+        spread = self.linear.predict(self.angles, return_std=True)[1]
+        noise = 3 * self.linear.noise_variance / self.weights
+        return float(np.sqrt(np.mean(np.square(spread).sum(axis=1) + noise)))
+
+    def size_mm(self, change):
+        """Root mean square of a change (3 n,); of positions with offsets about their means."""
+        change = centred(change.reshape(-1, 3), self.codes, self.weights)
+        return float(np.sqrt(np.mean(np.square(change).sum(axis=1))))
 
     def nuisance(self, refitted):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""

@@ -104,6 +104,11 @@ def moved_fading(fading, old, new):
     -------
     Fading
     """
-    levers = [float(np.hypot(arm.a, arm.d)[-1] + np.linalg.norm(arm.probe)) for arm in (old, new)]
-    ratio = max(levers[1] / levers[0], 1.0) if levers[0] > 0 else 1.0
+    ratio = max(lever_mm(new) / lever_mm(old), 1.0) if lever_mm(old) > 0 else 1.0
     return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
+
+
+def lever_mm(arm, probe_mm=None):
+    """Length of the last link and of the probe, or of one of another length, mm."""
+    own = np.linalg.norm(arm.probe) if probe_mm is None else probe_mm
+    return float(np.hypot(arm.a[-1], arm.d[-1]) + own)
