@@ -47,6 +47,7 @@ __all__ = [
     "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",
+    "SavedCorrection",
     "TableChange",
     "__version__",
     "calibrate",

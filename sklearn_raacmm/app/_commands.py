@@ -16,9 +16,8 @@ from scipy import stats
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
 from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._figures import chart_of, picture_of
+from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
-    SavedCorrection,
     files_of,
     in_rad,
     load_arm,
@@ -27,10 +26,11 @@ from sklearn_raacmm.app._files import (
     write_corrected,
 )
 from sklearn_raacmm.app._lengths import length_of
+from sklearn_raacmm.app._life import check_by_causes, say_check
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import check_correction, learn_correction, read_check_records
+from sklearn_raacmm.correction import check_correction, learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -96,8 +96,7 @@ def _learn(options, arm, table, lengths, facts):
     _progress(30, 30, "report")
     layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
     corrected = io.StringIO(newline="")
-    saved = SavedCorrection(result.arm, result.model, result.facts())
-    write_corrected(layout, saved, corrected)
+    write_corrected(layout, result.saved, corrected)
     card = describe(result.model, result.angles)
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
@@ -156,11 +155,12 @@ def check(options):
     inputs = [options.table, *files_of(options.model)]
     check_places(filter(None, (options.record, options.chart)), inputs)
     saved = load_correction(options.model)
-    if saved.facts["measure"] != "2S":
-        raise TableError("check needs a correction that was learnt from a single-point test.")
+    if options.points or options.lengths or saved.facts["measure"] != "2S":
+        return check_by_causes(saved, options)
     table = read_table(options.table, saved.arm.n_joints, **_columns(options))
     _say_notes(table.notes)
-    measured, corrected, _ = saved.correct(in_rad(table))
+    angles = in_rad(table)
+    measured, corrected = saved.arm.forward(angles), saved.correct(angles)[0]
     before, after = (
         single_point_repeatability(points, table.positions, aggregate=None)
         for points in (measured, corrected)
@@ -208,17 +208,8 @@ def _name_the_suspect(saved, measured, table, options, rate):
         saved.model, angles, position_residuals(measured, positions), groups=positions,
         false_alarm_rate=rate,
     )  # fmt: skip
-    if not found.holds:
-        print(f"Suspect: {found.suspect} (p = {found.p_value:.2g}). {found.advice}")
-    for row in found.slipped:
-        print(f"slipped: row {table.rows[row]} ({positions[row]}), measure it again")
-    if options.record:
-        found.append_to(options.record)
-        print(f"Appended to {options.record}")
-    if options.chart:
-        records = read_check_records(options.record) if options.record else [found.record]
-        write_whole({options.chart: chart_of(records)})
-        print(f"Written to {options.chart}")
+    rows = [f"{table.rows[row]} ({positions[row]})" for row in range(len(positions))]
+    say_check(found, options, rows)
     return not found.holds
 
 
@@ -260,7 +251,14 @@ def export(options):
         card = describe(saved.model)
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
-        paths += export_c(saved.model, source, std=options.std, card=card, poses="random")
+        paths += export_c(
+            saved.model,
+            source,
+            std=options.std,
+            card=card,
+            poses="random",
+            any_probe=options.any_probe,
+        )
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)

@@ -6,15 +6,13 @@
 import csv
 import os
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import columns_of, corrected_points, read_correction
-from sklearn_raacmm.export import TRUSTED_TYPES
+from sklearn_raacmm.correction import SavedCorrection, columns_of
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -41,20 +39,6 @@ def load_arm(source):
         raise TableError(f"--arm: there is no file {source}, and as a {error}") from None
 
 
-@dataclass(frozen=True, eq=False)
-class SavedCorrection:
-    """What `LearnedCorrection.save` wrote."""
-
-    arm: Arm
-    model: object
-    facts: dict
-
-    def correct(self, angles):
-        """Measured and corrected points (n, 3), and standard deviations; angles in rad."""
-        measured = self.arm.forward(angles)
-        return measured, *corrected_points(self.arm, self.model, angles, self.facts)
-
-
 def load_correction(source):
     """Saved correction from its folder, or from a file in it."""
     folder = Path(source)
@@ -66,18 +50,9 @@ def load_correction(source):
             "run code: install skops (pip install skops) and learn again."
         )
     try:
-        facts, (arm, model) = read_correction(folder, ["arm.json", "model.skops"])
+        return SavedCorrection.load(folder)
     except (ValueError, OSError) as error:
         raise TableError(f"--model: {error}") from None
-    try:
-        import skops.io
-    except ImportError:
-        raise TableError("To load a model, install skops: pip install skops.") from None
-    try:
-        model = skops.io.loads(model, trusted=TRUSTED_TYPES)
-    except Exception as error:  # of a file of another version, anything
-        raise TableError(f"--model: {folder} cannot be loaded: {error}") from None
-    return SavedCorrection(Arm.from_json(arm), model, facts)
 
 
 def files_of(source):

@@ -51,6 +51,18 @@ _WORDS = (
         "raacmm check small_test.csv --model my_arm --record checks.csv --chart chart.svg",
     ),
     _Word(
+        "register", "_life", "find a new probe or a new place through the correction",
+        "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
+    ),
+    _Word(
+        "update", "_life", "bring a correction up to date with few new poses",
+        "raacmm update today.csv --model my_arm --out my_arm_2026",
+    ),
+    _Word(
+        "move", "_life", "move a correction to a probe whose vector is known",
+        "raacmm move --model my_arm --probe 0,0,250 --out my_arm_250mm",
+    ),
+    _Word(
         "export", "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
     ),

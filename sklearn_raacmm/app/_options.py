@@ -29,11 +29,32 @@ def correct(parser):
 
 def check(parser):
     """Add the options of ``raacmm check``."""
-    parser.add_argument("table", help="a small single-point test of today")
-    _add_model(parser)
+    _add_today(parser, "a small test of today")
+    text = "the tracker was set up anew: find the base from these poses"
+    parser.add_argument("--new-base", action="store_true", help=text)
     parser.add_argument("--record", metavar="CSV", help="file to append the line of this check to")
     parser.add_argument("--chart", metavar="SVG", help="control chart of the record to write")
-    _add_columns(parser)
+
+
+def register(parser):
+    """Add the options of ``raacmm register``."""
+    _add_today(parser, "poses with the new probe, or in the new place: 15 in two cones will do")
+    _add_folder(parser)
+
+
+def update(parser):
+    """Add the options of ``raacmm update``."""
+    _add_today(parser, "20 poses or more of the arm as it is now")
+    _add_folder(parser)
+    parser.add_argument("--date", help="when they were measured (today)")
+
+
+def move(parser):
+    """Add the options of ``raacmm move``."""
+    _add_model(parser)
+    text = "vector of the new probe in the last frame, mm; --probe=-5,0,250 before a sign"
+    parser.add_argument("--probe", metavar="X,Y,Z", required=True, help=text)
+    _add_folder(parser)
 
 
 def export(parser):
@@ -43,6 +64,8 @@ def export(parser):
     parser.add_argument("--onnx", metavar="FILE", help="ONNX file to write")
     parser.add_argument("--name", default="arm_correction", help="name of the C functions")
     parser.add_argument("--std", action="store_true", help="standard deviations in C, too")
+    text = "functions in C take the vector of the probe, too"
+    parser.add_argument("--any-probe", action="store_true", help=text)
 
 
 def arm(parser):
@@ -98,3 +121,16 @@ def _add_columns(parser, labelled=True):
 
 def _add_model(parser):
     parser.add_argument("--model", required=True, help="folder written by raacmm learn")
+
+
+def _add_today(parser, table):
+    parser.add_argument("table", help=table)
+    _add_model(parser)
+    parser.add_argument("--points", metavar="X,Y,Z", help="columns of a tracker's points")
+    parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
+    parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
+    _add_columns(parser)
+
+
+def _add_folder(parser):
+    parser.add_argument("--out", help="folder to write into (that of --model)")

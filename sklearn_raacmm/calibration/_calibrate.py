@@ -12,9 +12,9 @@ import numpy as np
 from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
 from sklearn_raacmm.calibration._checks import (
     check_arm_angles,
-    check_correction,
     check_free,
     check_problem,
+    checked_correction,
     table_findings,
     warn_of_few_rows,
     warn_of_harm,
@@ -59,6 +59,9 @@ _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
 # What counts as knowing nothing of a base, a reach and a turn of one radian.
 _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE_COORDINATES = ("rx", "ry", "rz", "x", "y", "z")
+# A correction depends on the probe that is fitted through it. Two rounds as a rule: it changes by
+# a ten-thousandth of what the probe does.
+_MOST_MOVES, _SETTLED_MM = 5, 1e-6
 _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
 
 
@@ -206,18 +209,23 @@ def calibrate(
     True
     """
     lengths, free = listed("lengths", lengths), check_free(free)
-    corrections = None if correction is None else check_correction(correction, angles, angle_unit)
+    if correction is not None:
+        correction = checked_correction(correction, angles, angle_unit)
     angles = check_arm_angles(arm, angles, angle_unit)
     problem, tool_labels, station_labels = check_problem(
         angles, groups, points, lengths, tools, stations, orientations
     )
-    problem.correction = corrections
     poses, angles, problem = one_row_a_pose(angles, problem)
     say_findings(wrong_units(arm, angles, problem))
+    if correction is not None:
+        correction = correction.of_poses(poses)
+        problem.correction = correction.at([arm.probe] * problem.n_tools, problem)
 
     priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
     wanted = _Parameters.of(arm, tool_labels, free, priors)
     fit, given, before = _fitted(arm, angles, problem, wanted, loss)
+    if correction is not None:
+        _settle(fit, wanted, correction)
     if not fit.converged:
         said = (
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
@@ -281,6 +289,18 @@ def _fitted(arm, angles, problem, wanted, loss):
     fit.reset_weights()
     fit.run(wanted.is_free)
     return fit, given, before
+
+
+def _settle(fit, wanted, correction):
+    """Fit again with the correction of the probes that were found, until it stays."""
+    problem = fit.problem
+    for _ in range(_MOST_MOVES):
+        probes = [fit.arm(tool).probe for tool in range(problem.n_tools)]
+        moved = correction.at(probes, problem)
+        if np.abs(moved - problem.correction).max() < _SETTLED_MM:
+            return
+        fit.correct_by(moved)
+        fit.run(wanted.is_free)
 
 
 def _parameters(arm, tool_labels):

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
@@ -88,19 +90,54 @@ def _check_points(points, n, lengths):
     return points
 
 
-def check_correction(correction, angles, angle_unit):
-    """Predicted residuals (n, 3) of the rows."""
+class Correction(NamedTuple):
+    """A fitted model, and the rows at which it is asked."""
+
+    model: object
+    X: np.ndarray  # as the model takes them
+
+    def of_poses(self, poses):
+        """The same at the poses that the rows are of."""
+        if not poses.merges:
+            return self
+        unit = np.pi / 180 if getattr(self.model, "angle_unit", "rad") == "deg" else 1.0
+        return self._replace(X=poses.mean_angles(unit * self.X) / unit)
+
+    def at(self, probes, problem):
+        """Predicted residuals (n, 3) of rows with the probe of each tool, (n_tools, 3)."""
+        residuals = np.empty((len(self.X), 3))
+        for tool, probe in enumerate(probes):
+            rows, model = problem.rows_of_tool(tool), self.model
+            if can_be_moved(model):
+                model = model.with_arm(model.arm_.replace(probe=probe))
+            residuals[rows] = _finite_residuals(model, self.X[rows])
+        return residuals
+
+
+def can_be_moved(model):
+    """Whether a fitted model can be moved to another probe: a second stage cannot."""
+    return hasattr(model, "with_arm") and getattr(model, "regressor_", None) is None
+
+
+def checked_correction(correction, angles, angle_unit):
+    """A `Correction` of the rows; one that cannot predict them is refused."""
     if not hasattr(correction, "predict"):
         raise TypeError(
             "correction must be a fitted model with predict(angles), got "
             f"{type(correction).__name__}."
         )
+    angles = np.asarray(angles, dtype=float)
     # A model that was trained in degrees is asked in degrees.
     if getattr(correction, "angle_unit", "rad") == "deg":
-        angles = np.asarray(angles) if angle_unit == "deg" else np.rad2deg(angles)
+        angles = angles if angle_unit == "deg" else np.rad2deg(angles)
     elif angle_unit == "deg":
         angles = np.deg2rad(angles)
-    residuals = np.asarray(correction.predict(angles), dtype=float)
+    _finite_residuals(correction, angles)
+    return Correction(correction, angles)
+
+
+def _finite_residuals(model, angles):
+    residuals = np.asarray(model.predict(angles), dtype=float)
     if residuals.shape != (len(angles), 3) or not np.all(np.isfinite(residuals)):
         raise ValueError(
             f"correction.predict must give finite residuals of shape ({len(angles)}, 3) in mm, "

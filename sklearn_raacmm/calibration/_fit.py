@@ -118,6 +118,10 @@ class Fit:
         self.length_weights = self._new_length_weights()
         self.sigma = self.sigma_turn = None
 
+    def correct_by(self, correction):
+        """Take another correction (n, 3) of the points, mm."""
+        self.problem.correction, self._evaluated = correction, None
+
     def arm(self, tool=0):
         return unpack(self.nominal_arm, self.x, tool)
 

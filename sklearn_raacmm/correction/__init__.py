@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.correction._deviations import columns_of, corrected_points
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
+from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._records import read_check_records
@@ -15,9 +16,11 @@ from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
+    "TRUSTED_TYPES",
     "CorrectionCheck",
     "CorrectionScores",
     "LearnedCorrection",
+    "SavedCorrection",
     "TableChange",
     "check_correction",
     "columns_of",

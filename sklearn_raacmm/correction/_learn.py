@@ -13,6 +13,7 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
 from sklearn_raacmm.correction._deviations import STD_OF, corrected_points, distances
+from sklearn_raacmm.correction._loaded import SavedCorrection, base_as_facts
 from sklearn_raacmm.correction._one_fit import Data
 from sklearn_raacmm.correction._saved import write_correction
 from sklearn_raacmm.correction._scores import (
@@ -118,12 +119,7 @@ class LearnedCorrection:
         """
         check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        facts = {
-            "noise_mm": self.noise,
-            "std_factor": self.scores.std_factor,
-            "scale_sd": self.calibration.scale_sd,
-        }
-        return corrected_points(self.arm, self.model, angles, facts, std_of)
+        return corrected_points(self.arm, self.model, angles, self._deviations(), std_of)
 
     def distances(self, angles, others, *, angle_unit="rad"):
         """Distances between pairs of corrected readings, and how far to trust them.
@@ -188,9 +184,43 @@ class LearnedCorrection:
         contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
         return write_correction(folder, self.facts(), contents)
 
+    @staticmethod
+    def load(folder):
+        """Load what `save` wrote, without the data: see `SavedCorrection`.
+
+        Parameters
+        ----------
+        folder : str or path-like
+
+        Returns
+        -------
+        SavedCorrection
+            The arm, the model, the base, and the facts of ``correction.json``.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import LearnedCorrection
+        >>> saved = LearnedCorrection.load("my_arm")  # doctest: +SKIP
+        """
+        return SavedCorrection.load(folder)
+
+    @property
+    def saved(self):
+        """The same without the data: what `save` writes and `load` reads."""
+        base = self.calibration.base_rotation, self.calibration.base_translation
+        base = None if base[0] is None else base
+        return SavedCorrection(self.arm, self.model, base, self.facts())
+
+    def _deviations(self):
+        return {
+            "noise_mm": self.noise,
+            "std_factor": self.scores.std_factor,
+            "scale_sd": self.calibration.scale_sd,
+        }
+
     def facts(self):
         """Scores and verdict as plain values, fit for JSON."""
-        scores = self.scores
+        scores, found = self.scores, self.calibration
         return {
             "written_by": f"sklearn_raacmm {__version__}",
             "verdict": scores.verdict,
@@ -198,9 +228,8 @@ class LearnedCorrection:
             "judged": scores.judged,
             "findings": [finding.facts() for finding in scores.findings],
             "measure": scores.measure,
-            "noise_mm": self.noise,
-            "std_factor": scores.std_factor,
-            "scale_sd": self.calibration.scale_sd,
+            "base": base_as_facts((found.base_rotation, found.base_translation)),
+            **self._deviations(),
             "coverage": scores.coverage,
             "n_rows": len(self.angles),
             "n_folds": scores.n_folds,

@@ -255,11 +255,16 @@ def check_poses(model, X):
         If the model is not fitted.
     ValueError
         If X has another number of columns than in the fit, holds NaN or infinity, or has a tool
-        that the training data did not have.
+        that the training data did not have; or if the model's arm has been exchanged since.
     """
     check_is_fitted(model)
-    X = check_features(model, X, dtype=np.float64, reset=False)
     linear = model.linear_model_
+    if model.arm is not None and model.arm != linear.arm:
+        raise ValueError(
+            f"arm is {model.arm!r}, but the model was fitted with {linear.arm!r}: a fitted model "
+            "is moved to another probe by with_arm, and to another table by a new fit."
+        )
+    X = check_features(model, X, dtype=np.float64, reset=False)
     n_joints = linear.arm.n_joints
     check_tools(linear.terms.extra, X[:, n_joints:])
     return _in_rad(X, n_joints, model.angle_unit)
