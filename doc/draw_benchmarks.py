@@ -1,7 +1,7 @@
-"""Draw the figures of the page on benchmarks: ``python doc/draw_benchmarks.py``.
+"""Draw the figures of measured results: ``python doc/draw_benchmarks.py``.
 
-Reads ``doc/benchmarks.json``, which says with which command each number was measured; writes
-``doc/images/bench_error.svg``, ``bench_rows.svg`` and ``bench_one_row.svg``.
+Reads ``doc/benchmarks.json``, which says with which command each number was measured, and
+``doc/results.json``; writes ``doc/images/bench_*.svg``.
 """
 
 import json
@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from _results import ALL, LINEAR, MIXES, PERFECT, REAL, THREE, UNCORRECTED, read, simulated
 
 DOC = Path(__file__).resolve().parent
 OURS, PROCESS = "#D55E00", "#0072B2"  # safe for colour-blind readers
@@ -42,7 +43,7 @@ def error(figure, results):
     figure.legend(
         *left.get_legend_handles_labels(), fontsize=9, ncols=5, loc="outside lower center"
     )
-    for i, (peer, ratio) in enumerate(over_the_network(results).items()):
+    for i, ratio in enumerate(over_the_network(results).values()):
         right.plot(
             np.clip(ratio, 0.3, 20), np.full(len(ratio), -i), "o", color="0.6", ms=4, mfc="none"
         )
@@ -105,7 +106,68 @@ def one_row(figure, results):
     ax.legend(fontsize=9, loc="lower right")
 
 
-FIGURES = {"error": (error, (9.5, 4.4)), "rows": (rows, (7.5, 4.2)), "one_row": (one_row, (7.5, 3))}
+def ideas(figure, results):
+    """What is left of the deviation as causes join the arm's model."""
+    ax = figure.subplots()
+    found = results["ideas"]
+    for i, (name, values) in enumerate(found["mean_mm"].items()):
+        share = 100 * np.array(values) / values[0]
+        style = "o--" if name.startswith("simulated") else "s-"
+        ax.plot(share, style, color=(*COLOURS[:3], OURS, PROCESS, "0.3")[i], label=name)
+    ax.set_xticks(range(len(found["steps"])), found["steps"])
+    ax.set(ylabel="deviation that is left (%)", ylim=(0, 105))
+    ax.grid(axis="y", alpha=0.3)
+    ax.legend(fontsize=9, ncols=2, loc="lower left")
+
+
+def _bars(ax, data, results, titles):
+    """Mean deviation of some data sets by model, with the interval of what each model gained."""
+    models = {UNCORRECTED: "0.75", THREE: COLOURS[2], ALL: PROCESS, LINEAR: OURS}
+    labels = ("calibrated only", "network, three inputs (the paper's)", "network, all joints",
+              "ArmResidualRegressor")  # fmt: skip
+    for i, ((model, colour), label) in enumerate(zip(models.items(), labels, strict=True)):
+        found = [results.of(name, model) for name in data]
+        place = np.arange(len(data)) + 0.2 * (i - 1.5)
+        half = None if model == UNCORRECTED else [r["half_mm"] for r in found]
+        ax.bar(place, [r["mean_mm"] for r in found], 0.19, yerr=half, color=colour, label=label,
+               error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
+    for i, name in enumerate(data):
+        if results.has(name, PERFECT):
+            floor = results.of(name, PERFECT)["mean_mm"]
+            label = "a perfect model" if i == 0 else None
+            ax.plot([i - 0.42, i + 0.42], [floor, floor], "k--", lw=1, label=label)
+    ax.set_xticks(range(len(data)), titles)
+    ax.set(ylabel="mean deviation (mm)")
+    ax.grid(axis="y", alpha=0.3)
+    ax.set_axisbelow(True)
+
+
+def real_arms(figure, _):
+    """Mean deviation of three real robots before and after corrections."""
+    ax = figure.subplots()
+    _bars(ax, REAL, read(), ["Franka Panda 3", "Franka Panda 2", "UR10"])
+    ax.set_title("Three real robots, at places that no stage had seen", fontsize=10)
+    ax.legend(fontsize=9, loc="upper left", ncols=2)
+    ax.set_ylim(top=0.52)
+
+
+def simulated_arms(figure, _):
+    """The same of three simulated measuring arms."""
+    ax = figure.subplots()
+    titles = ["gravity dominates", "both", "eccentric encoders dominate"]
+    _bars(ax, [simulated(mix) for mix in MIXES], read(), titles)
+    ax.set_title("Three simulated measuring arms", fontsize=10)
+    ax.legend(fontsize=9, loc="upper right")
+
+
+FIGURES = {
+    "error": (error, (9.5, 4.4)),
+    "rows": (rows, (7.5, 4.2)),
+    "one_row": (one_row, (7.5, 3)),
+    "ideas": (ideas, (7.5, 3.6)),
+    "real_arms": (real_arms, (7.5, 3.6)),
+    "simulated_arms": (simulated_arms, (7.5, 3.6)),
+}
 
 
 def main(folder=DOC / "images"):
