@@ -1,6 +1,7 @@
 """Sphinx: ``sphinx-build -W -n doc doc/_build/html``; needs no network."""
 
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -61,6 +62,14 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+# The source, as soon as hatch_build.py names the place where it can be seen.
+build = (DOC.parent / "hatch_build.py").read_text(encoding="utf-8")
+address = re.search(r'^ADDRESS = "(.+)"$', build, re.MULTILINE)
+if address is not None:
+    html_theme_options["icon_links"] = [
+        {"name": "Source", "url": address[1], "icon": "fa-solid fa-code-branch"}
+    ]
 
 # -- gallery ----------------------------------------------------------------------------------
 

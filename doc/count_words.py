@@ -13,24 +13,24 @@ from pathlib import Path
 
 DOC = Path(__file__).resolve().parent
 DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log")
+RESULTS = ("benchmarks", "beyond_the_paper", "paper_and_ours")
 LISTS = ("changelog", "citing", "code_of_conduct", "contributing", "glossary", "more", "references")
 LISTS += ("roadmap",)
 MODULES = ("", ".app", ".datasets", ".display", ".export", ".metrics", ".residuals", ".utils")
 # Most words of a kind, share of sentences with more than 30 words, most words of a docstring.
-LIMITS = {"user": 14_000, "developer": 10_000}
+LIMITS = {"user": 14_000, "result": 2_600, "developer": 10_000}
 LONG_SENTENCE, SHARE_OF_LONG, LONGEST_DOCSTRING = 30, 0.02, 900
 
 
 def kind_of(page):
-    """For whom a page is: "user", "developer", or "list" of what is looked up."""
-    if page.stem in DEVELOPERS:
-        return "developer"
-    return "list" if page.stem in LISTS else "user"
+    """What a page is: for users, of results, for developers, or a list of what is looked up."""
+    kinds = {"developer": DEVELOPERS, "result": RESULTS, "list": LISTS}
+    return next((kind for kind, names in kinds.items() if page.stem in names), "user")
 
 
 def pages():
     """Words of each page, by its kind."""
-    found = {"user": {}, "developer": {}, "list": {}}
+    found = {"user": {}, "result": {}, "developer": {}, "list": {}}
     for page in sorted([*DOC.glob("*.md"), *DOC.glob("user_guide/*.md")]):
         words = len(page.read_text(encoding="utf-8").split())
         found[kind_of(page)][str(page.relative_to(DOC))] = words
@@ -46,7 +46,7 @@ def sentences(text):
     text = re.sub(r"\$[^$]*\$", "X", text)
     text = re.sub(r"\]\([^)]*\)", "]", text)
     for paragraph in re.split(r"\n\s*\n", text):
-        for sentence in re.split(r"(?<=[.?!])[)\"*]*\s+(?=[A-Z`\"*\[(])", paragraph):
+        for sentence in re.split(r"(?<=[.?!])[)\"*]*\s+(?=[A-Z0-9`\"*\[({])", paragraph):
             if len(sentence.split()) > 1:
                 yield " ".join(sentence.split())
 
