@@ -1,12 +1,12 @@
 """Sphinx: ``sphinx-build -W -n doc doc/_build/html``; needs no network."""
 
 import os
-import re
 import sys
 import tempfile
 from pathlib import Path
 
 import sklearn_raacmm
+from sklearn_raacmm._version import REPOSITORY
 from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 
 DOC = Path(__file__).resolve().parent
@@ -63,12 +63,11 @@ html_theme_options = {
     "footer_end": [],
 }
 
-# The source, as soon as hatch_build.py names the place where it can be seen.
-build = (DOC.parent / "hatch_build.py").read_text(encoding="utf-8")
-address = re.search(r'^ADDRESS = "(.+)"$', build, re.MULTILINE)
-if address is not None:
+# Source and issues, as soon as `_version.py` names a public place.
+if REPOSITORY is not None:
     html_theme_options["icon_links"] = [
-        {"name": "Source", "url": address[1], "icon": "fa-solid fa-code-branch"}
+        {"name": "Source", "url": REPOSITORY, "icon": "fa-solid fa-code-branch"},
+        {"name": "Issues", "url": f"{REPOSITORY}/issues", "icon": "fa-solid fa-circle-question"},
     ]
 
 # -- gallery ----------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 DOC = Path(__file__).resolve().parent
-DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log")
+DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log", "maintenance")
 RESULTS = ("benchmarks", "beyond_the_paper", "paper_and_ours")
 LISTS = ("changelog", "citing", "code_of_conduct", "contributing", "glossary", "more", "references")
 LISTS += ("roadmap",)
