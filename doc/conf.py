@@ -95,6 +95,7 @@ sphinx_gallery_conf = {
     "backreferences_dir": "generated/backreferences",
     "remove_config_comments": True,
     "show_memory": False,
+    "thumbnail_size": (640, 448),
     "default_thumb_file": str(DOC / "images" / "paper_residuals.png"),
     "download_all_examples": False,
     "show_signature": False,
