@@ -127,17 +127,15 @@ def readme_blocks(results):
     reduced = {m: [results.less(data, m) for data in mixes] for m in (THREE, ALL, PERFECT)}
     return {
         "headline": (
-            "**On three real robots, at places that neither calibration nor model had seen, "
-            f"`ArmResidualRegressor`\nreduced the mean deviation that calibration had left by "
-            f"{listed(less)} %** ([what to expect](#what-to-expect))."
+            "**On three real robots `ArmResidualRegressor` reduced the mean deviation that "
+            f"calibration had left\nby {listed(less)} %**, at places that neither had seen "
+            "([what to expect](#what-to-expect))."
         ),
         "table": headline_table(results),
         "three inputs": (
-            "- **Three inputs see a part of it.** On the three simulated arms above the network "
-            "reduced the mean\n  deviation by "
-            f"{listed(reduced[THREE])} % with the paper's three angles and by "
-            f"{listed(reduced[ALL])} % with all joints;\n  a perfect model reduces it by "
-            f"{listed(reduced[PERFECT])} %."
+            "- **Three inputs see a part of it.** On the simulated arms above the paper's three "
+            f"angles reduced the\n  mean deviation by {listed(reduced[THREE])} %, all joints by "
+            f"{listed(reduced[ALL])} %, and a perfect model\n  by {listed(reduced[PERFECT])} %."
         ),
     }
 
