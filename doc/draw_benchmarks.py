@@ -157,7 +157,8 @@ def simulated_arms(figure, _):
     titles = ["gravity dominates", "both", "eccentric encoders dominate"]
     _bars(ax, [simulated(mix) for mix in MIXES], read(), titles)
     ax.set_title("Three simulated measuring arms", fontsize=10)
-    ax.legend(fontsize=9, loc="upper right")
+    ax.legend(fontsize=9, loc="upper right", ncols=2)
+    ax.set_ylim(top=0.05)
 
 
 FIGURES = {
