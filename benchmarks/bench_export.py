@@ -1,7 +1,7 @@
-"""The latency table of doc/deployment.md: a row in C, in ONNX and in Python, and the files' sizes.
+"""The latency table of doc/log.md: a row in C, in ONNX and in Python, and the files' sizes.
 
     python benchmarks/bench_export.py            # prints the table
-    python benchmarks/bench_export.py --write    # and puts it into doc/deployment.md
+    python benchmarks/bench_export.py --write    # and puts it into doc/log.md
 
 C is timed in a loop in C, one row per call; `load_c`, ONNX and `predict` one row
 per call from Python. CPU time of one thread, best of five. `gap` is the largest distance to
@@ -33,7 +33,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import export_c, load_c, to_json, to_onnx
 
-PAGE = Path(__file__).parents[1] / "doc" / "deployment.md"
+PAGE = Path(__file__).parents[1] / "doc" / "log.md"
 START, END = "<!-- bench_export -->", "<!-- end of bench_export -->"
 LOOP = """
 #include "arm.h"
@@ -183,7 +183,7 @@ def table(n_rows):
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=20_000)
-    parser.add_argument("--write", action="store_true", help="into doc/deployment.md")
+    parser.add_argument("--write", action="store_true", help="into doc/log.md")
     args = parser.parse_args(argv)
     lines = table(args.rows)
     print("\n".join(lines))

@@ -114,6 +114,15 @@ def ur10(n_rows, data_home):
     return Problem("real, ur10", folds, measured)
 
 
+def half_width(gain, places, n_draws=2000):
+    """Half of a 95 % interval of a mean gain: a bootstrap over places that stay together."""
+    index = np.unique(places, return_inverse=True)[1]
+    sums, counts = np.bincount(index, gain), np.bincount(index)
+    draws = np.random.default_rng(0).integers(0, len(counts), (n_draws, len(counts)))
+    low, high = np.quantile(sums[draws].sum(1) / counts[draws].sum(1), [0.025, 0.975])
+    return (high - low) / 2
+
+
 def assess(problem, corrections):
     """Every measure of a correction, given for the test rows of each fold; 2S and lengths apart."""
     n = len(problem.folds) - problem.gauge
@@ -124,11 +133,14 @@ def assess(problem, corrections):
     absolute = problem.folds[0].absolute
     deviation = np.linalg.norm(after if absolute else position_residuals(after, labels), axis=1)
     target = before if absolute else position_residuals(before, labels)
+    gain = np.linalg.norm(target, axis=1) - deviation
+    places = np.concatenate([fold.splits[fold.test] for fold in problem.folds[:n]])
     codes = np.unique(labels, return_inverse=True)[1]
     repeated = np.bincount(codes)[codes] > 1  # a goal may have one pose only
     spread = single_point_repeatability(after[repeated], labels[repeated], aggregate=None)
     results = {
         "mean_mm": deviation.mean(),
+        "half_mm": half_width(gain, places),
         "max_mm": deviation.max(),
         "two_s_mean_mm": spread.mean(),
         "two_s_max_mm": spread.max(),
@@ -137,7 +149,7 @@ def assess(problem, corrections):
             target[repeated], prediction[repeated], groups=labels[repeated]
         ),
     }
-    places = [("2S", str(g), v) for g, v in zip(np.unique(labels[repeated]), spread, strict=True)]
+    shown = [("2S", str(g), v) for g, v in zip(np.unique(labels[repeated]), spread, strict=True)]
     if problem.pairs is not None:
         if problem.gauge:
             after = problem.measured[-1] - corrections[-1]
@@ -148,13 +160,13 @@ def assess(problem, corrections):
             some = length_error(lengths[problem.lengths == size], size)
             results[f"length_{size:g}_mean_mm"] = np.abs(some).mean()
             results[f"length_{size:g}_max_mm"] = np.abs(some).max()
-            places += [(f"{size:g} mm", str(i + 1), e) for i, e in enumerate(some)]
+            shown += [(f"{size:g} mm", str(i + 1), e) for i, e in enumerate(some)]
         if len(sizes) > 1:
             # A cone test cannot see the scale: find it with the shorter gauges, judge the longest.
             longest = problem.lengths == sizes[-1]
             scale = lengths[~longest] @ problem.lengths[~longest] / np.sum(lengths[~longest] ** 2)
             results["scaled_mean_mm"] = np.abs(scale * lengths[longest] - sizes[-1]).mean()
-    return results, places
+    return results, shown
 
 
 def compare(problem, names, jobs):

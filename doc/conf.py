@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import sklearn_raacmm
+from sklearn_raacmm._version import REPOSITORY
 from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 
 DOC = Path(__file__).resolve().parent
@@ -57,10 +58,17 @@ html_sidebars = {page: [] for page in ("index", "install", "get_started")}
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
-    "header_links_before_dropdown": 7,
+    "header_links_before_dropdown": 8,
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+# Source and issues, as soon as `_version.py` names a public place.
+if REPOSITORY is not None:
+    html_theme_options["icon_links"] = [
+        {"name": "Source", "url": REPOSITORY, "icon": "fa-solid fa-code-branch"},
+        {"name": "Issues", "url": f"{REPOSITORY}/issues", "icon": "fa-solid fa-circle-question"},
+    ]
 
 # -- gallery ----------------------------------------------------------------------------------
 
@@ -87,6 +95,7 @@ sphinx_gallery_conf = {
     "backreferences_dir": "generated/backreferences",
     "remove_config_comments": True,
     "show_memory": False,
+    "thumbnail_size": (640, 448),
     "default_thumb_file": str(DOC / "images" / "paper_residuals.png"),
     "download_all_examples": False,
     "show_signature": False,

@@ -9,8 +9,8 @@ and it learns on a circle.
 
 In the figure the forearm of a simulated arm rolls twice about itself, while all other joints rest.
 The true error repeats after one turn, and so does the prediction of the network on the circle. The
-prediction of the other network does not meet its other end at 180 degrees, and it fades to zero
-where there are no training rows.
+prediction of the other network does not meet its other end at 180 degrees. On the turn without
+training rows less than half of the wave is left of it.
 
 The data are simulated: 10 positions with 40 poses each. The script takes a few seconds.
 """

@@ -4,21 +4,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import csv
-import json
 import os
-from dataclasses import dataclass
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import predict_with_std
-from sklearn_raacmm.export import TRUSTED_TYPES
+from sklearn_raacmm.correction import SavedCorrection, columns_of
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
-_NEW_COLUMNS = ("x [mm]", "y [mm]", "z [mm]", "sd x [mm]", "sd y [mm]", "sd z [mm]")
+# Standard deviations of coordinates in the base frame, of the deviation within a position, and of a
+# distance of 1 m from here.
+_NEW_COLUMNS = (
+    *(f"{axis} [mm]" for axis in "xyz"),
+    *(f"sd {axis} [mm]" for axis in "xyz"),
+    *(f"sd {axis} within position [mm]" for axis in "xyz"),
+    "sd of 1 m [mm]",
+)
 
 
 def load_arm(source):
@@ -34,80 +39,67 @@ def load_arm(source):
         raise TableError(f"--arm: there is no file {source}, and as a {error}") from None
 
 
-@dataclass(frozen=True, eq=False)
-class SavedCorrection:
-    """What `LearnedCorrection.save` wrote."""
-
-    arm: Arm
-    model: object
-    facts: dict
-
-    def correct(self, angles):
-        """Measured and corrected points (n, 3), and standard deviations; angles in rad."""
-        measured = self.arm.forward(angles)
-        correction, std = predict_with_std(self.model, angles, self.facts["noise_mm"])
-        return measured, measured - correction, self.facts["std_factor"] * std
-
-
 def load_correction(source):
     """Saved correction from its folder, or from a file in it."""
     folder = Path(source)
     if folder.is_file():
         folder = folder.parent
-    facts, arm, model = (folder / name for name in ("correction.json", "arm.json", "model.skops"))
-    for path in (facts, arm):
-        if not path.is_file():
-            raise TableError(f"--model: {folder} has no {path.name}; raacmm learn writes one.")
-    if not model.is_file():
+    if (folder / "model.joblib").is_file() and not (folder / "model.skops").is_file():
         raise TableError(
             f"--model: {folder} has no model.skops. Only these are loaded, since other files can "
             "run code: install skops (pip install skops) and learn again."
         )
     try:
-        import skops.io
-    except ImportError:
-        raise TableError("To load a model, install skops: pip install skops.") from None
-    try:
-        loaded = skops.io.load(model, trusted=TRUSTED_TYPES)
-        return SavedCorrection(
-            Arm.from_json(arm), loaded, json.loads(facts.read_text(encoding="utf-8"))
-        )
-    except Exception as error:  # of a damaged file, anything
-        raise TableError(f"--model: {folder} cannot be loaded: {error}") from None
+        return SavedCorrection.load(folder)
+    except (ValueError, OSError) as error:
+        raise TableError(f"--model: {error}") from None
 
 
-def write_corrected(layout, correct, path):
+def files_of(source):
+    """Files that loading a correction reads: no output may be one of them."""
+    folder = Path(source)
+    folder = folder.parent if folder.is_file() else folder
+    return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
+
+
+def write_corrected(layout, correction, file):
     """Copy a table with the corrected points beside its columns, block by block.
 
     Parameters
     ----------
     layout : Layout
         Of the table.
-    correct : callable
-        Takes angles in rad, returns points and standard deviations (n, 3).
-    path : path-like
-        Written beside its place and renamed when complete.
+    correction : SavedCorrection
+    file : text stream
+        Written to, with the line ends that the stream makes.
 
     Returns
     -------
     int
         Number of rows.
     """
-    path, dialect, n_rows = Path(path), layout.dialect, 0
-    beside = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    dialect, n_rows = layout.dialect, 0
+    writer = csv.writer(file, delimiter=dialect.separator or " ")
+    writer.writerow([*layout.header, *_NEW_COLUMNS])
+    for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
+        numbers = columns_of(correction.arm, correction.model, correction.facts, in_rad(block))
+        for row, values in zip(cells, numbers.tolist(), strict=True):
+            writer.writerow([*row, *map(dialect.text, values)])
+        n_rows += len(cells)
+    return n_rows
+
+
+@contextmanager
+def open_beside(path, encoding):
+    """A text stream whose file gets its name when it is complete."""
+    path = Path(path)
+    beside = path.with_name(f"{path.name}.{os.getpid():x}.tmp")
     try:
-        with open(beside, "w", encoding=dialect.encoding, newline="") as file:
-            writer = csv.writer(file, delimiter=dialect.separator or " ")
-            writer.writerow([*layout.header, *_NEW_COLUMNS])
-            for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-                numbers = np.hstack(correct(in_rad(block)))
-                for row, values in zip(cells, numbers.tolist(), strict=True):
-                    writer.writerow([*row, *map(dialect.text, values)])
-                n_rows += len(cells)
+        with open(beside, "w", encoding=encoding, newline="") as file:
+            yield file
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
-    return n_rows
 
 
 def in_rad(table):

@@ -10,7 +10,7 @@ import numpy as np
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration._orientation import check_turns, turn_vectors
 from sklearn_raacmm.calibration._problem import encode_labels
-from sklearn_raacmm.utils import centred, check_points, encode_groups
+from sklearn_raacmm.utils import centred, check_points, encode_groups, slip_factors
 
 # Rows and combinations that are printed.
 _N_SHOWN = 10
@@ -42,7 +42,8 @@ class CalibrationResult:
         The sums of parameters that the data leave open, such as ``"d2 - d3"``: every parameter
         may be known only together with others. mm and rad.
     prior_sd : dict
-        Prior standard deviations that were used: ``"length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
+        Prior standard deviations that were used: ``"length_mm"`` of the long lengths,
+        ``"short_length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
     rank, n_free, n_coordinates : int
         How many combinations of the free parameters the data can show at all, how many parameters
         were free (bases included), and how many coordinates there are, less three for each unknown
@@ -95,6 +96,8 @@ class CalibrationResult:
         given.
     converged : bool
         Whether weights and parameters settled.
+    findings : tuple of Finding
+        What there is to say about the data.
 
     See Also
     --------
@@ -137,6 +140,7 @@ class CalibrationResult:
     base_translation: np.ndarray | None = field(repr=False)
     target_rotation: np.ndarray | None = field(repr=False)
     converged: bool
+    findings: tuple = ()
 
     def residuals(
         self, angles, points=None, groups=None, *, tools=None, stations=None, angle_unit="rad"
@@ -160,7 +164,7 @@ class CalibrationResult:
         -------
         ndarray of shape (n_samples, 3)
             What the calibrated arm shows, without any correction, minus the measured point, or
-            minus the mean of its group, mm.
+            minus the mean of its group without slips (see :func:`position_residuals`), mm.
 
         Raises
         ------
@@ -186,7 +190,8 @@ class CalibrationResult:
         for rows, arm in self._parts("tools", tools, self.arms, self.arm, len(angles)):
             shown[rows] = arm.forward(angles[rows])
         if groups is not None:
-            return centred(shown, encode_groups(groups, len(angles))[1])
+            codes = encode_groups(groups, len(angles))[1]
+            return centred(shown, codes, slip_factors(shown, codes))
         points = check_points(points, 3)
         if len(points) != len(angles):
             raise ValueError(f"There are {len(points)} points, but {len(angles)} rows of angles.")

@@ -83,6 +83,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
         noise_variance=after.noise_sd**2,
         noise_scale=noise_scale,
         std_scale=std_scale,
+        n_positions=float(len(np.unique(np.arange(len(weights)) if codes is None else codes))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
         tried = poses_in_range(angles[weights > 0], arm.n_joints)

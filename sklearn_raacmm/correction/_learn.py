@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import json
 from dataclasses import dataclass, field
 from html import escape
 
@@ -13,11 +12,22 @@ from sklearn.base import BaseEstimator
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std
-from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
+from sklearn_raacmm.correction._deviations import STD_OF, corrected_points, distances
+from sklearn_raacmm.correction._loaded import SavedCorrection, base_as_facts
+from sklearn_raacmm.correction._one_fit import Data
+from sklearn_raacmm.correction._saved import write_correction
+from sklearn_raacmm.correction._scores import (
+    CorrectionScores,
+    check_judging,
+    scored_and_fitted,
+    with_verdict,
+)
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.measurements import warn_of_moved_seats
-from sklearn_raacmm.utils import check_path, warn_user, write_whole
+from sklearn_raacmm.utils import Finding, check_option, heard_findings, say_findings
+
+# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
+# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
+_MUCH_SCATTER_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +70,11 @@ class LearnedCorrection:
     lengths: list = field(repr=False)
 
     @property
+    def findings(self):
+        """What there is to say about the data, a tuple of :class:`Finding`."""
+        return self.scores.findings
+
+    @property
     def helps(self):
         """Whether the correction is worth using at new positions."""
         return self.scores.helps
@@ -69,7 +84,7 @@ class LearnedCorrection:
         """The same in one sentence."""
         return self.scores.verdict
 
-    def correct(self, angles, *, angle_unit="rad"):
+    def correct(self, angles, *, angle_unit="rad", std_of="coordinate"):
         """Corrected points, and how far to trust them.
 
         Parameters
@@ -78,47 +93,86 @@ class LearnedCorrection:
             Joint angles.
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `angles`.
+        std_of : {"coordinate", "position"}, default="coordinate"
+            What the standard deviations are of: a coordinate of one reading in the arm's base
+            frame; or its deviation within a position, which is all that cones show: 95 % of the
+            coordinates left out lay within 1.96 of them.
 
         Returns
         -------
         points : ndarray of shape (n_samples, 3)
             Corrected points in the arm's base frame, mm.
         std : ndarray of shape (n_samples, 3)
-            Standard deviation of each coordinate of one reading, mm, such that 95 % of the
-            coordinates left out lay within 1.96 of them. In a single-point test that is the
-            deviation within a position; a constant error at a position cannot be seen.
+            Standard deviation of each coordinate of one reading, mm (k = 1). That of a coordinate
+            in the base frame holds the scale of the arm: with P the point, S the shoulder and k
+            ``calibration.scale_sd``, it is the root of the squares of that within a position and
+            of k (P - S).
 
         Raises
         ------
         ValueError
             If `angles` do not fit the arm.
-        """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        correction, std = predict_with_std(self.model, angles, self.noise)
-        return self.arm.forward(angles) - correction, self.scores.std_factor * std
 
-    def save(self, folder):
+        See Also
+        --------
+        distances : Distances, whose standard deviations are others.
+        """
+        check_option("std_of", std_of, STD_OF)
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        return corrected_points(self.arm, self.model, angles, self._deviations(), std_of)
+
+    def distances(self, angles, others, *, angle_unit="rad"):
+        """Distances between pairs of corrected readings, and how far to trust them.
+
+        Parameters
+        ----------
+        angles, others : array-like of shape (n_samples, n_joints)
+            Joint angles at both ends.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of both.
+
+        Returns
+        -------
+        lengths : ndarray of shape (n_samples,)
+            In mm.
+        std : ndarray of shape (n_samples,)
+            Standard deviation of a distance between two readings, mm (k = 1): of its ends along
+            the line, and of the scale of the arm.
+
+        Raises
+        ------
+        ValueError
+            If the angles do not fit the arm or each other.
+        """
+        ends = [self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)]
+        if len(ends[0][0]) != len(ends[1][0]):
+            raise ValueError(f"There are {len(ends[0][0])} angles, but {len(ends[1][0])} others.")
+        return distances(*ends, self.calibration.scale_sd)
+
+    def save(self, folder, others=None):
         """Write the arm, the model and the scores into a folder.
 
         ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
-        should load.
+        should load. Whatever interrupts the writing, the folder holds the old correction or this
+        one: ``correction.json`` has the fingerprints of the files that belong to it.
 
         Parameters
         ----------
         folder : str or path-like
             Made if it does not exist.
+        others : dict of str to str or bytes, default=None
+            Names and contents of files to write with them, such as a report.
 
         Returns
         -------
         list of pathlib.Path
-            ``arm.json``, the model, and ``correction.json`` with scores, verdict and versions.
+            ``correction.json`` with scores, verdict and versions, ``arm.json``, the model, and the
+            others.
         """
-        folder = check_path("folder", folder)
-        folder.mkdir(parents=True, exist_ok=True)
         try:
             import skops.io
 
-            name, content = "model.skops", skops.io.dumps(self.model)
+            name, model = "model.skops", skops.io.dumps(self.model)
         except ImportError:
             import io
 
@@ -126,22 +180,56 @@ class LearnedCorrection:
 
             file = io.BytesIO()
             joblib.dump(self.model, file)
-            name, content = "model.joblib", file.getvalue()
-        facts = json.dumps(self.facts(), indent=1, ensure_ascii=False) + "\n"
-        paths = [folder / part for part in ("arm.json", name, "correction.json")]
-        write_whole(dict(zip(paths, (self.arm.to_json(), content, facts), strict=True)))
-        return paths
+            name, model = "model.joblib", file.getvalue()
+        contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
+        return write_correction(folder, self.facts(), contents)
+
+    @staticmethod
+    def load(folder):
+        """Load what `save` wrote, without the data: see `SavedCorrection`.
+
+        Parameters
+        ----------
+        folder : str or path-like
+
+        Returns
+        -------
+        SavedCorrection
+            The arm, the model, the base, and the facts of ``correction.json``.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import LearnedCorrection
+        >>> saved = LearnedCorrection.load("my_arm")  # doctest: +SKIP
+        """
+        return SavedCorrection.load(folder)
+
+    @property
+    def saved(self):
+        """The same without the data: what `save` writes and `load` reads."""
+        base = self.calibration.base_rotation, self.calibration.base_translation
+        base = None if base[0] is None else base
+        return SavedCorrection(self.arm, self.model, base, self.facts())
+
+    def _deviations(self):
+        return {
+            "noise_mm": self.noise,
+            "std_factor": self.scores.std_factor,
+            "scale_sd": self.calibration.scale_sd,
+        }
 
     def facts(self):
         """Scores and verdict as plain values, fit for JSON."""
-        scores = self.scores
+        scores, found = self.scores, self.calibration
         return {
             "written_by": f"sklearn_raacmm {__version__}",
             "verdict": scores.verdict,
             "helps": scores.helps,
+            "judged": scores.judged,
+            "findings": [finding.facts() for finding in scores.findings],
             "measure": scores.measure,
-            "noise_mm": self.noise,
-            "std_factor": scores.std_factor,
+            "base": base_as_facts((found.base_rotation, found.base_translation)),
+            **self._deviations(),
             "coverage": scores.coverage,
             "n_rows": len(self.angles),
             "n_folds": scores.n_folds,
@@ -260,22 +348,17 @@ def learn_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-    calibration = _calibrated(data, angles, angle_unit)
-    scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-    kept = np.delete(np.arange(len(data.angles)), scores.outliers)
-    kept = data.without_lonely(kept)[0]
-    fitted, noise = data.fit(model, calibration, kept)
-    if data.points is None:  # of all rows: those after a step may be outliers
-        left = calibration.residuals_mm - fitted.predict(data.angles)
-        every = np.ones(len(left))
-        warn_of_moved_seats(left, data.angles, every, data.positions, noise**2)
+    with heard_findings() as heard:
+        data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
+        calibration = _calibrated(data, angles, angle_unit)
+        scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+    say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,
         model=fitted,
-        scores=scores,
+        scores=with_verdict(scores, heard),
         calibration=calibration,
-        outliers=_outliers(calibration, data.positions, scores.outliers),
+        outliers=_outliers(calibration, data, scores.outliers),
         noise=noise,
         angles=data.angles,
         positions=data.positions,
@@ -286,23 +369,27 @@ def learn_correction(
 
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
-    calibration, said = data.calibrate_all()
+    calibration = data.calibrate_all()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
     if scatter > SHARE_OF_REACH * reach:  # they belong to another table
         positions = data.positions if data.points is None else None
+        angles = np.asarray(angles)[data.rows]
         change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
         raise ValueError(
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
-    for warning in said:
-        warn_user(warning)
+    if scatter > _MUCH_SCATTER_MM:
+        said = f"The points scatter by {scatter:.1f} mm after calibration."
+        advice = "The table of the arm is probably wrong: look at it before you use the correction."
+        say_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
     return calibration
 
 
-def _outliers(calibration, positions, rows):
+def _outliers(calibration, data, poses):
     """Rows of outliers with their labels and distances, the farthest first."""
+    rows, positions = data.rows[poses], data.given[1]
     distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
     order = np.argsort(-distance, kind="stable")
     fields = [("row", "i8"), ("position", positions.dtype), ("distance", "f8")]

@@ -9,10 +9,11 @@ from datetime import date as calendar
 
 import numpy as np
 
-from sklearn_raacmm.arm import one_warning
+from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, poses_in_range
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
-from sklearn_raacmm.utils import one_blas_thread, validate_params, warn_user
+from sklearn_raacmm.correction._update_gate import what_is_wrong
+from sklearn_raacmm.utils import Finding, one_blas_thread, say_findings, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
@@ -20,10 +21,20 @@ _STRANGE = 10.0
 
 
 @one_blas_thread
-@validate_params({"date": [str, calendar, None]}, prefer_skip_nested_validation=True)
+@validate_params(
+    {"arm": [Arm, None], "date": [str, calendar, None]}, prefer_skip_nested_validation=True
+)
 @one_warning()
 def update_correction(
-    model, X, y, *, groups=None, sample_weight=None, orientation_residuals=None, date=None
+    model,
+    X,
+    y,
+    *,
+    arm=None,
+    groups=None,
+    sample_weight=None,
+    orientation_residuals=None,
+    date=None,
 ):
     """Bring a fitted correction up to date with few new poses, without the old data.
 
@@ -46,6 +57,10 @@ def update_correction(
         Their residuals in mm, in the arm's base frame, without the correction:
         ``result.residuals(angles, points)`` of ``result = calibrate(..., correction=model,
         free=["probe"])``, or :func:`position_residuals` of a single-point test.
+
+    arm : Arm, default=None
+        The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
+        model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
 
     groups : array-like of shape (n_samples,), default=None
         Label of the position of each sample, where each position has an unknown offset: needed
@@ -119,24 +134,34 @@ def update_correction(
     >>> bool(np.abs(left[1]).mean() < 0.4 * np.abs(left[0]).mean())
     True
     """
-    linear = linear_model_of(model, "updated")
+    linear_model_of(model, "updated")
+    model = model if arm is None else model.with_arm(arm)
+    linear = model.linear_model_
     if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(X) == 0:
         return deepcopy(model)
     poses = NewPoses.checked(model, X, y, groups, sample_weight, orientation_residuals)
     if poses.too_few:
-        warn_user(
-            f"{poses.too_few}: the model is kept as it was. Register only, or measure more poses."
-        )
+        said = f"{poses.too_few}: the model is kept as it was."
+        say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return deepcopy(model)
+    found = what_is_wrong(model, poses)
+    say_findings(found)
     left = poses.residuals - model.second_stage(poses.angles)
     changed = changed_model(linear, poses._replace(residuals=left))
     if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
-        warn_user(
+        said = (
             f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
-            f"model, the old ones did by {linear.noise_sd:.3g} mm: are they of this arm, and "
-            "residuals in its base frame, registered through the correction?"
+            f"model, the old ones did by {linear.noise_sd:.3g} mm:"
         )
+        advice = (
+            "are they of this arm, and residuals in its base frame, registered through the "
+            "correction?"
+        )
+        strange = Finding("strange-poses", said, advice, size_mm=changed.noise_sd)
+        found.append(strange)
+        say_findings([strange])
     updated = deepcopy(model)
+    updated.findings_ = tuple(found)
     updated.linear_model_ = changed.model
     updated.fading_ = _same_fading(model, changed.model, poses.angles[poses.weights > 0])
     before = vars(model).get("updates_", ())

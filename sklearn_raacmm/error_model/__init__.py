@@ -20,6 +20,7 @@ from sklearn_raacmm.error_model._fading import Fading
 from sklearn_raacmm.error_model._gauge import constrained
 from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._moved import lever_mm
 from sklearn_raacmm.error_model._structures import order_price, smooth_shares
 from sklearn_raacmm.error_model._variance_bound import single_root
 
@@ -38,6 +39,7 @@ __all__ = [
     "constrained",
     "force_on_probe",
     "given_factors",
+    "lever_mm",
     "observed_columns",
     "order_price",
     "single_root",

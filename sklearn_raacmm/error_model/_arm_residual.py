@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -11,11 +12,19 @@ from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model._checks import check_fit, check_poses, check_turns
+from sklearn_raacmm.error_model._checks import (
+    check_fit,
+    check_poses,
+    check_turns,
+    many_without_weight,
+    poses_of,
+)
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
+from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
+from sklearn_raacmm.error_model._in_use import ModelInUseMixin
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
@@ -28,13 +37,15 @@ from sklearn_raacmm.utils import (
     check_flags,
     encode_groups,
     fit_context,
+    heard_findings,
     one_blas_thread,
+    say_findings,
     whole_fit,
 )
 
 
 class ArmResidualRegressor(
-    PointCorrectionMixin, MultiOutputMixin, RegressorMixin, VersionedEstimator
+    ModelInUseMixin, PointCorrectionMixin, MultiOutputMixin, RegressorMixin, VersionedEstimator
 ):
     r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
@@ -337,15 +348,21 @@ class ArmResidualRegressor(
         arm, used = rows.arm, rows.weights > 0
         turns = check_turns(orientation_residuals, len(used), rows.codes)
         positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
-        positions = np.unique(positions[used], return_inverse=True)[1].ravel()
-        rows = rows.at(used)
+        rows, turns = rows.at(used), None if turns is None else turns[used]
+        dwells, rows, turns = poses_of(rows, self.extra, turns)
+        positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
         terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
         with_field = isinstance(self.orders, Integral)
-        fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
+        if groups is None or rows.codes is not None or turns is not None or self.offsets is False:
+            fitted = fit_linear_model(rows, terms, with_field, turns)
+        else:
+            fitted = fit_with_constants(rows, positions, terms, with_field)
+            rows = fitted.rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
+        model = replace(model, n_positions=float(positions.max() + 1))
         mean, std = model.predict(rows.X, return_std=True)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
@@ -356,7 +373,8 @@ class ArmResidualRegressor(
         self.helps_ = self.judgement_ is None or self.judgement_.helps
         self.linear_model_ = model
         self.pose_weight_ = np.zeros(len(used))
-        self.pose_weight_[used] = fitted.pose_weight
+        self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
+        say_findings(many_without_weight(fitted.pose_weight))
         self.regressor_ = None
         if self.regressor is not None:
             left = centred(rows.y - mean * self.helps_, rows.codes, robust)
@@ -371,7 +389,7 @@ class ArmResidualRegressor(
         if rows.codes is not None:
             options["groups"] = rows.codes[kept]
         # These weights are the model's own, not metadata that a user routes.
-        with config_context(enable_metadata_routing=False):
+        with config_context(enable_metadata_routing=False), heard_findings():
             return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
@@ -416,7 +434,9 @@ class ArmResidualRegressor(
     def arm_(self):
         return self.linear_model_.arm
 
-    def predict(self, X, return_std=False, with_noise=False):
+    def predict(
+        self, X, return_std=False, with_noise=False, *, return_cov=False, with_unseen=False
+    ):
         """Predict residuals.
 
         Parameters
@@ -431,6 +451,13 @@ class ArmResidualRegressor(
             Add the noise of a measured coordinate to the standard deviation: of the residual that
             a new measurement shows, rather than of the correction.
 
+        return_cov : bool, default=False
+            Instead of standard deviations, return the covariance of all coordinates of all poses.
+
+        with_unseen : bool, default=False
+            Whether the covariance contains what a single-point test cannot show, such as a common
+            scale, as far as the model knows it: for lengths over several positions.
+
         Returns
         -------
         residuals : ndarray of shape (n_samples, 3)
@@ -443,13 +470,19 @@ class ArmResidualRegressor(
             test can show: a motion of the base is left out. They are those of the linear model; a
             second stage does not change them.
 
+        covariance : ndarray of shape (3 n_samples, 3 n_samples)
+            In mm^2, where asked for: x, y and z of the first pose, then of the next. With g the
+            derivatives of a length or a diameter by these coordinates, ``g @ covariance @ g`` is
+            its variance.
+
         Raises
         ------
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
             If X has another number of columns than in `fit`, holds NaN or infinity, or has a tool
-            that the training data did not have.
+            that the training data did not have; if `arm` is not the one that the model was fitted
+            with: `with_arm` moves it; if `return_std` and `return_cov` are both asked for.
 
         Warns
         -----
@@ -458,7 +491,14 @@ class ArmResidualRegressor(
             within one turn of radians in degrees; if most of the corrections
             are reduced to less than a tenth.
         """
-        check_flags(return_std=return_std, with_noise=with_noise)
+        check_flags(
+            return_std=return_std,
+            with_noise=with_noise,
+            return_cov=return_cov,
+            with_unseen=with_unseen,
+        )
+        if return_std and return_cov:
+            raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
         X = check_poses(self, X)
         fades = self.fading_.factor > 0
         # What is known does not fade, however well it is known.
@@ -470,6 +510,8 @@ class ArmResidualRegressor(
             if self.helps_:
                 warn_where_unknown(share)
             mean = share[:, None] * mean
+        if return_cov:
+            return mean, self.linear_model_.joint_covariance(X, with_noise, with_unseen)
         return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
 
     def _points_of(self, X):
@@ -495,89 +537,6 @@ class ArmResidualRegressor(
         if self.regressor_ is None:
             return np.zeros((len(angles), 3))
         return self.regressor_.predict(angles[:, : self.arm_.n_joints])
-
-    def predict_orientation(self, X, return_std=False, with_noise=False):
-        """Predict how far the last link is turned from where the arm shows it.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            As for `predict`.
-
-        return_std : bool, default=False
-            Also return standard deviations.
-
-        with_noise : bool, default=False
-            Add the noise of a measured component to them, where orientations were in the fit.
-
-        Returns
-        -------
-        turns : ndarray of shape (n_samples, 3)
-            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
-            times the orientation that the arm shows is the corrected one. Faded as the correction
-            of the points is, and 0 where that is.
-
-        std : ndarray of shape (n_samples, 3)
-            Standard deviations in rad, where asked for.
-
-        Notes
-        -----
-        A model that was fitted to points only knows of the orientation what the same causes do to
-        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
-        goes through the probe.
-        """
-        check_flags(return_std=return_std, with_noise=with_noise)
-        X, model = check_poses(self, X), self.linear_model_
-        mean, std = model.predict_turn(X, return_std)
-        mean = mean * self.helps_
-        if self.fading_.factor > 0:
-            share = self.fading_.share(model.predict(X, return_std=True)[1])
-            if self.helps_:
-                warn_where_unknown(share)
-            mean = share[:, None] * mean
-        if not return_std:
-            return mean
-        noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
-        return mean, np.hypot(model.std_scale * std, noise)
-
-    def fading(self, X):
-        """Share of the correction that `predict` returns at each pose.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-
-        Returns
-        -------
-        share : ndarray of shape (n_samples,)
-            1 where nothing is faded, towards 0 where nothing is known.
-        """
-        X = check_poses(self, X)
-        return self.fading_.share(self.linear_model_.predict(X, return_std=True)[1])
-
-    def distance_std(self, X1, X2):
-        """Standard deviation of corrected lengths between two poses each, without noise.
-
-        Parameters
-        ----------
-        X1, X2 : array-like of shape (n_samples, n_joints + n_extra)
-            As for `predict`, at the two ends.
-
-        Returns
-        -------
-        std : ndarray of shape (n_samples,)
-            In mm, before the correction fades.
-
-        Raises
-        ------
-        ValueError
-            If X1 and X2 have different numbers of rows, or as in `predict`.
-        """
-        X1, X2 = check_poses(self, X1), check_poses(self, X2)
-        if len(X1) != len(X2):
-            raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
-        return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()

@@ -17,7 +17,7 @@ from sklearn.cluster import KMeans
 
 from sklearn_raacmm.arm import points_of
 from sklearn_raacmm.error_model._fit import model_of
-from sklearn_raacmm.error_model._structures import structures_of
+from sklearn_raacmm.error_model._structures import HIGHEST_OF_FEW, structures_of
 from sklearn_raacmm.inference import Problem, combined, interval_scales, search_at
 from sklearn_raacmm.utils import centred, group_means, group_weights, stage
 
@@ -32,11 +32,6 @@ N_BLOCKS, LEAST_POSITIONS = 10, 4
 # prior 94 % of all true errors lie inside, and 15 of the 128 tests hold less than 85 %; with 0 it
 # is 92 %, and 26. Where the model is complete the deviations are then 7 % too large.
 _USUAL_LOG_B = 0.7
-# Orders offered to the models without a block, beside those that the whole has chosen: the choice
-# of low orders is made anew, high ones take most of the time. On 22 simulated sets (tracker,
-# single-point, causes without columns, weak gears) the models without a block were the same to the
-# last digit with all orders offered again.
-_HIGHEST_ORDER = 72
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0
 # A gain of less than this share of the deviation is none.
@@ -94,7 +89,10 @@ def leave_out(fitted, terms, positions, weights):
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
-    low = terms.harmonics[:, 1] <= _HIGHEST_ORDER
+    # High orders beside the chosen ones take most of the time: on 22 simulated sets (tracker,
+    # single-point, causes without columns, weak gears) the models without a block were the same to
+    # the last digit with all of them offered again.
+    low = terms.harmonics[:, 1] <= HIGHEST_OF_FEW
     low[state.lines] = True
     if not low.any():  # only high ones are offered
         low[:] = True

@@ -90,6 +90,9 @@ class LinearModel:
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out (see :func:`with_honest_intervals`); 1 where that is not known.
 
+    n_positions : float
+        From how many positions these factors are; infinity where that is not known.
+
     turn_mm : float
         The noise of a coordinate over that of a component of the orientation, mm per rad; 0 where
         no orientations were given.
@@ -107,6 +110,7 @@ class LinearModel:
     gauge_free_half: np.ndarray
     std_scale: float = 1.0
     noise_scale: float = 1.0
+    n_positions: float = float("inf")
     turn_mm: float = 0.0
 
     def __getstate__(self):
@@ -249,6 +253,37 @@ class LinearModel:
         """
         noise = self.noise_scale * self.noise_sd if with_noise else 0.0
         return np.hypot(self.std_scale * std, noise)
+
+    def root_at(self, angles, with_unseen=False):
+        """Root of the posterior covariance of the coordinates of some poses.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n, n_joints + n_extra)
+            In rad; then the extra columns of `terms`.
+
+        with_unseen : bool, default=False
+            Whether to take `half` in place of `gauge_free_half`.
+
+        Returns
+        -------
+        ndarray of shape (3 n, r)
+            In mm, not widened.
+        """
+        half = self.half if with_unseen else self.gauge_free_half
+        out = np.empty((len(angles), 3, half.shape[1]))
+        for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
+            out[rows] = self.columns(angles[rows]) @ half
+        return out.reshape(-1, half.shape[1])
+
+    def joint_covariance(self, angles, with_noise=False, with_unseen=False):
+        """Widened covariance (3 n, 3 n) of the coordinates of some poses, mm^2: see `root_at`."""
+        root = self.std_scale * self.root_at(angles, with_unseen)
+        covariance = root @ root.T
+        if with_noise:
+            noise = self.noise_scale**2 * self.noise_variance
+            covariance[np.diag_indices(len(covariance))] += noise
+        return covariance
 
     def distance_std(self, first, second):
         """Posterior standard deviation of a corrected length between two poses each.

@@ -5,8 +5,8 @@
 
 import contextlib
 
+from sklearn_raacmm.correction import TRUSTED_TYPES
 from sklearn_raacmm.export._export import (
-    TRUSTED_TYPES,
     export_c,
     fingerprint,
     from_json,

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.export import _onnx, _reader
+from sklearn_raacmm.export._any_probe import AnyProbe
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files
 from sklearn_raacmm.export._c_text import check_name
@@ -26,29 +25,7 @@ from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
 from sklearn_raacmm.export._steps import check_fitted, check_std
-from sklearn_raacmm.network import Network, RBFNetRegressor
-from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import check_path, show, write_whole
-
-#: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
-#: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
-TRUSTED_TYPES = [
-    f"{kind.__module__}.{kind.__qualname__}"
-    for kind in (
-        Arm,
-        Arm.azimuth,
-        ArmResidualRegressor,
-        CylindricalResidualTarget,
-        Fading,
-        Judgement,
-        LinearModel,
-        Network,
-        PoseFeatures,
-        RBFNetRegressor,
-        Terms,
-    )
-]
-
+from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
 
 # Numbers of a JSON file that plain Python goes through for its proof: a second or so.
 _PLAIN_NUMBERS = 3_000_000
@@ -90,6 +67,7 @@ def export_c(
     std: bool = False,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
+    any_probe: bool = False,
 ) -> tuple[Path, Path]:
     r"""Write a fitted model as one C99 file and its header.
 
@@ -155,6 +133,12 @@ def export_c(
         ``predict`` gives (20 of these, 8 corners of their ranges, 4 with NaN or infinity);
         ``CMakeLists.txt``, which builds, runs and installs; and ``<stem>.hpp``, for C++17.
 
+    any_probe : bool, default=False
+        Whether the functions take the vector of the probe: three more numbers in mm after the
+        joint angles and the extra columns. They then give what ``model.with_arm`` of an arm with
+        this probe predicts. For an :class:`ArmResidualRegressor` without a second stage and without
+        temperatures.
+
     Returns
     -------
     source, header : pathlib.Path
@@ -207,9 +191,14 @@ def export_c(
     _check_dtype(dtype)
     check_std(std)
     _check_card(card)
-    program = program_of(model, std)
+    check_flags(any_probe=any_probe)
     given = None if isinstance(poses, str) and poses == "random" else poses
-    rows = _rows_of(model, given, std, program.n_inputs, dtype)
+    judge = model
+    if any_probe:
+        judge = AnyProbe.of(model)
+        given = judge.rows(given)
+    program = program_of(model, std, any_probe)
+    rows = _rows_of(judge, given, std, program.n_inputs, dtype)
     extra = {}
     if poses is not None:
         gap = np.abs(run(program, rows["X"])["y"] - rows["y"])

@@ -18,6 +18,7 @@ from sklearn_raacmm.error_model import (
     column_table,
     force_on_probe,
     given_factors,
+    lever_mm,
 )
 from sklearn_raacmm.export._program import Builder
 from sklearn_raacmm.export._steps import (
@@ -51,8 +52,9 @@ _TINY = 1e-30
 class _Chain:
     """A chain that adds its operations to a program, and the arm that its angles belong to."""
 
-    def __init__(self, model, p, std, x=None, unit=None):
+    def __init__(self, model, p, std, x=None, unit=None, any_probe=False):
         self.p, self.std, self.x = p, std, p.x if x is None else x
+        self.any_probe = any_probe
         self.arm, own = arm_of(model)
         self.unit = own if unit is None else unit
         self.trust = None
@@ -73,9 +75,24 @@ class _Chain:
     def probe(self):
         """Centre of the probe in the base frame, mm."""
         last = self.p.take(self.frames(), 12 * self.arm.n_joints + np.arange(12))
+        if self.any_probe:
+            axes = self.p.take(last, [0, 3, 6, 1, 4, 7, 2, 5, 8])
+            return self.p(
+                "add", self.p("dots", axes, self.probe_vector()), self.p.take(last, [9, 10, 11])
+            )
         axes, eye = self.arm.probe.reshape(3, 1, 1), np.eye(3)
         matrix = np.concatenate([*(axes * eye), eye], axis=1)
         return self.p("affine", last, matrix=matrix, shift=np.zeros(3))
+
+    def probe_vector(self):
+        """Vector of the probe in the last frame, mm: the last three inputs."""
+        return self.p.take(self.x, self.p.size(self.x) - 3 + np.arange(3))
+
+    def lever_ratio(self):
+        """By how much the lever of the last joint is longer than with the model's own probe."""
+        p, own = self.p, lever_mm(self.arm)
+        ratio = p("div", p("add", p.length(self.probe_vector()), lever_mm(self.arm, 0.0)), own)
+        return p("max", ratio, 1.0) if own > 0 else p.constant(1.0)
 
     def direction(self):
         """Cosine and sine of the probe's azimuth, and the probe's distance from the axis."""
@@ -87,7 +104,7 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
-def program_of(model, std=False):
+def program_of(model, std=False, any_probe=False):
     """The program of a fitted model.
 
     Parameters
@@ -96,6 +113,8 @@ def program_of(model, std=False):
         Fitted.
     std : bool, default=False
         Whether the standard deviation is among its outputs.
+    any_probe : bool, default=False
+        Whether the vector of the probe is its last three inputs.
 
     Returns
     -------
@@ -111,8 +130,8 @@ def program_of(model, std=False):
         If the model is not fitted.
     """
     check_fitted(model)
-    p = Builder(n_inputs(model))
-    chain, steps = _Chain(model, p, std), list(leaves(model))
+    p = Builder(n_inputs(model) + 3 * any_probe)
+    chain, steps = _Chain(model, p, std, any_probe=any_probe), list(leaves(model))
     y, v = _read(chain, steps, p.x)
     y = p("finite", y, p("join", p.x, y))
     outputs = {"y": y}
@@ -128,7 +147,9 @@ def program_of(model, std=False):
         label = f" {chain.arm.name}" if chain.arm.name else ""
         n = chain.arm.n_joints
         about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
-        about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_of(model)]}
+        extra = [name for name, _ in extra_of(model)]
+        extra += [f"probe {axis} in mm" for axis in "xyz"] * any_probe
+        about |= {"angle_unit": chain.unit, "extra": extra}
     about["flat"] = bool(p.size(y) == 1 and is_flat(model))
     return p.program(outputs, about)
 
@@ -513,7 +534,11 @@ def linear_model(chain, linear, fading):
     if not fading.factor > 0:
         return y, v, None
     known = fading.known_mm**2
-    return y, v, p("doubt", vectors, sizes, vector=vector, root=root, known=known)
+    if not chain.any_probe:
+        return y, v, p("doubt", vectors, sizes, vector=vector, root=root, known=known)
+    scale = p("mul", chain.lever_ratio(), chain.lever_ratio())
+    total = p("doubt", vectors, sizes, vector=vector, root=root, known=0.0)
+    return y, v, p("div", p("max", p("sub", total, p("mul", scale, known)), 0.0), scale)
 
 
 def _vectors(chain):

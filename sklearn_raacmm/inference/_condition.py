@@ -22,6 +22,9 @@ _LOG_TAU, _NOISE_LOG_SD = (-7.0, 0.0), 1.0
 # Where the search starts: the logarithm of the noise in units of the prior's. It needs 20 to 40 of
 # its steps.
 _FIRST_LOG_NOISE, _MOST_STEPS = 0.1, 100
+# A gain of a thousandth of a nat, beside some thousands, ends the search: the taus of nine updates
+# of a UR10 were within 5 % of those of SciPy's own limit, after a fifth fewer steps.
+_SMALL_GAIN = 1e-6
 # Weights are found anew until none moves by more than this. Most sets settle in the first round.
 _ROUNDS, _SETTLED_WEIGHT = 4, 0.05
 # A row that the fit follows freely says nothing when it is left out.
@@ -274,7 +277,8 @@ class _Evidence:
 
         found = minimize(
             in_units, start / unit, jac=True, method="L-BFGS-B",
-            bounds=self.bounds / unit[:, None], options={"maxiter": _MOST_STEPS},
+            bounds=self.bounds / unit[:, None],
+            options={"maxiter": _MOST_STEPS, "ftol": _SMALL_GAIN},
         )  # fmt: skip
         return found.x * unit
 

@@ -3,11 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Mapping
-
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 # A direction that the rows show by less than this part of the cause itself, or of the strongest
 # direction, is rounding and not tested; a nuisance that is that much smaller than the largest one.
@@ -62,14 +61,13 @@ class Whitened:
         return values - self.basis @ (self.basis.T @ values)
 
 
-def score_tests(
-    causes: Mapping[str, np.ndarray], whiten: Whitened, residual: np.ndarray
-) -> np.ndarray:
+def score_tests(causes, whiten, residual, known_from=np.inf):
     """Test the size of all residuals, and for each cause whether it is there.
 
     What of a cause is not taken up by the nuisances spans some directions. If the covariance is
     right, the squares of the residuals along these are a chi-squared variable (C. R. Rao, Proc.
-    Camb. Phil. Soc. 44, 1948).
+    Camb. Phil. Soc. 44, 1948). Where its size was found from few independent errors, their mean is
+    a variable of Fisher's distribution F.
 
     Parameters
     ----------
@@ -77,6 +75,8 @@ def score_tests(
         What each cause does to the rows.
     whiten : Whitened
     residual : ndarray of shape (m,)
+    known_from : float, default=inf
+        From how many independent errors the size of the covariance was found.
 
     Returns
     -------
@@ -95,11 +95,20 @@ def score_tests(
             rows.append((name, np.square(seen.T @ left).sum(), seen.shape[1]))
     dtype = [("cause", "U24"), ("statistic", "f8"), ("freedom", "i4"), ("p_value", "f8")]
     tests = np.array([(*row, 0.0) for row in rows], dtype=dtype)
-    tests["p_value"] = chi2.sf(tests["statistic"], tests["freedom"])
+    statistic, freedom = tests["statistic"], tests["freedom"]
+    if np.isinf(known_from):
+        tests["p_value"] = chi2.sf(statistic, freedom)
+    else:
+        tests["p_value"] = fisher.sf(statistic / freedom, freedom, known_from)
     return tests
 
 
-def best_cause(tests: np.ndarray) -> str:
+def explained(columns, whiten, residual):
+    """What a cause does to the rows, by its most likely coefficients, (m,)."""
+    return columns @ np.linalg.lstsq(whiten(columns), whiten(residual), rcond=_UNSEEN)[0]
+
+
+def best_cause(tests):
     """The cause that explains most for its numbers (BIC), or "noise" if it leaves too much.
 
     Where the best cause leaves residuals no better than before it is not the cause.

@@ -18,6 +18,7 @@ from sklearn_raacmm.utils import (
     floats,
     refuse_disguised,
     refuse_huge,
+    slip_factors,
 )
 
 
@@ -56,7 +57,9 @@ def position_residuals(
     Notes
     -----
     This is the reference of equation (10), before the rotation. A residual is known only up to
-    one constant per position: where the true point is, the arm cannot tell.
+    one constant per position: where the true point is, the arm cannot tell. Points that lie farther
+    than 5.5 standard deviations from the mean, slips of the probe, take no part in it (Tukey's
+    biweight), as long as there are some in any position.
 
     Examples
     --------
@@ -99,7 +102,7 @@ def position_residuals(
             f"weight: {shown}. The residual of a lone point from its own mean is zero whatever "
             "the arm does; leave these positions out."
         )
-    return centred(points, codes, weight)
+    return centred(points, codes, weight * slip_factors(points, codes, weight))
 
 
 def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarray:

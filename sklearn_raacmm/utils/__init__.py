@@ -22,12 +22,23 @@ from sklearn_raacmm.utils._checks import (
     show,
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
-from sklearn_raacmm.utils._files import check_path, write_whole
+from sklearn_raacmm.utils._files import (
+    check_path,
+    check_places,
+    digest_of,
+    whole_file,
+    write_whole,
+)
 from sklearn_raacmm.utils._findings import (
     Finding,
+    FindingError,
     FindingWarning,
+    hear,
     heard_findings,
+    one_warning,
     say_findings,
+    unheard,
+    with_findings,
 )
 from sklearn_raacmm.utils._groups import (
     CENTRED,
@@ -39,6 +50,7 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     group_weights,
     share_of_means,
+    slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
@@ -72,6 +84,7 @@ __all__ = [
     "LARGEST",
     "TUKEY_CUT",
     "Finding",
+    "FindingError",
     "FindingWarning",
     "HasMethods",
     "InconsistentPackageVersionWarning",
@@ -94,6 +107,7 @@ __all__ = [
     "check_n_features",
     "check_option",
     "check_path",
+    "check_places",
     "check_points",
     "check_shapes",
     "check_weights",
@@ -101,12 +115,14 @@ __all__ = [
     "chunk_size",
     "chunks",
     "deviations_by_group",
+    "digest_of",
     "encode_groups",
     "fit_context",
     "floats",
     "group_means",
     "group_sums",
     "group_weights",
+    "hear",
     "heard_findings",
     "html_table",
     "invert_triangle",
@@ -114,6 +130,7 @@ __all__ = [
     "listed",
     "nearest_rotation",
     "one_blas_thread",
+    "one_warning",
     "refuse_disguised",
     "refuse_huge",
     "refuse_masked",
@@ -122,11 +139,15 @@ __all__ = [
     "say_findings",
     "share_of_means",
     "show",
+    "slip_factors",
     "stage",
     "tukey_weights",
+    "unheard",
     "validate_parameter_constraints",
     "validate_params",
     "warn_user",
+    "whole_file",
     "whole_fit",
+    "with_findings",
     "write_whole",
 ]

@@ -1,0 +1,187 @@
+"""Draw the figures of measured results: ``python doc/draw_benchmarks.py``.
+
+Reads ``doc/benchmarks.json``, which says with which command each number was measured, and
+``doc/results.json``; writes ``doc/images/bench_*.svg``.
+"""
+
+import json
+from pathlib import Path
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+from _results import ALL, LINEAR, MIXES, PERFECT, REAL, THREE, UNCORRECTED, read, simulated
+
+DOC = Path(__file__).resolve().parent
+OURS, PROCESS = "#D55E00", "#0072B2"  # safe for colour-blind readers
+COLOURS = ("#009E73", "#CC79A7", "#56B4E9", "0.45")
+FLOOR = 1e-3  # as in benchmarks/bench_tables.py: below, a table is solved
+STYLE = {"svg.fonttype": "none", "svg.hashsalt": "benchmarks", "font.size": 10}
+
+
+def over_the_network(results):
+    """Error of each peer over that of the network, by table: {peer: (n_tables,)}."""
+    errors = np.maximum(list(results["tables"]["error"].values()), FLOOR)
+    peers = results["tables"]["regressors"][1:]
+    return dict(zip(peers, (errors[:, 1:] / errors[:, :1]).T, strict=True))
+
+
+def error(figure, results):
+    """Errors of peers over that of the network: generated problems, and tables."""
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    found = results["problems"]
+    names = list(found["over_gaussian_process"]["of"])
+    place = np.arange(len(names))[::-1]
+    process = [1 / found["over_gaussian_process"]["of"][name][0] for name in names]
+    left.plot(process, place, "o", color=PROCESS, label="Gaussian process")
+    peers = found["peers_over_network_300_rows"]
+    for i, (name, colour) in enumerate(zip(peers["peers"], COLOURS, strict=True)):
+        values = [peers["of"][problem][i] for problem in names]
+        left.plot(values, place, "sD^v"[i], color=colour, label=name, mfc="none")
+    left.set_yticks(place, names)
+    left.set_title("Ten generated problems, 300 rows", fontsize=10)
+    figure.legend(
+        *left.get_legend_handles_labels(), fontsize=9, ncols=5, loc="outside lower center"
+    )
+    for i, ratio in enumerate(over_the_network(results).values()):
+        right.plot(
+            np.clip(ratio, 0.3, 20), np.full(len(ratio), -i), "o", color="0.6", ms=4, mfc="none"
+        )
+        right.plot(np.exp(np.log(ratio).mean()), -i, "|", color=OURS, ms=22, mew=3)
+    shown = {"GP": "Gaussian process", "KernelRidge": "kernel ridge"}
+    names = [shown.get(peer, peer) for peer in over_the_network(results)]
+    right.set_yticks(-np.arange(len(names)), names)
+    right.set_title("25 tables drawn at random; bar: mean", fontsize=10)
+    for ax in (left, right):
+        ax.axvline(1, color=OURS, lw=1.5)
+        ax.set(xscale="log", xlabel="error over that of RBFNetRegressor()")
+        ax.grid(axis="x", alpha=0.3)
+        ticks = [0.5, 1, 2, 4] if ax is left else [0.5, 1, 2, 5, 10]
+        ax.set_xticks(ticks, map(str, ticks))
+        ax.minorticks_off()
+
+
+def rows(figure, results):
+    """CPU time of a fit against the number of rows."""
+    ax = figure.subplots()
+    found = results["problems"]["cpu_seconds_network_and_process"]
+    seconds = np.array(list(found["of"].values()))  # (n_problems, n_sizes, 2)
+    for i, (name, colour) in enumerate((("RBFNetRegressor", OURS), ("Gaussian process", PROCESS))):
+        ax.fill_between(
+            found["rows"], seconds[..., i].min(0), seconds[..., i].max(0), color=colour, alpha=0.2
+        )
+        ax.plot(found["rows"], np.exp(np.log(seconds[..., i]).mean(0)), "o-", color=colour,
+                label=f"{name}, ten problems: mean and range")  # fmt: skip
+    large = results["rows"]
+    ax.plot(*np.array(large["found_by_itself"]).T, "s--", color=OURS,
+            label="RBFNetRegressor, a smooth function of 6 features")  # fmt: skip
+    ax.plot(*np.array(large["given"]).T, "^:", color=OURS,
+            label="the same with kernel, widths, ridge and size given")  # fmt: skip
+    ax.set(xscale="log", yscale="log", xlabel="rows", ylabel="CPU time of a fit (s), one thread")
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=8, loc="upper left")
+    ax.set_ylim(top=2e4)
+    ax.set_xticks(
+        [1e3, 1e4, 1e5, 1e6, 1e7], ["1000", "10 000", "100 000", "a million", "ten millions"]
+    )
+    ax.set_yticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
+
+
+def one_row(figure, results):
+    """Time of one row in Python, ONNX and C."""
+    ax = figure.subplots()
+    found = results["one_row"]["microseconds"]
+    ways = list(next(iter(found.values())))
+    for i, ((model, times), colour) in enumerate(zip(found.items(), (PROCESS, OURS), strict=True)):
+        place = np.arange(len(ways)) + (0.2 if i else -0.2)
+        bars = ax.barh(place, [times[way] for way in ways], 0.38, color=colour, label=model)
+        ax.bar_label(bars, fmt=" %g", fontsize=9)
+    ridge = results["one_row"]["ridge_predict"]
+    ax.axvline(ridge, color="0.4", ls="--", lw=1)
+    ax.text(ridge * 0.95, 3.45, "predict of a bare Ridge", ha="right", fontsize=8, color="0.3")
+    ax.set_yticks(np.arange(len(ways)), ways)
+    ax.set(xscale="log", xlabel="time of one row (µs)", xlim=(0.2, 2000), ylim=(3.6, -0.6))
+    ax.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
+    ax.grid(axis="x", alpha=0.3)
+    ax.legend(fontsize=9, loc="lower right")
+
+
+def ideas(figure, results):
+    """What is left of the deviation as causes join the arm's model."""
+    ax = figure.subplots()
+    found = results["ideas"]
+    for i, (name, values) in enumerate(found["mean_mm"].items()):
+        share = 100 * np.array(values) / values[0]
+        style = "o--" if name.startswith("simulated") else "s-"
+        ax.plot(share, style, color=(*COLOURS[:3], OURS, PROCESS, "0.3")[i], label=name)
+    ax.set_xticks(range(len(found["steps"])), found["steps"])
+    ax.set(ylabel="deviation that is left (%)", ylim=(0, 105))
+    ax.grid(axis="y", alpha=0.3)
+    ax.legend(fontsize=9, ncols=2, loc="lower left")
+
+
+def _bars(ax, data, results, titles):
+    """Mean deviation of some data sets by model, with the interval of what each model gained."""
+    models = {UNCORRECTED: "0.75", THREE: COLOURS[2], ALL: PROCESS, LINEAR: OURS}
+    labels = ("calibrated only", "network, three inputs (the paper's)", "network, all joints",
+              "ArmResidualRegressor")  # fmt: skip
+    for i, ((model, colour), label) in enumerate(zip(models.items(), labels, strict=True)):
+        found = [results.of(name, model) for name in data]
+        place = np.arange(len(data)) + 0.2 * (i - 1.5)
+        half = None if model == UNCORRECTED else [r["half_mm"] for r in found]
+        ax.bar(place, [r["mean_mm"] for r in found], 0.19, yerr=half, color=colour, label=label,
+               error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
+    for i, name in enumerate(data):
+        if results.has(name, PERFECT):
+            floor = results.of(name, PERFECT)["mean_mm"]
+            label = "a perfect model" if i == 0 else None
+            ax.plot([i - 0.42, i + 0.42], [floor, floor], "k--", lw=1, label=label)
+    ax.set_xticks(range(len(data)), titles)
+    ax.set(ylabel="mean deviation (mm)")
+    ax.grid(axis="y", alpha=0.3)
+    ax.set_axisbelow(True)
+
+
+def real_arms(figure, _):
+    """Mean deviation of three real robots before and after corrections."""
+    ax = figure.subplots()
+    _bars(ax, REAL, read(), ["Franka Panda 3", "Franka Panda 2", "UR10"])
+    ax.set_title("Three real robots, at places that no stage had seen", fontsize=10)
+    ax.legend(fontsize=9, loc="upper left", ncols=2)
+    ax.set_ylim(top=0.52)
+
+
+def simulated_arms(figure, _):
+    """The same of three simulated measuring arms."""
+    ax = figure.subplots()
+    titles = ["gravity dominates", "both", "eccentric encoders dominate"]
+    _bars(ax, [simulated(mix) for mix in MIXES], read(), titles)
+    ax.set_title("Three simulated measuring arms", fontsize=10)
+    ax.legend(fontsize=9, loc="upper right", ncols=2)
+    ax.set_ylim(top=0.05)
+
+
+FIGURES = {
+    "error": (error, (9.5, 4.4)),
+    "rows": (rows, (7.5, 4.2)),
+    "one_row": (one_row, (7.5, 3)),
+    "ideas": (ideas, (7.5, 3.6)),
+    "real_arms": (real_arms, (7.5, 3.6)),
+    "simulated_arms": (simulated_arms, (7.5, 3.6)),
+}
+
+
+def main(folder=DOC / "images"):
+    """Draw and write the files."""
+    results = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))
+    with mpl.rc_context(STYLE):
+        for name, (draw, size) in FIGURES.items():
+            figure = plt.figure(figsize=size, layout="constrained")
+            draw(figure, results)
+            figure.savefig(folder / f"bench_{name}.svg", metadata={"Date": None, "Creator": None},
+                           facecolor="white")  # fmt: skip
+            plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()

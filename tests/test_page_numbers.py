@@ -1,0 +1,195 @@
+"""A sample of the numbers on the pages, computed again: what is written is what comes out."""
+
+import json
+import re
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from sklearn_raacmm import ArmResidualRegressor, RBFNetRegressor, calibrate, position_residuals
+from sklearn_raacmm.datasets import ArmErrors, make_single_point
+
+ROOT = Path(__file__).resolve().parent.parent
+DOC = ROOT / "doc"
+NUMBER = r"(-?\d+(?:\.\d+)?)"
+
+
+def numbers(page, pattern):
+    """Numbers of a page where the pattern has an @, which has to be there once."""
+    text = re.sub(r"\s+", " ", (DOC / page).read_text(encoding="utf-8"))
+    (found,) = re.findall(re.escape(pattern).replace("@", NUMBER), text)
+    return [float(number) for number in ([found] if isinstance(found, str) else found)]
+
+
+def assert_said(page, pattern, values, rel=0.02):
+    """What is said is the value, to a relative tolerance or to the last digit that is written."""
+    said = numbers(page, pattern)
+    assert len(said) == len(values)
+    np.testing.assert_allclose(said, values, rtol=rel, err_msg=f"{page}: {pattern}")
+
+
+# -- closed forms ---------------------------------------------------------------------------------
+
+
+def test_reductions_of_the_paper_follow_from_its_millimetres():
+    page = "paper_and_ours.md"
+    for row in ("| @ / @ | @ / @ | 22.5 % / 15 % |", "| @ / @ | @ / @ | 50 % / 55.5 % |",
+                "| @ / @ | @ / @ | 51.1 % / 49.1 % |"):  # fmt: skip
+        before, after = np.reshape(numbers(page, row), (2, 2))
+        less = 100 * (1 - after / before)
+        said = [float(number) for number in re.findall(NUMBER, row)]
+        np.testing.assert_allclose(said, less, atol=0.06)
+    spread = numbers(page, "| 46 / @ | 23 /")[0], numbers(page, "| 45 / @ | 22 /")[0]
+    assert_said(page, "only @ to @ times their mean", [46 / spread[0], 45 / spread[1]], rel=0.03)
+    errors = np.abs(np.random.default_rng(0).standard_normal((20_000, 10)))
+    often = np.mean(errors.max(axis=1) / errors.mean(axis=1))
+    assert_said(page, "have about @ times", [often], rel=0.1)
+
+
+def test_numbers_of_geometry_and_of_the_normal_distribution():
+    arc_second = np.deg2rad(1 / 3600)
+    assert_said("user_guide/limits.md", "at one metre is @ micrometres", [1e6 * arc_second], 1e-3)
+    median = scipy.stats.chi.ppf(0.5, 3)
+    assert_said("numerics.md", "is @ standard deviations of a coordinate", [median], 1e-4)
+    assert_said("log.md", "6 features and 3 outputs are @ GB", [1e9 * 9 * 8 / 1e9], 1e-9)
+    scale = 0.1 / 50 / np.sqrt(5)
+    assert_said("log.md", "to @ %, which is @ mm at 270 mm", [100 * scale, 270 * scale])
+
+
+def test_means_of_the_benchmarks_are_those_of_their_tables():
+    stored = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))
+    problems = stored["problems"]["over_gaussian_process"]["of"]
+    means = np.exp(np.log(list(problems.values())).mean(axis=0))
+    assert_said("log.md", "| geometric mean | @ | @ | @ | | | |", means, 1e-3)
+    rest = [row for name, row in problems.items() if name != "periodic3"]
+    means = np.exp(np.log(rest).mean(axis=0))
+    assert_said("log.md", "the means are @, @ and @.", means, 0.006)
+    for name, row in problems.items():
+        assert_said("log.md", f"| `{name}` | @ | @ | @ | 9", row, 1e-9)
+    tables = stored["tables"]
+    assert len(tables["error"]) == 25
+    error = np.maximum(list(tables["error"].values()), 1e-3)
+    means = np.exp(np.log(error[:, 1:] / error[:, :1]).mean(axis=0))
+    order = [1, 2, 3, 4]  # of kernel ridge, boosting, extra trees, linear ridge
+    words = "kernel ridge @, boosting @, extra trees @, linear ridge @"
+    assert_said("log.md", words, means[order], 0.005)
+    best = np.exp(np.log(error[:, 1:].min(axis=1) / error[:, 0]).mean())
+    assert_said("benchmarks.md", "has @ times the network's error", [best], 0.005)
+    seconds = np.array(list(stored["problems"]["cpu_seconds_network_and_process"]["of"].values()))
+    ratio = np.exp(np.log(seconds[..., 1] / seconds[..., 0]).mean(axis=0))
+    assert_said("benchmarks.md", "and 1/@ of it at 3000", ratio[2:], 0.1)
+    # "a quarter of the process's time at 300 rows"
+    assert ratio[0] == pytest.approx(4, rel=0.15)
+
+
+# -- measured again -------------------------------------------------------------------------------
+
+
+def test_noise_is_called_noise():
+    r2, inside = [], []
+    for seed in range(20):
+        rng = np.random.default_rng([seed, 60, 20])
+        X, y = rng.standard_normal((560, 20)), rng.standard_normal(560)
+        model = RBFNetRegressor(random_state=0).fit(X[:60], y[:60])
+        mean, std = model.predict(X[60:], return_std=True)
+        r2.append(1 - np.mean((y[60:] - mean) ** 2) / np.var(y[60:]))
+        inside.append(np.mean(np.abs(y[60:] - mean) < 1.96 * std))
+    page, words = "user_guide/widths_and_size.md", "had a median of @ and a worst value of @ (20"
+    median, worst = numbers(page, words)
+    assert np.median(r2) == pytest.approx(median, abs=0.006)
+    assert min(r2) == pytest.approx(worst, abs=0.006)
+    assert_said(page, "intervals held @ % of new rows", [100 * np.mean(inside)], 0.006)
+
+
+def test_outliers_cost_what_is_said():
+    rng = np.random.default_rng(0)
+    X, new = rng.uniform(-1, 1, (500, 3)), rng.uniform(-1, 1, (2000, 3))
+
+    def truth(X):
+        return np.sin(3 * X[:, 0]) + X[:, 1] ** 2 + 0.5 * X[:, 2]
+
+    clean = truth(X) + 0.05 * rng.standard_normal(500)
+    dirty = clean + np.where(rng.random(500) < 0.1, rng.normal(0, 5, 500), 0.0)
+    left = []
+    for loss, y in (("squared", clean), ("squared", dirty), ("tukey", dirty)):
+        model = RBFNetRegressor(loss=loss, random_state=0).fit(X, y)
+        left.append(np.sqrt(np.mean((model.predict(new) - truth(new)) ** 2)))
+    words = "raised the error from @ to @, and to @ with it"
+    assert_said("user_guide/widths_and_size.md", words, left, 0.05)
+
+
+def test_the_simulated_joint_lags_as_is_said():
+    test = make_single_point(10, 20, machine=ArmErrors(play_arcsec=6), random_state=0)
+    readings = np.zeros((1, 6))
+    machine = test.simulation.machine
+    forth, back = (machine.forward(readings, directions=side * np.eye(6)[:1]) for side in (1, -1))
+    radius = np.hypot(*machine.forward(readings)[0, :2])
+    lag = np.rad2deg(np.linalg.norm(forth - back) / radius / 2) * 3600
+    assert_said("user_guide/extra_causes.md", "arm was made with @.", [lag])
+
+
+def test_numbers_of_the_real_data(panda, ur10, data_folder):
+    from sklearn_raacmm import Arm
+
+    said = numbers("evidence.md", "of the socket, all @ poses")
+    data = panda("panda_3")
+    assert said == [len(data.angles)]
+    authors = json.loads((DOC / "results.json").read_text(encoding="utf-8"))["authors"]["ours"]
+    arm = calibrate(Arm.from_name("panda"), data.angles, data.groups).arm
+    left = np.linalg.norm(position_residuals(arm.forward(data.angles), data.groups), axis=1)
+    assert left.mean() == pytest.approx(authors["mean_mm"], rel=0.02)
+    assert left.max() == pytest.approx(authors["max_mm"], rel=0.02)
+    text = (DOC / "after_the_lab.md").read_text(encoding="utf-8")
+    assert f"{len(ur10.angles):,} poses".replace(",", " ") in text
+
+
+@pytest.fixture
+def benchmark(monkeypatch):
+    """Return ``benchmark(name)``: the module of a script in benchmarks/."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    before = set(sys.modules)
+    yield __import__
+    for name in set(sys.modules) - before:
+        if not name.startswith(("sklearn", "scipy", "numpy")):
+            del sys.modules[name]
+
+
+def test_noise_of_the_benchmark(benchmark):
+    error, inside = benchmark("bench_noise").of_kind("noise, 5 features", range(10))
+    said = numbers("log.md", "| noise, 5, 20, 50 features | @, @, @ | @, @, @ |")
+    assert said[0] == pytest.approx(error, rel=0.03)
+    assert said[3] == pytest.approx(100 * inside, abs=0.3)
+
+
+def test_good_centres_are_worth_what_is_said(benchmark):
+    script = benchmark("bench_small_models")
+    problem = benchmark("_problems").generated("fourier3", 3000, 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        errors = script.compare(problem, [20], 0)
+    said = numbers("log.md", "| `fourier3` | 20 | @ | @ | @ | @ |")
+    np.testing.assert_allclose(said, np.ravel(errors[0])[:4], rtol=0.05)
+
+
+def test_twelve_positions_are_worth_what_is_said():
+    shares = []
+    for seed in (0, 1):
+        pool = make_single_point(16, 20, random_state=seed)
+        test = make_single_point(12, 30, machine=pool.simulation.machine, random_state=seed + 1000)
+        rows = np.isin(pool.groups, np.random.default_rng(seed).permutation(16)[:12])
+        residuals = position_residuals(pool.points[rows], pool.groups[rows])
+        model = ArmResidualRegressor(pool.arm)
+        model = model.fit(pool.data[rows], residuals, groups=pool.groups[rows])
+
+        def left(correction, test=test):
+            points = position_residuals(test.points - correction, test.groups)
+            return np.linalg.norm(points, axis=1).mean()
+
+        perfect = left(test.simulation.perfect_correction)
+        shares.append((left(0.0) - left(model.predict(test.data))) / (left(0.0) - perfect))
+    words = "| 20 | 34 % | 54 % | 77 % | 82 % | @ % | 95 % |"
+    assert_said("beyond_the_paper.md", words, [100 * np.mean(shares)], 0.03)
