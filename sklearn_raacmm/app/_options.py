@@ -84,6 +84,16 @@ def arm(parser):
     parser.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
 
 
+def plan(parser):
+    """Add the options of ``raacmm plan``."""
+    parser.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
+    parser.add_argument("--out", required=True, help="folder to write into")
+    parser.add_argument("--cones", type=int, default=8, help="number of cones (8)")
+    parser.add_argument("--poses", type=int, default=12, help="poses in each cone (12)")
+    text = "how far the probe may lean from the vertical, degrees (60)"
+    parser.add_argument("--lean", type=float, default=60.0, metavar="DEG", help=text)
+
+
 def demo(parser):
     """Add the options of ``raacmm demo``."""
     _add_learning(parser, out="raacmm-demo")

@@ -8,6 +8,7 @@ from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
+from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._records import read_check_records
 from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
@@ -20,12 +21,14 @@ __all__ = [
     "CorrectionCheck",
     "CorrectionScores",
     "LearnedCorrection",
+    "PosePlan",
     "SavedCorrection",
     "TableChange",
     "check_correction",
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
+    "plan_poses",
     "predict_with_std",
     "read_check_records",
     "read_correction",
