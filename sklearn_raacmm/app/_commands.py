@@ -64,8 +64,8 @@ def learn(options):
     )
     if (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
-    arm = load_arm(options.arm)
-    table = read_table(options.table, arm.n_joints, **_columns(options, points=options.points))
+    arm = load_arm(options.arm, options.base, options.tip)
+    table = read_table(options.table, arm.n_joints, **_columns(options, arm, points=options.points))
     _say_notes(table.notes)
     lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else ()
     facts = {"file": Path(options.table).name}
@@ -93,7 +93,7 @@ def _learn(options, arm, table, lengths, facts):
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
     )  # fmt: skip
     _progress(30, 30, "report")
-    layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
+    layout = find_layout(options.table, arm.n_joints, **_columns(options, arm, labelled=False))
     corrected = io.StringIO(newline="")
     write_corrected(layout, result.correct, corrected)
     card = describe(result.model, result.angles)
@@ -139,7 +139,9 @@ def correct(options):
         check_places([options.out], [options.table, *files_of(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
-    layout = find_layout(options.table, saved.arm.n_joints, **_columns(options, labelled=False))
+    layout = find_layout(
+        options.table, saved.arm.n_joints, **_columns(options, saved.arm, labelled=False)
+    )
     _say_notes(layout.notes)
     stream = (
         nullcontext(options.stdout)
@@ -159,7 +161,7 @@ def check(options):
     saved = load_correction(options.model)
     if saved.facts["measure"] != "2S":
         raise TableError("check needs a correction that was learnt from a single-point test.")
-    table = read_table(options.table, saved.arm.n_joints, **_columns(options))
+    table = read_table(options.table, saved.arm.n_joints, **_columns(options, saved.arm))
     _say_notes(table.notes)
     measured, corrected, _ = saved.correct(in_rad(table))
     before, after = (
@@ -270,9 +272,6 @@ def arm(options):
     """Show an arm, and write its file."""
     places = [place for place in (options.out, options.picture) if place and place != "-"]
     check_places(places, [options.source] if options.source else [])
-    is_urdf = bool(options.source) and Path(options.source).suffix.lower() == ".urdf"
-    if (options.base or options.tip) and not is_urdf:
-        raise TableError("--base and --tip name links of a URDF, and none is given.")
     if (options.elbow_offset or options.wrist_offset) and not (
         options.lengths_222 or options.lengths_223
     ):
@@ -282,10 +281,8 @@ def arm(options):
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
-    elif is_urdf:
-        shown = Arm.from_urdf(options.source, base=options.base, tip=options.tip)
     elif options.source:
-        shown = load_arm(options.source)
+        shown = load_arm(options.source, options.base, options.tip)
     else:
         shown = _ask_for_an_arm()
     print(shown)
@@ -334,16 +331,29 @@ def demo(options):
     return learn(options)
 
 
-def _columns(options, points=None, labelled=True):
+def _columns(options, arm, points=None, labelled=True):
     """Options of `read_table` as the command line has them."""
-    parts = {
-        name: value.split(",") if value else None
-        for name, value in (("angles", options.angles), ("points", points))
+    if points and not Path(points).is_file():
+        points = points.split(",")
+        if len(points) != 3:
+            raise TableError(
+                f"--points needs three columns, such as x,y,z, or a file that is there, got "
+                f"{options.points!r}."
+            )
+    counts = options.counts_per_turn
+    if counts is not None:
+        counts = [_number(text) for text in counts.split(",")]
+        counts = counts[0] if len(counts) == 1 else counts
+    return {
+        "angles": options.angles.split(",") if options.angles else None,
+        "points": points,
+        "position": options.position if labelled else None,
+        "angle_unit": options.unit,
+        "labelled": labelled,
+        "joint_names": arm.names,
+        "counts_per_turn": counts,
+        "sheet": options.sheet,
     }
-    if parts["points"] and len(parts["points"]) != 3:
-        raise TableError(f"--points needs three columns, such as x,y,z, got {points!r}.")
-    position = options.position if labelled else None
-    return parts | {"position": position, "angle_unit": options.unit, "labelled": labelled}
 
 
 def _say_notes(notes):

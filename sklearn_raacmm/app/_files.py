@@ -21,11 +21,13 @@ _BLOCK_ROWS = 8192
 _NEW_COLUMNS = ("x [mm]", "y [mm]", "z [mm]", "sd x [mm]", "sd y [mm]", "sd z [mm]")
 
 
-def load_arm(source):
+def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
     path = Path(source)
     if path.suffix.lower() == ".urdf":
-        return Arm.from_urdf(path)
+        return Arm.from_urdf(path, base=base, tip=tip)
+    if base or tip:
+        raise TableError("--base and --tip name links of a URDF, and none is given.")
     if path.exists():
         return Arm.from_json(path)
     try:
