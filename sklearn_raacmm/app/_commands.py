@@ -17,10 +17,12 @@ from scipy import stats
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
+    columns_of,
     files_of,
     in_rad,
     load_arm,
     load_correction,
+    number_of,
     open_beside,
     write_corrected,
 )
@@ -65,8 +67,10 @@ def learn(options):
     )
     if (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
-    arm = load_arm(options.arm)
-    table = read_table(options.table, arm.n_joints, **_columns(options, points=options.points))
+    arm = load_arm(options.arm, options.base, options.tip)
+    table = read_table(
+        options.table, arm.n_joints, **columns_of(options, arm, points=options.points)
+    )
     _say_notes(table.notes)
     lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else ()
     facts = {"file": Path(options.table).name}
@@ -94,7 +98,7 @@ def _learn(options, arm, table, lengths, facts):
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
     )  # fmt: skip
     _progress(30, 30, "report")
-    layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
+    layout = find_layout(options.table, arm.n_joints, **columns_of(options, arm, labelled=False))
     corrected = io.StringIO(newline="")
     write_corrected(layout, result.correct, corrected)
     card = describe(result.model, result.angles)
@@ -140,7 +144,9 @@ def correct(options):
         check_places([options.out], [options.table, *files_of(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
-    layout = find_layout(options.table, saved.arm.n_joints, **_columns(options, labelled=False))
+    layout = find_layout(
+        options.table, saved.arm.n_joints, **columns_of(options, saved.arm, labelled=False)
+    )
     _say_notes(layout.notes)
     stream = (
         nullcontext(options.stdout)
@@ -160,7 +166,7 @@ def check(options):
     saved = load_correction(options.model)
     if options.points or options.lengths or saved.facts["measure"] != "2S":
         return check_by_causes(saved, options)
-    table = read_table(options.table, saved.arm.n_joints, **_columns(options))
+    table = read_table(options.table, saved.arm.n_joints, **columns_of(options, saved.arm))
     _say_notes(table.notes)
     angles = in_rad(table)
     measured, corrected = saved.arm.forward(angles), saved.correct(angles)[0]
@@ -265,9 +271,6 @@ def arm(options):
     """Show an arm, and write its file."""
     places = [place for place in (options.out, options.picture) if place and place != "-"]
     check_places(places, [options.source] if options.source else [])
-    is_urdf = bool(options.source) and Path(options.source).suffix.lower() == ".urdf"
-    if (options.base or options.tip) and not is_urdf:
-        raise TableError("--base and --tip name links of a URDF, and none is given.")
     if (options.elbow_offset or options.wrist_offset) and not (
         options.lengths_222 or options.lengths_223
     ):
@@ -277,10 +280,8 @@ def arm(options):
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
-    elif is_urdf:
-        shown = Arm.from_urdf(options.source, base=options.base, tip=options.tip)
     elif options.source:
-        shown = load_arm(options.source)
+        shown = load_arm(options.source, options.base, options.tip)
     else:
         shown = _ask_for_an_arm()
     print(shown)
@@ -301,14 +302,7 @@ def _ask_for_an_arm():
     print("Lengths in mm, as in the drawing of the arms page of the documentation.")
     layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
     names = ("height of the shoulder", "shoulder to elbow", "elbow to wrist", "wrist to probe")
-    return Arm.from_lengths(layout, *(_number(input(f"{name}: ")) for name in names))
-
-
-def _number(text):
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        raise TableError(f"{text!r} is not a number.") from None
+    return Arm.from_lengths(layout, *(number_of(input(f"{name}: ")) for name in names))
 
 
 def demo(options):
@@ -327,18 +321,6 @@ def demo(options):
     print(f"A simulated single-point test: {options.table}")
     print(f"raacmm learn {options.table} --arm {options.arm} --out {out}")
     return learn(options)
-
-
-def _columns(options, points=None, labelled=True):
-    """Options of `read_table` as the command line has them."""
-    parts = {
-        name: value.split(",") if value else None
-        for name, value in (("angles", options.angles), ("points", points))
-    }
-    if parts["points"] and len(parts["points"]) != 3:
-        raise TableError(f"--points needs three columns, such as x,y,z, got {points!r}.")
-    position = options.position if labelled else None
-    return parts | {"position": position, "angle_unit": options.unit, "labelled": labelled}
 
 
 def _say_notes(notes):
