@@ -21,7 +21,14 @@ from sklearn_raacmm.calibration._checks import (
     warn_of_wrong_lengths,
 )
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
-from sklearn_raacmm.calibration._gate import check_fit, one_row_a_pose, per_row, slips, wrong_units
+from sklearn_raacmm.calibration._gate import (
+    check_fit,
+    named_outliers,
+    one_row_a_pose,
+    per_row,
+    slips,
+    wrong_units,
+)
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._priors import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
@@ -217,9 +224,11 @@ def calibrate(
     if correction is not None:
         bare, *_ = _fitted(arm, angles, replace(problem, correction=None), wanted, loss)
         warn_of_harm(fit.distances(), bare.distances())
-    check_fit(fit, fit.mask_of(wanted.is_free), poses)
+    check_fit(fit, fit.mask_of(wanted.is_free), poses, groups)
     result = _result(fit, wanted, tool_labels, station_labels, given, before, groups)
-    return per_row(result, poses)
+    result = per_row(result, poses)
+    say_findings(named_outliers(result))
+    return result
 
 
 class _Parameters(NamedTuple):

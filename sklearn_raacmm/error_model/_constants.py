@@ -70,6 +70,8 @@ def _known(left, positions, weights):
     total = group_weights(positions, weights)
     used = total > 0
     n, n_groups = weights.sum(), used.sum()
+    if np.count_nonzero(weights) < 2 * n_groups:
+        return np.inf
     means = group_means(left, positions, weights)
     within = weights @ np.square(left - means[positions]).sum(axis=1) / max(n - n_groups, 1e-9)
     between = (total[:, None] * np.square(means))[used].sum() / max(n_groups, 1)

@@ -20,6 +20,8 @@ CENTRED = 0.5
 _ROUNDING = 1e-9
 # Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
 _LEAST_OF_SLIPS, _ROUNDS = 4, 5
+# Standard deviations of a slip, in units of those from which on a fit gives rows no weight.
+_SLIP = 2.0
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -156,8 +158,9 @@ def centred(values, codes, weights=None):
 def slip_factors(values, codes, weights=None):
     """Factors of the rows' weights in the means of their groups: slips take no part.
 
-    Groups in which no row is farther than 5.5 standard deviations from the others, by the median of
-    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight.
+    Groups in which no row is farther than 11 standard deviations from the others, by the median of
+    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
+    of an arm have longer tails than normal ones: poses in which it bends most are no slips.
 
     Parameters
     ----------
@@ -181,7 +184,7 @@ def slip_factors(values, codes, weights=None):
     far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
     usual = robust_scale(np.concatenate(far), values.shape[1])
     for of, away in zip(rows, far, strict=True):
-        scale = max(usual, robust_scale(away, values.shape[1]))
+        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
         centre = np.median(values[of], axis=0)
         for _ in range(_ROUNDS):
             left = values[of] - centre
