@@ -170,7 +170,7 @@ def are_of_positions_unnamed(targets, points):
     codes = codes.ravel()
     if 2 * len(labels) > len(codes) or len(labels) < 2:
         return
-    if share_of_means(targets.y, codes, targets.weights)[0] < CENTRED:
+    if share_of_means(targets.y, codes, targets.weights) < CENTRED:
         yield Finding(
             "groups-missing",
             f"y are deviations from the means of {len(labels)} positions, and the fit does not "

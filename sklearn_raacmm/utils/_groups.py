@@ -5,7 +5,6 @@
 
 import numpy as np
 from scipy.sparse import csc_array
-from scipy.special import fdtr
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
 from sklearn_raacmm.utils._robust import robust_scale, tukey_weights
@@ -205,10 +204,8 @@ def share_of_means(y, codes, weights):
 
     Returns
     -------
-    of_all, of_most : float
-        Over all positions, and the median position; infinite where nothing scatters.
-    by_chance : float
-        Probability that independent rows have means as small as these.
+    float
+        The smaller one of means with slips and without them; infinite where nothing scatters.
     """
     shares = [_share_of_means(y, codes, weights)]
     factor = slip_factors(y, codes, weights)
@@ -220,7 +217,7 @@ def share_of_means(y, codes, weights):
 def _share_of_means(y, codes, weights):
     # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
     weights = weights / min(weights[weights > 0].mean(), 1.0)
-    total, q = group_weights(codes, weights), y.shape[1]
+    total = group_weights(codes, weights)
     used = total > 0
     left = centred(y, codes, weights)
     n_free = total.sum() - used.sum()
@@ -228,10 +225,8 @@ def _share_of_means(y, codes, weights):
     between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
     # Positions of one row each: their deviations from themselves are rounding.
     if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
-        return np.inf, np.inf, 1.0
-    share = between.mean() / within
-    by_chance = float(fdtr(q * used.sum(), q * n_free, share))
-    return share, float(np.median(between)) / within, by_chance
+        return np.inf
+    return float(between.mean() / within)
 
 
 def check_groups(groups, n_samples):
