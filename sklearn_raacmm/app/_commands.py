@@ -39,10 +39,7 @@ from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import check_places, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
-OK, NO_HELP = 0, 3
-# Scatter after calibration beyond which the arm's table is probably wrong, mm: measuring arms have
-# hundredths, the real robots of the tests 0.2 to 0.4.
-_MUCH_SCATTER = 1.0
+OK, NO_HELP, NOT_JUDGED = 0, 3, 4
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
 _FALSE_ALARM = 0.01
 # What `learn` writes, as its last line names it; the endings of files that no CSV may have.
@@ -102,6 +99,8 @@ def _learn(options, arm, table, lengths, facts):
     corrected = io.StringIO(newline="")
     write_corrected(layout, result.correct, corrected)
     card = describe(result.model, result.angles)
+    if result.findings:
+        card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     # Everything is made before the first file gets its name.
     result.save(
         options.out,
@@ -122,18 +121,13 @@ def _learn(options, arm, table, lengths, facts):
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
     print()
     print(result.verdict)
-    scatter = result.calibration.scatter_after_mm
-    if scatter > _MUCH_SCATTER:
-        print(
-            f"But the points scatter by {scatter:.1f} mm after calibration. The table of the arm "
-            "is probably wrong: look at the notes above before you use the correction."
-        )
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
     print(f"Written to {options.out}: {', '.join(_WRITTEN)}")
     if options.open:
         webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
-    return OK if result.helps else NO_HELP, result.facts()
+    code = OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
+    return code, result.facts()
 
 
 def correct(options):

@@ -14,6 +14,7 @@ from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
+from sklearn_raacmm.utils import Finding
 
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
@@ -25,6 +26,7 @@ TRUSTED_TYPES = [
         ArmResidualRegressor,
         CylindricalResidualTarget,
         Fading,
+        Finding,
         Judgement,
         LinearModel,
         Network,
