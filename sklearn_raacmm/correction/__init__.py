@@ -8,6 +8,7 @@ from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._planning import next_poses
+from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._records import read_check_records
 from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
@@ -20,6 +21,7 @@ __all__ = [
     "CorrectionCheck",
     "CorrectionScores",
     "LearnedCorrection",
+    "PosePlan",
     "SavedCorrection",
     "TableChange",
     "check_correction",
@@ -28,6 +30,7 @@ __all__ = [
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
+    "plan_poses",
     "read_check_records",
     "read_correction",
     "search_table",
