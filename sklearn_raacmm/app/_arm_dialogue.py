@@ -24,9 +24,9 @@ _QUESTIONS = (
     ("elbow_offset", "how far axes 2 and 3 pass each other, 0 if they cross"),
     ("wrist_offset", "how far axes 4 and 5 pass each other, 0 if they cross"),
 )
-_ADVICE = """Shoulder to elbow and elbow to wrist decide the scale of the arm: take them from a drawing,
-to half a millimetre, or measure a known distance. The height of the shoulder only says where the
-origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
+_ADVICE = """Shoulder to elbow and elbow to wrist decide the scale of the arm: take them from a
+drawing, to half a millimetre, or measure a known distance. The height of the shoulder only says
+where the origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
 
 
 def ask_for_an_arm(answer=input):

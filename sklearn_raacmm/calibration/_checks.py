@@ -27,9 +27,8 @@ _LEAST_SD_MM = 1e-9
 # Standard errors by which a correction has to enlarge the scatter: of corrections that change
 # nothing on the average one in forty does by chance.
 _HARM = 2.0
-# What no calibration of an arm comes to: a scatter, as a part of the reach; a reach.
+# What no calibration of an arm comes to: a scatter, as a part of the reach.
 SHARE_OF_REACH = 0.02
-_LEAST_REACH_MM = 20.0
 _MOST_NAMED = 4
 _MEANING = {
     "a": "the length of link",
@@ -188,10 +187,6 @@ def warn_of_what_no_arm_is(arm, before, after):
     """Say that a fit which has settled makes no sense; returns whether it was said."""
     signs = []
     reach = reach_mm(arm)
-    if reach < _LEAST_REACH_MM:
-        signs.append(
-            f"The nominal arm reaches {reach:.3g} mm: are its lengths in metres, not millimetres?"
-        )
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
         signs.append(
             f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "

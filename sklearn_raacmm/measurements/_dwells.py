@@ -82,7 +82,7 @@ def find_dwells(angles, codes=None, copies_count=False):
     codes = np.zeros(n, dtype=int) if codes is None else codes
     step = np.abs(within_turn(np.diff(angles, axis=0))).max(axis=1, initial=0.0)
     # Both ends of a step are within the limit of one mean.
-    breaks = np.flatnonzero((step > 2 * _STILL_RAD) | (np.diff(codes) != 0)) + 1
+    breaks = np.flatnonzero(~(step <= 2 * _STILL_RAD) | (np.diff(codes) != 0)) + 1
     new = np.ones(n, dtype=bool)
     for low, high in zip(np.r_[0, breaks], np.r_[breaks, n], strict=True):
         if high - low < _LEAST:

@@ -424,8 +424,8 @@ def _poses(X, y, groups, codes, fit_params):
         rows = np.asarray(X, dtype=float)
     except (TypeError, ValueError):  # sparse, or columns that are no numbers
         return X, y, groups, codes, fit_params
-    dwells = find_dwells(rows, codes, copies_count=True)
-    if not dwells.merges:
+    dwells = find_dwells(rows, codes, copies_count=True) if rows.ndim == 2 else None
+    if dwells is None or not dwells.merges:
         return X, y, groups, codes, fit_params
     say_findings(dwells.findings())
     merged = {

@@ -5,7 +5,7 @@
 
 import warnings
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
 from functools import wraps
 from typing import Literal
@@ -118,12 +118,25 @@ def heard_findings():
     list of Finding
         Each finding once; notes, too.
     """
-    heard = []
-    token = _HEARD.set(heard)
+    heard, before = [], _HEARD.get()
     try:
+        _HEARD.set(heard)
         yield heard
     finally:
-        _HEARD.reset(token)
+        _HEARD.set(before)
+
+
+def hear(function, *args, **kwargs):
+    """Call a function: its result, and the findings that were said within.
+
+    In a context of its own: whatever interrupts the function, what follows is said again.
+    """
+
+    def inside():
+        with heard_findings() as heard:
+            return function(*args, **kwargs), heard
+
+    return copy_context().run(inside)
 
 
 @contextmanager
@@ -139,8 +152,7 @@ def with_findings(function):
 
     @wraps(function)
     def wrapper(*args, **kwargs):
-        with heard_findings() as heard:
-            result = function(*args, **kwargs)
+        result, heard = hear(function, *args, **kwargs)
         say_findings(heard)
         return replace(result, findings=tuple(heard))
 

@@ -8,7 +8,7 @@ from scipy.sparse import csc_array
 from scipy.special import fdtr
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
-from sklearn_raacmm.utils._robust import tukey_weights
+from sklearn_raacmm.utils._robust import robust_scale, tukey_weights
 
 # How a missing label that is no text prints: NaN, None, and those of pandas.
 _MISSING = ("nan", "None", "NaT", "<NA>")
@@ -18,8 +18,8 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 CENTRED = 0.5
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
-# Rounds of weights that leave slips out of means, and the change at which they have settled.
-_ROUNDS, _SETTLED = 10, 0.01
+# Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
+_LEAST_OF_SLIPS, _ROUNDS = 4, 5
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -156,29 +156,37 @@ def centred(values, codes, weights=None):
 def slip_factors(values, codes, weights=None):
     """Factors of the rows' weights in the means of their groups: slips take no part.
 
+    Groups in which no row is farther than 5.5 standard deviations from the others, by the median of
+    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight.
+
     Parameters
     ----------
     values : ndarray of shape (n, q)
     codes : ndarray of shape (n,)
         Group of each row, from 0.
     weights : ndarray of shape (n,), default=None
+        Rows of weight 0 have a factor of 1.
 
     Returns
     -------
     ndarray of shape (n,)
-        Tukey's, from 0 to 1: all 1 where no row is far off, and in groups of which nothing would
-        be left.
+        From 0 to 1.
     """
-    weights = np.ones(len(values)) if weights is None else weights
     factor = np.ones(len(values))
-    for _ in range(_ROUNDS):
-        before, weighed = factor, bool(np.any(factor < 1))
-        left = centred(values, codes, weights * factor)
-        factor = tukey_weights(left, weights, weighed=weighed)
-        lost = group_weights(codes, weights * factor) == 0
-        factor[lost[codes]] = 1.0
-        if np.abs(factor - before).max(initial=0.0) < _SETTLED:
-            break
+    used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
+    rows = [used[codes[used] == code] for code in range(int(codes.max(initial=-1)) + 1)]
+    rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
+    if not rows:
+        return factor
+    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
+    usual = robust_scale(np.concatenate(far), values.shape[1])
+    for of, away in zip(rows, far, strict=True):
+        scale = max(usual, robust_scale(away, values.shape[1]))
+        centre = np.median(values[of], axis=0)
+        for _ in range(_ROUNDS):
+            left = values[of] - centre
+            factor[of] = tukey_weights(left, least_scale=scale)
+            centre = np.average(values[of], axis=0, weights=factor[of])
     return factor
 
 
@@ -199,7 +207,14 @@ def share_of_means(y, codes, weights):
     by_chance : float
         Probability that independent rows have means as small as these.
     """
-    weights = weights * slip_factors(y, codes, weights)
+    shares = [_share_of_means(y, codes, weights)]
+    factor = slip_factors(y, codes, weights)
+    if np.any(factor < 1):  # they may be deviations from means without slips
+        shares.append(_share_of_means(y, codes, weights * factor))
+    return min(shares)
+
+
+def _share_of_means(y, codes, weights):
     # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
     weights = weights / min(weights[weights > 0].mean(), 1.0)
     total, q = group_weights(codes, weights), y.shape[1]

@@ -5,7 +5,7 @@
 
 from functools import wraps
 
-from sklearn_raacmm.utils._findings import heard_findings, say_findings
+from sklearn_raacmm.utils._findings import hear, say_findings
 
 
 def whole_fit(fit):
@@ -31,8 +31,7 @@ def whole_fit(fit):
     def wrapper(self, *args, **kwargs):
         aside = object.__new__(type(self))
         aside.__dict__ = dict(vars(self))
-        with heard_findings() as heard:
-            fit(aside, *args, **kwargs)
+        _, heard = hear(fit, aside, *args, **kwargs)
         aside.findings_ = tuple(heard)
         say_findings(heard)
         self.__dict__ = aside.__dict__

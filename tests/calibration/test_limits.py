@@ -13,6 +13,8 @@ from sklearn_raacmm.calibration._checks import (
     warn_of_what_no_arm_is,
     warn_of_wrong_lengths,
 )
+from sklearn_raacmm.calibration._gate import wrong_units
+from sklearn_raacmm.calibration._problem import Problem
 
 ARM = Arm.from_name("aacmm6")
 REACH = reach_mm(ARM)
@@ -41,13 +43,9 @@ def of_fit(arm=ARM, before=1.0, after=0.5):
         ({"before": 1.0, "after": 2.01}, "still scatter"),
         ({"before": 0.0, "after": 0.9e-6 * REACH}, ""),  # rounding
         ({"before": 0.0, "after": 1.1e-6 * REACH}, "still scatter"),
-        ({"arm": METRES, "after": 1e-9}, "in metres, not millimetres"),
-        ({"arm": METRES.replace(d=METRES.d + 3.5), "after": 1e-9}, ""),
     ],
 )
 def test_what_no_arm_is(changes, sentence):
-    if "arm" in changes:
-        assert (reach_mm(changes["arm"]) < 20) == bool(sentence)
     found = of_fit(**changes)
     assert (sentence in found) if sentence else not found
 
@@ -68,6 +66,16 @@ def test_a_table_that_is_off_is_told_in_plain_words(moved):
     says = f"the length of link 4 (a4) is 62.1 mm, the table says {given[a4]:.6g} mm"
     assert says in found.text
     assert not table_findings(names, given, nominal, 200 * sd, far, [])  # not known so well
+
+
+def test_the_unit_of_a_table_is_told_by_its_reach():
+    scale = 199 / reach_mm(METRES)
+    for factor, n_findings in ((1, 1), (1.01, 0)):
+        arm = METRES.replace(
+            **{f: scale * factor * getattr(METRES, f) for f in ("a", "d", "probe")}
+        )
+        found = list(wrong_units(arm, None, Problem(np.zeros(2, int), None, [])))
+        assert len(found) == n_findings
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
