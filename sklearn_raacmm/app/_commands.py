@@ -23,7 +23,6 @@ from sklearn_raacmm.app._files import (
     in_rad,
     load_arm,
     load_correction,
-    number_of,
     open_beside,
     write_corrected,
 )

@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import SavedCorrection, columns_of
+from sklearn_raacmm.correction import SavedCorrection, corrected_columns
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -84,7 +84,9 @@ def write_corrected(layout, correction, file):
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        numbers = columns_of(correction.arm, correction.model, correction.facts, in_rad(block))
+        numbers = corrected_columns(
+            correction.arm, correction.model, correction.facts, in_rad(block)
+        )
         for row, values in zip(cells, numbers.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)

@@ -102,7 +102,8 @@ def demo(parser):
     _add_learning(parser, out="raacmm-demo")
     parser.set_defaults(
         angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
-        lengths=None, length=None, length_sd=None, serial="simulated", operator=None, base=None, tip=None,
+        lengths=None, length=None, length_sd=None, serial="simulated", operator=None,
+        base=None, tip=None,
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.correction._deviations import columns_of, corrected_points
+from sklearn_raacmm.correction._deviations import corrected_columns, corrected_points
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
@@ -25,7 +25,7 @@ __all__ = [
     "SavedCorrection",
     "TableChange",
     "check_correction",
-    "columns_of",
+    "corrected_columns",
     "corrected_points",
     "cross_validate_correction",
     "learn_correction",
