@@ -18,6 +18,7 @@ from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
+    columns_of,
     files_of,
     in_rad,
     load_arm,
@@ -64,8 +65,10 @@ def learn(options):
     )
     if (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
-    arm = load_arm(options.arm)
-    table = read_table(options.table, arm.n_joints, **_columns(options, points=options.points))
+    arm = load_arm(options.arm, options.base, options.tip)
+    table = read_table(
+        options.table, arm.n_joints, **columns_of(options, arm, points=options.points)
+    )
     _say_notes(table.notes)
     lengths = [length_of(text) for text in options.length or ()]
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
@@ -94,7 +97,7 @@ def _learn(options, arm, table, lengths, facts):
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
     )  # fmt: skip
     _progress(30, 30, "report")
-    layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
+    layout = find_layout(options.table, arm.n_joints, **columns_of(options, arm, labelled=False))
     corrected = io.StringIO(newline="")
     write_corrected(layout, result.saved, corrected)
     card = describe(result.model, result.angles)
@@ -137,7 +140,9 @@ def correct(options):
         check_places([options.out], [options.table, *files_of(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
-    layout = find_layout(options.table, saved.arm.n_joints, **_columns(options, labelled=False))
+    layout = find_layout(
+        options.table, saved.arm.n_joints, **columns_of(options, saved.arm, labelled=False)
+    )
     _say_notes(layout.notes)
     stream = (
         nullcontext(options.stdout)
@@ -157,7 +162,7 @@ def check(options):
     saved = load_correction(options.model)
     if options.points or options.lengths or saved.facts["measure"] != "2S":
         return check_by_causes(saved, options)
-    table = read_table(options.table, saved.arm.n_joints, **_columns(options))
+    table = read_table(options.table, saved.arm.n_joints, **columns_of(options, saved.arm))
     _say_notes(table.notes)
     angles = in_rad(table)
     measured, corrected = saved.arm.forward(angles), saved.correct(angles)[0]
@@ -270,9 +275,6 @@ def arm(options):
     """Show an arm, and write its file."""
     places = [place for place in (options.out, options.picture) if place and place != "-"]
     check_places(places, [options.source] if options.source else [])
-    is_urdf = bool(options.source) and Path(options.source).suffix.lower() == ".urdf"
-    if (options.base or options.tip) and not is_urdf:
-        raise TableError("--base and --tip name links of a URDF, and none is given.")
     if (options.elbow_offset or options.wrist_offset) and not (
         options.lengths_222 or options.lengths_223
     ):
@@ -282,10 +284,8 @@ def arm(options):
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
-    elif is_urdf:
-        shown = Arm.from_urdf(options.source, base=options.base, tip=options.tip)
     elif options.source:
-        shown = load_arm(options.source)
+        shown = load_arm(options.source, options.base, options.tip)
     else:
         if not sys.stdin.isatty():
             raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
@@ -322,18 +322,6 @@ def demo(options):
     known = options.length[0]
     print(f'raacmm learn {options.table} --arm {options.arm} --length "{known}" --out {out}')
     return learn(options)
-
-
-def _columns(options, points=None, labelled=True):
-    """Options of `read_table` as the command line has them."""
-    parts = {
-        name: value.split(",") if value else None
-        for name, value in (("angles", options.angles), ("points", points))
-    }
-    if parts["points"] and len(parts["points"]) != 3:
-        raise TableError(f"--points needs three columns, such as x,y,z, got {points!r}.")
-    position = options.position if labelled else None
-    return parts | {"position": position, "angle_unit": options.unit, "labelled": labelled}
 
 
 def _say_notes(notes):

@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 
+from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.display import ControlChartDisplay
 from sklearn_raacmm.metrics import repeatability_interval
 
@@ -251,6 +252,44 @@ def picture_of(arm):
                 ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
                 ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
             ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
+            ax.set(title=title, aspect="equal")
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue()
+
+
+def picture_of_plan(arm, positions):
+    """Where the cones of a plan stand, from above and from the side, in their order, as SVG.
+
+    Parameters
+    ----------
+    arm : Arm
+    positions : ndarray of shape (n, 3)
+        In mm.
+
+    Returns
+    -------
+    str
+        A whole SVG file.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError("Pictures need matplotlib: pip install matplotlib.") from None
+    file, reach = io.StringIO(), reach_mm(arm)
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "plan", "font.size": 9}):
+        figure = Figure(figsize=(9, 4.5), layout="constrained")
+        views = ((0, 1, "from above: x and y, mm"), (0, 2, "from the side: x and z, mm"))
+        for ax, (across, up, title) in zip(figure.subplots(1, 2), views, strict=True):
+            ax.plot(positions[:, across], positions[:, up], color="0.7", linewidth=1)
+            ax.plot(positions[:, across], positions[:, up], "o", color=_AFTER)
+            for number, position in enumerate(positions, start=1):
+                ax.annotate(
+                    str(number), position[[across, up]], xytext=(4, 4), textcoords="offset points"
+                )
+            ax.plot(0, 0, "s", color=_BEFORE, markersize=9)
+            turn = np.linspace(0, 2 * np.pi, 100)
+            ax.plot(reach * np.cos(turn), reach * np.sin(turn), color="0.8", linestyle=":")
             ax.set(title=title, aspect="equal")
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return file.getvalue()

@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import SavedCorrection, columns_of
+from sklearn_raacmm.correction import SavedCorrection, corrected_columns
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -26,11 +26,13 @@ _NEW_COLUMNS = (
 )
 
 
-def load_arm(source):
+def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
     path = Path(source)
     if path.suffix.lower() == ".urdf":
-        return Arm.from_urdf(path)
+        return Arm.from_urdf(path, base=base, tip=tip)
+    if base or tip:
+        raise TableError("--base and --tip name links of a URDF, and none is given.")
     if path.exists():
         return Arm.from_json(path)
     try:
@@ -82,7 +84,9 @@ def write_corrected(layout, correction, file):
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        numbers = columns_of(correction.arm, correction.model, correction.facts, in_rad(block))
+        numbers = corrected_columns(
+            correction.arm, correction.model, correction.facts, in_rad(block)
+        )
         for row, values in zip(cells, numbers.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
@@ -106,3 +110,35 @@ def in_rad(table):
     """Angles of a table in rad, within one turn."""
     angles = np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+
+
+def columns_of(options, arm, points=None, labelled=True):
+    """Options of `read_table` as the command line has them."""
+    if points and not Path(points).is_file():
+        points = points.split(",")
+        if len(points) != 3:
+            raise TableError(
+                f"--points needs three columns, such as x,y,z, or a file that is there, got "
+                f"{options.points!r}."
+            )
+    counts = options.counts_per_turn
+    if counts is not None:
+        counts = [number_of(text) for text in counts.split(",")]
+        counts = counts[0] if len(counts) == 1 else counts
+    return {
+        "angles": options.angles.split(",") if options.angles else None,
+        "points": points,
+        "position": options.position if labelled else None,
+        "angle_unit": options.unit,
+        "labelled": labelled,
+        "joint_names": arm.names,
+        "counts_per_turn": counts,
+        "sheet": options.sheet,
+    }
+
+
+def number_of(text):
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        raise TableError(f"{text!r} is not a number.") from None

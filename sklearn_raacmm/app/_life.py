@@ -13,7 +13,7 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of
-from sklearn_raacmm.app._files import files_of, in_rad, load_correction
+from sklearn_raacmm.app._files import columns_of, files_of, in_rad, load_correction, number_of
 from sklearn_raacmm.app._tables import read_lengths, read_table
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import calibrate
@@ -42,22 +42,15 @@ class _Today(NamedTuple):
 
     @classmethod
     def of(cls, options, arm):
-        wanted = options.points.split(",") if options.points else None
-        if wanted and len(wanted) != 3:
-            raise TableError(
-                f"--points needs three columns, such as x,y,z, got {options.points!r}."
-            )
-        table = read_table(
-            options.table, arm.n_joints, points=wanted, position=options.position,
-            angles=options.angles.split(",") if options.angles else None,
-            angle_unit=options.unit, labelled=wanted is None,
-        )  # fmt: skip
+        by_tracker = bool(options.points)
+        given = columns_of(options, arm, points=options.points, labelled=not by_tracker)
+        table = read_table(options.table, arm.n_joints, **given)
         for note in table.notes:
             print(f"note: {note}", file=sys.stderr)
         lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
-        if wanted and lengths:
+        if by_tracker and lengths:
             raise TableError("--lengths are between cones; a tracker has no use for them.")
-        positions = table.positions if wanted is None else None
+        positions = None if by_tracker else table.positions
         return cls(in_rad(table), positions, table.points, lengths)
 
     @property
@@ -149,10 +142,7 @@ def move(options):
     saved, out = _opened(options)
     if not hasattr(saved.model, "with_arm"):
         raise TableError("this correction has no model of causes: register the new probe instead.")
-    try:
-        probe = [float(cell) for cell in options.probe.split(",")]
-    except ValueError:
-        probe = []
+    probe = [number_of(cell) for cell in options.probe.split(",")]
     if len(probe) != 3:
         raise TableError(
             f"--probe needs three numbers in mm, such as 0,0,250, got {options.probe!r}."

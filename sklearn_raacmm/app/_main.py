@@ -71,6 +71,10 @@ _WORDS = (
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
     ),
     _Word(
+        "plan", "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
+        "raacmm plan --arm my_arm.json --out plan",
+    ),
+    _Word(
         "demo", "_commands", "learn the correction of a simulated arm, with a report",
         "raacmm demo --open",
     ),

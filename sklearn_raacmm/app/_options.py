@@ -6,11 +6,13 @@
 
 def learn(parser):
     """Add the options of ``raacmm learn``."""
-    parser.add_argument("table", help="CSV or XLSX, one row per pose: joint angles and position")
+    parser.add_argument("table", help="one row per pose: joint angles and position")
     parser.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
+    _add_ends(parser)
     _add_learning(parser, out=None)
     _add_columns(parser)
-    parser.add_argument("--points", metavar="X,Y,Z", help="columns of a tracker's points")
+    text = "columns of a tracker's points, or a file of points"
+    parser.add_argument("--points", metavar="X,Y,Z", help=text)
     text = "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved"
     parser.add_argument("--length", action="append", metavar="FROM:TO:MM:SD", help=text)
     parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
@@ -21,7 +23,7 @@ def learn(parser):
 
 def correct(parser):
     """Add the options of ``raacmm correct``."""
-    parser.add_argument("table", help="CSV or XLSX with joint angles")
+    parser.add_argument("table", help="table with joint angles")
     _add_model(parser)
     parser.add_argument("--out", required=True, help="CSV to write; - is the standard output")
     _add_columns(parser, labelled=False)
@@ -71,8 +73,7 @@ def export(parser):
 def arm(parser):
     """Add the options of ``raacmm arm``."""
     parser.add_argument("source", nargs="?", help="arm file, URDF, or name of a built-in arm")
-    parser.add_argument("--base", help="first link of a URDF's chain")
-    parser.add_argument("--tip", help="last link of a URDF's chain")
+    _add_ends(parser)
     for layout in ("222", "223"):
         parser.add_argument(
             f"--lengths-{layout}", type=float, nargs=4,
@@ -86,18 +87,33 @@ def arm(parser):
     parser.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
 
 
+def plan(parser):
+    """Add the options of ``raacmm plan``."""
+    parser.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
+    parser.add_argument("--out", required=True, help="folder to write into")
+    parser.add_argument("--cones", type=int, default=8, help="number of cones (8)")
+    parser.add_argument("--poses", type=int, default=12, help="poses in each cone (12)")
+    text = "how far the probe may lean from the vertical, degrees (60)"
+    parser.add_argument("--lean", type=float, default=60.0, metavar="DEG", help=text)
+
+
 def demo(parser):
     """Add the options of ``raacmm demo``."""
     _add_learning(parser, out="raacmm-demo")
     parser.set_defaults(
-        angles=None, position=None, unit=None, points=None, lengths=None, length=None,
-        length_sd=None,
-        serial="simulated", operator=None,
+        angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
+        lengths=None, length=None, length_sd=None, serial="simulated", operator=None,
+        base=None, tip=None,
     )  # fmt: skip
 
 
 def completion(parser):
     """``raacmm completion`` has no options of its own."""
+
+
+def _add_ends(parser):
+    parser.add_argument("--base", metavar="LINK", help="first link of a URDF's chain")
+    parser.add_argument("--tip", metavar="LINK", help="last link of a URDF's chain: the probe")
 
 
 def _add_learning(parser, out):
@@ -117,6 +133,9 @@ def _add_columns(parser, labelled=True):
     if labelled:
         parser.add_argument("--position", metavar="NAME", help="column of the positions' labels")
     parser.add_argument("--unit", choices=("deg", "rad"), help="unit of the joint angles")
+    text = "counts of the encoders in a turn, one number or one for each joint"
+    parser.add_argument("--counts-per-turn", metavar="N", help=text)
+    parser.add_argument("--sheet", metavar="NAME", help="sheet of a spreadsheet, name or number")
 
 
 def _add_model(parser):

@@ -14,7 +14,7 @@ import sklearn
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._figures import figures_of
-from sklearn_raacmm.correction import columns_of
+from sklearn_raacmm.correction import corrected_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import length_error
@@ -196,7 +196,7 @@ def _sheet(scores):
 
 def _deviations(result):
     """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
-    columns = columns_of(result.arm, result.model, result.facts(), result.angles)
+    columns = corrected_columns(result.arm, result.model, result.facts(), result.angles)
     names = (
         ("of a coordinate within a position", columns[:, 6:9]),
         ("of a coordinate in the base frame", columns[:, 3:6]),

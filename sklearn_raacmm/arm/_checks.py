@@ -12,6 +12,7 @@ _WARN_RAD = 4 * np.pi
 # Degrees of real poses are larger than one turn in radians in some joint. Joints of less than 0.2
 # degrees stand still, and an arm that moves one joint only may stay near its zero.
 _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
+_NO_LIMITS = (-np.inf, np.inf)
 # Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
 _ABSURD_DEG = 3600.0
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
@@ -39,6 +40,41 @@ def numbers(name, value, size, unit, bound, broadcast=False):
     array = array + 0.0  # a copy of our own, in which -0.0 is 0.0: they are the same arm
     array.flags.writeable = False
     return array
+
+
+def names_of(names, n):
+    """Names of the joints: none, or a different one for each."""
+    found = tuple(names) if isinstance(names, list | tuple) else None
+    whole = found is not None and all(name and is_name(name) for name in found)
+    if not whole or len(found) not in (0, n) or len(set(found)) < len(found):
+        raise ValueError(f"names must be {n} different names of joints, got {show(names)}.")
+    return found
+
+
+def is_name(value):
+    """Whether a value is a string of whole characters, which can be written to a file."""
+    # Unpaired surrogates, which only escapes in JSON can bring, cannot.
+    return isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value)
+
+
+def limits_of(limits, n):
+    """Lower and upper limit of each joint in rad, read-only; None where there are none."""
+    if limits is None:
+        return None
+    if isinstance(limits, list | tuple):  # None, where a file cannot hold infinity
+        limits = [
+            [end if value is None else value for end, value in zip(_NO_LIMITS, pair, strict=False)]
+            for pair in limits
+        ]
+    limits = floats("limits", limits) + 0.0
+    if limits.shape != (n, 2):
+        raise ValueError(f"limits must have shape ({n}, 2), got {limits.shape}.")
+    wrong = ~(limits[:, 0] <= limits[:, 1])  # true for NaN, too
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
+        raise ValueError(f"limits of joint {i + 1} must go from low to high, got {limits[i]}.")
+    limits.flags.writeable = False
+    return limits
 
 
 def pair_of(name, value, low, high):

@@ -97,11 +97,8 @@ class Correction(NamedTuple):
     X: np.ndarray  # as the model takes them
 
     def of_poses(self, poses):
-        """The same at the poses that the rows are of."""
-        if not poses.merges:
-            return self
-        unit = np.pi / 180 if getattr(self.model, "angle_unit", "rad") == "deg" else 1.0
-        return self._replace(X=poses.mean_angles(unit * self.X) / unit)
+        """The same at the first row of each pose."""
+        return self._replace(X=self.X[poses.first]) if poses.merges else self
 
     def at(self, probes, problem):
         """Predicted residuals (n, 3) of rows with the probe of each tool, (n_tools, 3)."""

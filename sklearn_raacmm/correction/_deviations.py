@@ -67,7 +67,7 @@ def distances(first, second, scale_sd):
     return lengths, np.sqrt(ends + (scale_sd * lengths) ** 2)
 
 
-def columns_of(arm, model, facts, angles):
+def corrected_columns(arm, model, facts, angles):
     """What a corrected table gets, (n_samples, 10); parameters as of `corrected_points`.
 
     Points; standard deviations of the coordinates in the base frame and within a position; that of

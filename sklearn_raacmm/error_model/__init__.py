@@ -21,6 +21,7 @@ from sklearn_raacmm.error_model._gauge import constrained
 from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import lever_mm
+from sklearn_raacmm.error_model._solve import angles_for, limits_of
 from sklearn_raacmm.error_model._structures import order_price, smooth_shares
 from sklearn_raacmm.error_model._variance_bound import single_root
 
@@ -33,6 +34,7 @@ __all__ = [
     "Judgement",
     "LinearModel",
     "Terms",
+    "angles_for",
     "check_poses",
     "check_turns",
     "column_table",
@@ -40,6 +42,7 @@ __all__ = [
     "force_on_probe",
     "given_factors",
     "lever_mm",
+    "limits_of",
     "observed_columns",
     "order_price",
     "single_root",

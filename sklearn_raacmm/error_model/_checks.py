@@ -36,9 +36,6 @@ _MOST_WITHOUT = 0.1
 _LARGEST_REACHES = 10.0
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
-# A share between that and 1 is worth a warning where independent rows have one as small in fewer
-# fits than one of a thousand. Against a reference it is above 1, as neighbours err alike.
-_BY_CHANCE = 1e-3
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths):
@@ -141,23 +138,7 @@ def _check_offsets(offsets, y, weights, groups):
         return None
     _, codes = encode_groups(groups, len(y))
     if offsets == "auto":
-        share, of_most, by_chance = share_of_means(y, codes, weights)
-        offsets = share < CENTRED
-        if not offsets and by_chance < _BY_CHANCE:
-            said = (
-                f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those "
-                "of independent rows of this scatter: y may be deviations from the means of more "
-                "rows than these."
-            )
-            advice = "No offsets are fitted; set offsets to True or False."
-            say_findings([Finding("means-of-other-rows", said, advice)])
-        elif not offsets and of_most < 0.1 * CENTRED:
-            said = (
-                "Most positions' mean residuals are zero, but not all: y looks like deviations "
-                "from means of other rows than these."
-            )
-            advice = "No offsets are fitted; set offsets to True or False."
-            say_findings([Finding("means-of-other-rows", said, advice)])
+        offsets = share_of_means(y, codes, weights) < CENTRED
     return codes if offsets else None
 
 

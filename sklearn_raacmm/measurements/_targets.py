@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
-from sklearn_raacmm.utils import Finding, align, centred
+from sklearn_raacmm.utils import CENTRED, Finding, align, centred, share_of_means
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
 # base: no calibrated arm is that far off.
@@ -162,6 +162,23 @@ def are_not_of_these_points(targets, points):
             return
 
 
+def are_of_positions_unnamed(targets, points):
+    """Deviations from the means of positions, which the fit was not told."""
+    if points is None or targets.codes is not None:
+        return
+    labels, codes = np.unique(np.round(points - targets.y, 3), axis=0, return_inverse=True)
+    codes = codes.ravel()
+    if 2 * len(labels) > len(codes) or len(labels) < 2:
+        return
+    if share_of_means(targets.y, codes, targets.weights) < CENTRED:
+        yield Finding(
+            "groups-missing",
+            f"y are deviations from the means of {len(labels)} positions, and the fit does not "
+            "know of these.",
+            "Give groups, the label of the position of each row.",
+        )
+
+
 def are_what_calibration_takes(targets, points):
     """The arm's static parameters explain nearly all: it has not been calibrated."""
     y, arm = targets.y, targets.arm
@@ -180,11 +197,16 @@ def are_what_calibration_takes(targets, points):
     else:
         y, jac = (centred(v, targets.codes, targets.weights) for v in (y, jac))
     n_columns = jac.shape[2]
-    if y.size < _COORDINATES_OF_TABLES * n_columns:
-        return
     jac = jac / np.maximum(np.sqrt(np.square(jac).mean(axis=(0, 1))), 1e-12)
-    coef = np.linalg.lstsq(jac.reshape(-1, n_columns), y.ravel(), rcond=1e-9)[0]
-    left = _rms(y - jac @ coef) * np.sqrt(y.size / (y.size - n_columns))
+    # Every second position by the others: those at hand could be imitated.
+    fold = (np.arange(len(y)) if targets.codes is None else targets.codes) % 2 == 0
+    if min(fold.sum(), (~fold).sum()) * 3 < _COORDINATES_OF_TABLES * n_columns:
+        return
+    off = np.empty_like(y)
+    for rows in (fold, ~fold):
+        coef = np.linalg.lstsq(jac[~rows].reshape(-1, n_columns), y[~rows].ravel(), rcond=1e-6)[0]
+        off[rows] = y[rows] - jac[rows] @ coef
+    left = _rms(off)
     if left < _LEFT_OF_TABLE * _rms(y):
         yield Finding(
             "not-calibrated",
@@ -213,6 +235,7 @@ CHECKS = (
     are_too_large,
     are_of_another_frame,
     are_not_of_these_points,
+    are_of_positions_unnamed,
     are_what_calibration_takes,
     are_all_zero,
 )

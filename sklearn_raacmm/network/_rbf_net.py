@@ -46,24 +46,21 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
 
     Use it where trees are too coarse, and a Gaussian process is too slow or too large to export.
-    You may need `n_centers`, for a given size; `shared`, for a small export of several outputs;
-    `loss`, for outliers. Features that span powers of ten want a
-    :class:`~sklearn.preprocessing.PowerTransformer` in front.
+    You may need `n_centers` for a given size, `shared` for a small export of several outputs, and
+    `loss` for outliers. The guide has recipes for gaps, categories, steps and powers of ten.
 
     Parameters
     ----------
     n_centers : int, float or "auto", default="auto"
         Number of centres, or below 1 the share of the variance that they may leave unexplained
-        [1]_. "auto" takes as many as make the network about as good as the process, and all rows
-        where that is nearly all.
+        [1]_. "auto" takes as many as make the network about as good as the process.
 
     kernel : str or array-like of shape (n_outputs,), default="auto"
         Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
         :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
         :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "rational_quadratic",
         :math:`1 / (1 + r^2/2)`; "inverse_multiquadric", :math:`1 / \sqrt{1 + r^2}`. "auto" takes
-        the most probable of the first three, with a given `length_scale` "gaussian". Names go with
-        rows of `length_scale`.
+        the most probable of the first three, with a given `length_scale` "gaussian".
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width, in the units of X: a number, one for each feature, or a row of these for each output;
@@ -130,7 +127,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Slope along each feature, per standard deviation of the feature, as a share of the sum.
 
     log_marginal_likelihood_value_ : float
-        Of the rows on which structures were compared, if any were, summed over outputs.
+        Of the rows on which structures were compared, summed over outputs.
 
     error_reduction_ : ndarray of shape (n_centers,)
         Share of the variance by which each centre lowered the objective.
@@ -139,8 +136,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Share that is left after 1, 2, ... centres.
 
     stop_reason_ : str
-        Why there are no more: "n_centers", "max_centers", "criterion", "dependent" or
-        "rank" (others are combinations of the chosen ones, as far as can be told), "all rows".
+        Why there are no more: "n_centers", "max_centers", "criterion", "all rows", or "dependent"
+        and "rank", where others are combinations of the chosen ones.
 
     row_weight_ : ndarray of shape (n_samples,)
         With ``loss="tukey"``: the factor of each row's weight.
@@ -148,22 +145,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     n_iter_ : int
         Number of centres tried.
 
-    n_features_in_ : int
-        Number of features.
-
-    feature_names_in_ : ndarray of shape (`n_features_in_`,)
-        Their names, where X had any.
-
     See Also
     --------
     sklearn.gaussian_process.GaussianProcessRegressor : A centre at every sample.
 
     Notes
     -----
-    Widths and ridge maximise the marginal likelihood [2]_ less a price for every feature used.
-
-    The model is a function of the weighted data: rows of weight 0 are dropped, repeated rows
-    merged, all sorted. More than 100 000 are read in blocks, also from files and dask arrays.
+    Widths and ridge maximise the marginal likelihood [2]_ less a price for every feature used. The
+    order of the rows does not matter, and an integer weight is worth so many repeats.
 
     References
     ----------

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import ArmResidualRegressor, LearnedCorrection, learn_correction
-from sklearn_raacmm.app import main
+from sklearn_raacmm import Arm, ArmResidualRegressor, LearnedCorrection, learn_correction
+from sklearn_raacmm.app import main, read_table
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 
 MACHINE = SimulatedArm("typical", random_state=1)
@@ -161,3 +161,20 @@ def test_faults_get_one_sentence(folder, tmp_path, capsys, words, sentence):
     assert code == 2
     assert "raacmm" in said
     assert any(part in said for part in sentence.split("|"))
+
+
+def test_a_plan_that_the_arm_reaches(tmp_path, capsys):
+    """The table is one that `raacmm learn` reads, and its poses do reach their cones."""
+    words = ["plan", "--arm", "aacmm6", "--out", tmp_path, "--cones", "3", "--poses", "5"]
+    code, said = run(capsys, *words)
+    assert code == 0
+    assert "spread" in said
+    table = read_table(tmp_path / "plan.csv", 6)
+    points = Arm.from_name("aacmm6").forward(np.deg2rad(table.angles))
+    for label in np.unique(table.positions):
+        own = points[table.positions == label]
+        # Angles are written to 0.01 degrees: 0.3 mm at the reach of 1.9 m, several joints.
+        assert np.abs(own - own.mean(axis=0)).max() < 1.5
+    page = (tmp_path / "plan.html").read_text()
+    assert page.count("<tr>") == 3 + 15 + 2
+    assert "<svg" in page

@@ -59,7 +59,7 @@ for k in range(n_kills):
     ended = os.waitpid(child, 0)[1]
     assert os.WIFSIGNALED(ended), "18 steps: 6 files are opened, synchronised and renamed"
     correction = load_correction(folder)
-    is_one = [bool((correction.correct(angles)[1] == p).all()) for p in points]
+    is_one = [bool((correction.correct(angles)[0] == p).all()) for p in points]
     assert sum(is_one) == 1, (k, is_one)
     loaded.append(is_one.index(True))
 print(loaded)
