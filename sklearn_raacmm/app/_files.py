@@ -7,6 +7,7 @@ import csv
 import os
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def in_rad(table):
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
 
 
-def columns_of(options, arm, points=None, labelled=True):
+def columns_of(options: Any, arm: Any, points: Any = None, labelled: bool = True) -> dict[str, Any]:
     """Options of `read_table` as the command line has them."""
     if points and not Path(points).is_file():
         points = points.split(",")

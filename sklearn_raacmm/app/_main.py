@@ -85,7 +85,7 @@ _WORDS = (
 )  # fmt: skip
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters

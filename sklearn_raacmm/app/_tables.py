@@ -4,11 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._cells import Dialect, TableError, without_mark
 from sklearn_raacmm.app._columns import Columns, find_header, split_unit
@@ -42,14 +45,24 @@ class Table:
     positions: np.ndarray | None
     points: np.ndarray | None
     rows: np.ndarray
-    notes: list = field(default_factory=list)
-    others: dict = field(default_factory=dict)
+    notes: list[Any] = field(default_factory=list)
+    others: dict[str, Any] = field(default_factory=dict)
 
 
 def read_table(
-    path, n_joints, *, angles=None, position=None, points=None, angle_unit=None, labelled=True,
-    joint_names=(), counts_per_turn=None, sheet=None, others=(),
-):  # fmt: skip
+    path: str | PathLike[str],
+    n_joints: int,
+    *,
+    angles: list[str] | None = None,
+    position: str | None = None,
+    points: list[Any] | str | PathLike[str] | None = None,
+    angle_unit: str | None = None,
+    labelled: bool = True,
+    joint_names: Sequence[Any] = (),
+    counts_per_turn: ArrayLike | None = None,
+    sheet: str | None = None,
+    others: Iterable[str] = (),
+) -> Table:
     r"""Read a table of joint angles as a logger, a robot or a spreadsheet program wrote it.
 
     Separator, decimal sign, encoding, lines above the header and columns are found; what was
@@ -221,15 +234,15 @@ class Layout:
     """Where a file holds what: found once, then rows are read block by block."""
 
     dialect: Dialect
-    header: list
+    header: list[Any]
     header_row: int
-    angle_columns: list
+    angle_columns: list[Any]
     position_column: int | None
-    point_columns: list
+    point_columns: list[Any]
     angle_unit: str
     point_factor: float
-    others: dict
-    notes: list
+    others: dict[str, Any]
+    notes: list[Any]
     turns: np.ndarray | None = None
 
     def raw_rows(self):
@@ -386,7 +399,7 @@ def find_layout(
 # -- known lengths --------------------------------------------------------------------------------
 
 
-def read_lengths(path, sd=None):
+def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any]:
     """Read known lengths: two labels, a length and its standard deviation a row, mm.
 
     Parameters

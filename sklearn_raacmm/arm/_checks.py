@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.utils import Finding, floats, say_findings, show
@@ -57,7 +59,7 @@ def is_name(value):
     return isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value)
 
 
-def limits_of(limits, n):
+def limits_of(limits: Any, n: int) -> Any:
     """Lower and upper limit of each joint in rad, read-only; None where there are none."""
     if limits is None:
         return None
@@ -91,7 +93,7 @@ def pair_of(name, value, low, high):
     return tuple(int(v) for v in pair)
 
 
-def check_angles(angles, n_joints, angle_unit):
+def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence.
 
     Warns where the unit is most likely another one: degrees given as radians or the reverse.

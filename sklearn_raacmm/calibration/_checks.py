@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -156,7 +156,7 @@ def check_free(free):
     return free
 
 
-def check_length(entry, labels):
+def check_length(entry: Any, labels: Any) -> Any:
     """A known length as (position, position, length, sd), positions by their index."""
     try:
         first, second, length, sd = entry

@@ -8,8 +8,11 @@ axis, x where its encoder says, the origin below S by what the table says.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.utils import Finding
 
@@ -19,7 +22,9 @@ STD_OF = ("coordinate", "position")
 _K = 2.0
 
 
-def corrected_points(arm, model, angles, facts, std_of="coordinate"):
+def corrected_points(
+    arm: Arm, model: Any, angles: np.ndarray, facts: dict[str, Any], std_of: str = "coordinate"
+) -> tuple[np.ndarray, np.ndarray]:
     """Corrected points and the standard deviations of their coordinates.
 
     Parameters
@@ -67,7 +72,7 @@ def distances(first, second, scale_sd):
     return lengths, np.sqrt(ends + (scale_sd * lengths) ** 2)
 
 
-def corrected_columns(arm, model, facts, angles):
+def corrected_columns(arm: Arm, model: Any, facts: Any, angles: np.ndarray) -> np.ndarray:
     """What a corrected table gets, (n_samples, 10); parameters as of `corrected_points`.
 
     Points; standard deviations of the coordinates in the base frame and within a position; that of

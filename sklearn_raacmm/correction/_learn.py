@@ -3,11 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from os import PathLike
+from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
@@ -59,7 +62,7 @@ class LearnedCorrection:
     """
 
     arm: Arm
-    model: BaseEstimator
+    model: Any
     scores: CorrectionScores
     calibration: CalibrationResult = field(repr=False)
     outliers: np.ndarray = field(repr=False)
@@ -67,24 +70,26 @@ class LearnedCorrection:
     angles: np.ndarray = field(repr=False)
     positions: np.ndarray = field(repr=False)
     points: np.ndarray | None = field(repr=False)
-    lengths: list = field(repr=False)
+    lengths: list[Any] = field(repr=False)
 
     @property
-    def findings(self):
+    def findings(self) -> tuple[Finding, ...]:
         """What there is to say about the data, a tuple of :class:`Finding`."""
         return self.scores.findings
 
     @property
-    def helps(self):
+    def helps(self) -> bool:
         """Whether the correction is worth using at new positions."""
         return self.scores.helps
 
     @property
-    def verdict(self):
+    def verdict(self) -> str:
         """The same in one sentence."""
         return self.scores.verdict
 
-    def correct(self, angles, *, angle_unit="rad", std_of="coordinate"):
+    def correct(
+        self, angles: ArrayLike, *, angle_unit: str = "rad", std_of: str = "coordinate"
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Corrected points, and how far to trust them.
 
         Parameters
@@ -121,7 +126,9 @@ class LearnedCorrection:
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         return corrected_points(self.arm, self.model, angles, self._deviations(), std_of)
 
-    def distances(self, angles, others, *, angle_unit="rad"):
+    def distances(
+        self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Distances between pairs of corrected readings, and how far to trust them.
 
         Parameters
@@ -149,7 +156,9 @@ class LearnedCorrection:
             raise ValueError(f"There are {len(ends[0][0])} angles, but {len(ends[1][0])} others.")
         return distances(*ends, self.calibration.scale_sd)
 
-    def save(self, folder, others=None):
+    def save(
+        self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
+    ) -> list[Any]:
         """Write the arm, the model and the scores into a folder.
 
         ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
@@ -185,7 +194,7 @@ class LearnedCorrection:
         return write_correction(folder, self.facts(), contents)
 
     @staticmethod
-    def load(folder):
+    def load(folder: str | PathLike[str]) -> SavedCorrection:
         """Load what `save` wrote, without the data: see `SavedCorrection`.
 
         Parameters
@@ -205,7 +214,7 @@ class LearnedCorrection:
         return SavedCorrection.load(folder)
 
     @property
-    def saved(self):
+    def saved(self) -> Any:
         """The same without the data: what `save` writes and `load` reads."""
         base = self.calibration.base_rotation, self.calibration.base_translation
         base = None if base[0] is None else base
@@ -218,7 +227,7 @@ class LearnedCorrection:
             "scale_sd": self.calibration.scale_sd,
         }
 
-    def facts(self):
+    def facts(self) -> dict[str, Any]:
         """Scores and verdict as plain values, fit for JSON."""
         scores, found = self.scores, self.calibration
         return {
@@ -238,7 +247,7 @@ class LearnedCorrection:
             "outliers": [list(row) for row in self.outliers.tolist()],
         }
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = [
             f"{self.arm!r}, {len(self.angles)} rows",
             f"calibration: mean scatter {self.calibration.scatter_before_mm:.3f} -> "
@@ -260,18 +269,18 @@ class LearnedCorrection:
 
 
 def learn_correction(
-    arm,
-    angles,
-    positions,
-    points=None,
-    lengths=(),
+    arm: Arm,
+    angles: ArrayLike,
+    positions: ArrayLike | None,
+    points: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
     *,
-    angle_unit="rad",
-    model=None,
-    cv=None,
-    n_jobs=None,
-    progress=None,
-):
+    angle_unit: str = "rad",
+    model: Any = None,
+    cv: Any = None,
+    n_jobs: int | None = None,
+    progress: Callable | None = None,
+) -> LearnedCorrection:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
     Parameters

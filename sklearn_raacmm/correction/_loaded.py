@@ -3,12 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any, Self
 
 import numpy as np
-from sklearn.base import BaseEstimator
 
 from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.calibration import CalibrationResult
 from sklearn_raacmm.correction._deviations import STD_OF, corrected_points
 from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
@@ -59,12 +62,12 @@ class SavedCorrection:
     """
 
     arm: Arm
-    model: BaseEstimator
-    base: tuple | None
-    facts: dict
+    model: Any
+    base: tuple[Any, ...] | None
+    facts: dict[str, Any]
 
     @classmethod
-    def load(cls, folder):
+    def load(cls, folder: str | PathLike[str]) -> Self:
         """Read a folder that `LearnedCorrection.save` or `save` has written.
 
         Parameters
@@ -98,7 +101,9 @@ class SavedCorrection:
             base = np.array(base["rotation"]), np.array(base["translation_mm"])
         return cls(Arm.from_json(arm), model, base, facts)
 
-    def save(self, folder, others=None):
+    def save(
+        self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
+    ) -> Any:
         """Write the folder again, see `LearnedCorrection.save`."""
         import skops.io
 
@@ -106,13 +111,15 @@ class SavedCorrection:
         contents = {"arm.json": self.arm.to_json(), "model.skops": skops.io.dumps(self.model)}
         return write_correction(folder, facts, contents | (others or {}))
 
-    def correct(self, angles, *, angle_unit="rad", std_of="coordinate"):
+    def correct(
+        self, angles: np.ndarray, *, angle_unit: str = "rad", std_of: str = "coordinate"
+    ) -> Any:
         """Corrected points and standard deviations, see `LearnedCorrection.correct`."""
         check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         return corrected_points(self.arm, self.model, angles, self.facts, std_of)
 
-    def residuals(self, angles, points):
+    def residuals(self, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.
 
         Raises
@@ -128,7 +135,7 @@ class SavedCorrection:
         rotation, translation = self.base
         return self.arm.forward(angles) - (points - translation) @ rotation
 
-    def registered(self, calibration):
+    def registered(self, calibration: CalibrationResult) -> Self:
         """The same with the probe, and the base if it was measured, of a registration.
 
         Parameters

@@ -3,14 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.calibration import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._new_poses import linear_model_of, place_columns
-from sklearn_raacmm.error_model import check_poses
+from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
 from sklearn_raacmm.inference import narrowed
 from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means, listed, show
 
@@ -42,8 +43,16 @@ def _times(rows, matrix):
 
 
 def next_poses(
-    model, X, n_poses, *, groups=None, targets=None, criterion="I", free=None, measured=None
-):
+    model: ArmResidualRegressor | Arm,
+    X: ArrayLike,
+    n_poses: int,
+    *,
+    groups: ArrayLike | None = None,
+    targets: ArrayLike | None = None,
+    criterion: str = "I",
+    free: str | list[Any] | None = None,
+    measured: ArrayLike | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Choose the poses whose measurement would tell most, one after another.
 
     The posterior of a linear model says before any measurement how much it would narrow: what is

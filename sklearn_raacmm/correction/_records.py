@@ -5,6 +5,8 @@
 
 import csv
 import json
+from os import PathLike
+from typing import Any
 
 from sklearn_raacmm.utils import check_path
 
@@ -39,7 +41,7 @@ def append_record(path, record):
         writer.writerow(record)
 
 
-def read_check_records(path):
+def read_check_records(path: str | PathLike[str]) -> list[Any]:
     """Read the records of checks that :meth:`~sklearn_raacmm.CorrectionCheck.append_to` wrote.
 
     Parameters

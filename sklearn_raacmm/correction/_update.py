@@ -8,11 +8,13 @@ from dataclasses import replace
 from datetime import date as calendar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, poses_in_range
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import Finding, one_blas_thread, say_findings, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
@@ -26,16 +28,16 @@ _STRANGE = 10.0
 )
 @one_warning()
 def update_correction(
-    model,
-    X,
-    y,
+    model: ArmResidualRegressor,
+    X: ArrayLike,
+    y: ArrayLike,
     *,
-    arm=None,
-    groups=None,
-    sample_weight=None,
-    orientation_residuals=None,
-    date=None,
-):
+    arm: Arm | None = None,
+    groups: ArrayLike | None = None,
+    sample_weight: ArrayLike | None = None,
+    orientation_residuals: ArrayLike | None = None,
+    date: str | None = None,
+) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     The linear model keeps its columns. Its coefficients may change by a part tau of what they were

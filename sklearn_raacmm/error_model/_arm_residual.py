@@ -3,12 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Integral, Real
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn import config_context
-from sklearn.base import MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
@@ -26,11 +29,14 @@ from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
 from sklearn_raacmm.error_model._in_use import ModelInUseMixin
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
     HasMethods,
     Interval,
+    MultiOutputMixin,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
     centred,
@@ -259,16 +265,16 @@ class ArmResidualRegressor(
 
     def __init__(
         self,
-        arm=None,
+        arm: Arm | None = None,
         *,
-        angle_unit="rad",
-        extra=(),
-        orders=400,
-        causes=CAUSES,
-        offsets="auto",
-        fade="auto",
-        regressor=None,
-    ):
+        angle_unit: str = "rad",
+        extra: list[str] = (),
+        orders: ArrayLike = 400,
+        causes: list[str] = CAUSES,
+        offsets: bool | str = "auto",
+        fade: float | str = "auto",
+        regressor: Any = None,
+    ) -> None:
         self.arm = arm
         self.angle_unit = angle_unit
         self.extra = extra
@@ -283,14 +289,14 @@ class ArmResidualRegressor(
     @whole_fit
     def fit(
         self,
-        X,
-        y,
+        X: ArrayLike,
+        y: ArrayLike,
         *,
-        sample_weight=None,
-        groups=None,
-        lengths=(),
-        orientation_residuals=None,
-    ):
+        sample_weight: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+        lengths: Iterable[Sequence[Any]] = (),
+        orientation_residuals: ArrayLike | None = None,
+    ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
         Parameters
@@ -366,16 +372,16 @@ class ArmResidualRegressor(
         mean, std = model.predict(rows.X, return_std=True)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        self.fading_ = find_fading(rows.y, std, *rest, self.fade, model.std_scale)
-        self.judgement_ = None
+        self.fading_: Any = find_fading(rows.y, std, *rest, self.fade, model.std_scale)
+        self.judgement_: Any = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
-        self.helps_ = self.judgement_ is None or self.judgement_.helps
-        self.linear_model_ = model
-        self.pose_weight_ = np.zeros(len(used))
+        self.helps_: bool = self.judgement_ is None or self.judgement_.helps
+        self.linear_model_: LinearModel = model
+        self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
         say_findings(many_without_weight(fitted.pose_weight))
-        self.regressor_ = None
+        self.regressor_: Any = None
         if self.regressor is not None:
             left = centred(rows.y - mean * self.helps_, rows.codes, robust)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
@@ -395,48 +401,54 @@ class ArmResidualRegressor(
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
     @property
-    def harmonics_(self):
+    def harmonics_(self) -> Any:
         return self.linear_model_.harmonic_table()
 
     @property
-    def terms_(self):
+    def terms_(self) -> Any:
         return self.linear_model_.term_table()
 
     @property
-    def column_harmonics_(self):
+    def column_harmonics_(self) -> Any:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
     @property
-    def coef_(self):
+    def coef_(self) -> Any:
         return self.linear_model_.coef
 
     @property
-    def coef_sd_(self):
+    def coef_sd_(self) -> Any:
         return self.linear_model_.coef_sd
 
     @property
-    def prior_sd_(self):
+    def prior_sd_(self) -> Any:
         return self.linear_model_.prior_sd
 
     @property
-    def noise_sd_(self):
+    def noise_sd_(self) -> float:
         return self.linear_model_.noise_sd
 
     @property
-    def n_determined_(self):
+    def n_determined_(self) -> Any:
         return self.linear_model_.n_determined
 
     @property
-    def offsets_(self):
+    def offsets_(self) -> Any:
         return self.linear_model_.offsets
 
     @property
-    def arm_(self):
+    def arm_(self) -> Arm:
         return self.linear_model_.arm
 
     def predict(
-        self, X, return_std=False, with_noise=False, *, return_cov=False, with_unseen=False
-    ):
+        self,
+        X: ArrayLike,
+        return_std: bool = False,
+        with_noise: bool = False,
+        *,
+        return_cov: bool = False,
+        with_unseen: bool = False,
+    ) -> Any:
         """Predict residuals.
 
         Parameters
@@ -521,7 +533,7 @@ class ArmResidualRegressor(
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def second_stage(self, angles):
+    def second_stage(self, angles: np.ndarray) -> np.ndarray:
         """What the second stage adds, before it fades.
 
         Parameters
@@ -538,7 +550,7 @@ class ArmResidualRegressor(
             return np.zeros((len(angles), 3))
         return self.regressor_.predict(angles[:, : self.arm_.n_joints])
 
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = False
         tags.regressor_tags.poor_score = True

@@ -3,7 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
@@ -43,7 +46,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
 
     Parameters
     ----------
-    estimator : ArmResidualRegressor
+    estimator : Any
     X, y, sample_weight, groups, lengths
         As for its `fit`.
 
@@ -190,7 +193,7 @@ def poses_of(rows, extra, *others):
     return dwells, rows, *(dwells.mean(other) for other in others)
 
 
-def check_turns(turns, n_rows, codes):
+def check_turns(turns: Any, n_rows: int, codes: np.ndarray) -> Any:
     """Residuals of the orientation (n, 3) in rad, or None where there are none."""
     if turns is None:
         return None
@@ -215,12 +218,12 @@ def check_turns(turns, n_rows, codes):
     return turns
 
 
-def check_poses(model, X):
+def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
     """Rows of X as a fitted `LinearModel` takes them.
 
     Parameters
     ----------
-    model : ArmResidualRegressor
+    model : Any
         Fitted.
     X : array-like of shape (n, n_features_in_)
         As for its `predict`.

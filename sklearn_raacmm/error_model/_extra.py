@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.utils import Finding, say_findings, show
@@ -114,7 +116,7 @@ def check_tools(extra, values):
             )
 
 
-def force_on_probe(extra, values):
+def force_on_probe(extra: Any, values: np.ndarray) -> Any:
     """Force on the probe in the base frame, less that of the training mean, (n, 3).
 
     A payload is a weight: it pulls along -z.

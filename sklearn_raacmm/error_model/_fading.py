@@ -53,7 +53,7 @@ class Fading:
     factor: float
     known_mm: float = 0.0
 
-    def share(self, std):
+    def share(self, std: np.ndarray) -> np.ndarray:
         """Share that is left of each correction.
 
         Parameters

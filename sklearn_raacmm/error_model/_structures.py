@@ -134,7 +134,7 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
     )
 
 
-def order_price(order):
+def order_price(order: np.ndarray) -> np.ndarray:
     """Price of a harmonic of order k in nats: ``2 log(k)``, for the odds fall with its square.
 
     Every encoder is a little eccentric, so that order 1 is free; an order of 400 costs 12 nats. On
@@ -152,7 +152,7 @@ def order_price(order):
     return _PRICE_PER_LOG_ORDER * np.log(order)
 
 
-def smooth_shares(order):
+def smooth_shares(order: np.ndarray) -> np.ndarray:
     """Prior variance of each order as a part of the field, relative to that of order 0.
 
     ``(1 + (k / 16)^2)^-2``, the spectrum of functions that can be differentiated; 0 above order 48.

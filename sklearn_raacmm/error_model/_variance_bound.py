@@ -41,7 +41,7 @@ class SingleRoot(NamedTuple):
     rounding: float  # gamma
 
 
-def single_root(root):
+def single_root(root: np.ndarray) -> SingleRoot:
     """A root of a covariance in single precision.
 
     Parameters

@@ -14,7 +14,7 @@ _STEPS, _OFF = (1.0, 0.5, 0.1, 0.05, 0.01), 1e-4
 _LEAST, _LARGE_MM = 10, 0.02
 
 
-def coarse_angles(angles, reach):
+def coarse_angles(angles: np.ndarray, reach: float) -> Finding:
     """All angles are multiples of a coarse step.
 
     Parameters

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.utils import Finding, chunks, encode_groups
 
@@ -50,7 +51,9 @@ class Step(NamedTuple):
     size_mm: float
 
 
-def find_steps(left, angles, codes, noise_variance=0.0):
+def find_steps(
+    left: np.ndarray, angles: np.ndarray, codes: np.ndarray, noise_variance: float = 0.0
+) -> list[Step]:
     r"""Steps of residuals in the order of the rows, position by position.
 
     What a model leaves at two poses of one position differs the more, the farther the poses are
@@ -106,7 +109,14 @@ def find_steps(left, angles, codes, noise_variance=0.0):
     return found
 
 
-def moved_positions(left, angles, weights, groups, noise_variance, numbers=None):
+def moved_positions(
+    left: np.ndarray,
+    angles: np.ndarray,
+    weights: np.ndarray,
+    groups: ArrayLike,
+    noise_variance: float,
+    numbers: np.ndarray | None = None,
+) -> Finding:
     """Positions that have moved during the test, in one finding.
 
     Parameters

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.utils import Finding
@@ -14,7 +16,15 @@ _SHARE, _LEAST_ROWS = 0.25, 8
 _RIDGE = 1e-4
 
 
-def moved_set_up(left, columns, ridge, points, turns, weights, numbers=None):
+def moved_set_up(
+    left: np.ndarray,
+    columns: np.ndarray,
+    ridge: np.ndarray,
+    points: np.ndarray,
+    turns: np.ndarray,
+    weights: np.ndarray,
+    numbers: Any = None,
+) -> Finding:
     r"""A tracker, a base or a tool that moved during the measurement, in one finding.
 
     A calibration of all rows takes up what it can of the move. Behind every row in turn the rest is

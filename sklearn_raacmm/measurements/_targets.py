@@ -47,10 +47,10 @@ class Targets(NamedTuple):
     offsets: bool = False  # whether positions have constants that nobody knows
 
     @property
-    def reach(self):
+    def reach(self) -> float:
         return np.inf if self.arm is None else reach_mm(self.arm)
 
-    def used(self):
+    def used(self) -> np.ndarray:
         """The same without rows of no weight, and with the arm's points or None."""
         kept = self.weights > 0
         parts = (None if v is None else v[kept] for v in (self.angles, self.codes))
@@ -241,7 +241,7 @@ CHECKS = (
 )
 
 
-def check_targets(targets):
+def check_targets(targets: Targets) -> list[Finding]:
     """Findings on the targets of a model.
 
     Parameters
