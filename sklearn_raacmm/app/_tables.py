@@ -42,7 +42,7 @@ class Table:
 
     angles: np.ndarray
     angle_unit: str
-    positions: np.ndarray | None
+    positions: Any
     points: np.ndarray | None
     rows: np.ndarray
     notes: list[Any] = field(default_factory=list)
@@ -127,7 +127,7 @@ def read_table(
     )  # fmt: skip
     blocks = list(layout.blocks(100_000))
     parts = ("angles", "positions", "points", "rows")
-    whole = {
+    whole: dict[str, Any] = {
         part: None
         if getattr(blocks[0], part) is None
         else np.concatenate([getattr(block, part) for block in blocks])
@@ -250,7 +250,8 @@ class Layout:
 
         Comments are left out, and rows at the end without any angle, which a note then names.
         """
-        width, n_rows, held = len(self.header), 0, []
+        width, n_rows = len(self.header), 0
+        held: list[tuple[int, Any]] = []
         for number, cells in self.dialect.rows():
             if number <= self.header_row:
                 continue
@@ -258,12 +259,12 @@ class Layout:
                 if not without_mark(cells):
                     held.append((number, cells))
                 continue
-            for row in [*held, (number, cells)]:
-                yield self._checked(*row, width)
+            for n, row in [*held, (number, cells)]:
+                yield self._checked(n, row, width)
                 n_rows += 1
             held = []
         if not n_rows:
-            yield from (self._checked(*row, width) for row in held)
+            yield from (self._checked(n, row, width) for n, row in held)
         elif held:
             number, cells = held[0]
             text = next(str(cell) for cell in cells if cell != "")
@@ -342,7 +343,7 @@ class Layout:
                 raise self._first_fault(numbers, cells, column)
         return values
 
-    def _first_fault(self, numbers, cells, column):
+    def _first_fault(self, numbers, cells, column) -> Any:
         for number, row in zip(numbers, cells, strict=True):
             cell, value = row[column], self.dialect.number(row[column])
             if value is None or not np.isfinite(value):

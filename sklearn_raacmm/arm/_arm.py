@@ -104,11 +104,11 @@ class Arm(Formats):
     a: np.ndarray
     alpha: np.ndarray
     d: np.ndarray
-    theta_offset: np.ndarray = 0.0
+    theta_offset: Any = 0.0
     _: KW_ONLY
-    probe: np.ndarray = (0.0, 0.0, 0.0)
+    probe: Any = (0.0, 0.0, 0.0)
     convention: str = "standard"
-    joint_signs: np.ndarray = 1
+    joint_signs: Any = 1
     pose_joints: tuple[Any, ...] = (3, 4)
     pose_frames: tuple[Any, ...] = (2, 5)
     name: str = ""

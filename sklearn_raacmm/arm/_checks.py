@@ -46,8 +46,8 @@ def numbers(name, value, size, unit, bound, broadcast=False):
 
 def names_of(names, n):
     """Names of the joints: none, or a different one for each."""
-    found = tuple(names) if isinstance(names, list | tuple) else None
-    whole = found is not None and all(name and is_name(name) for name in found)
+    found = tuple(names) if isinstance(names, list | tuple) else ("",)
+    whole = all(name and is_name(name) for name in found)
     if not whole or len(found) not in (0, n) or len(set(found)) < len(found):
         raise ValueError(f"names must be {n} different names of joints, got {show(names)}.")
     return found
@@ -81,6 +81,7 @@ def limits_of(limits: Any, n: int) -> Any:
 
 def pair_of(name, value, low, high):
     """Two different whole numbers."""
+    pair = ()
     try:
         pair = tuple(value)
         whole = all(not isinstance(v, bool | str) and int(v) == v for v in pair)
@@ -144,5 +145,5 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     return np.deg2rad(angles)
 
 
-def _say(text, advice, weight="doubt", joints=()):
+def _say(text, advice, weight: Any = "doubt", joints=()):
     say_findings([Finding("angle-unit", text, advice, weight, joints=joints)])

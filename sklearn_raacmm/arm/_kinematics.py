@@ -146,7 +146,7 @@ def axis_vectors(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vectors, places
 
 
-def parameter_jacobian(arm: Any, angles: np.ndarray) -> np.ndarray:
+def parameter_jacobian(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's parameters.
 
     In the order a, alpha, d, theta_offset, probe. A length moves the probe along the axis that

@@ -273,7 +273,7 @@ class _Parameters(NamedTuple):
         kind[kind == 0] = np.where(are_long(nominal[kind == 0]), 0, 3)
         length, angle, probe_mm = priors
         wanted = list(enumerate(zip((length, angle, probe_mm, length), _FOUND, strict=True)))
-        sd = [found[0] if sd == "auto" else sd for _, (sd, found) in wanted]
+        sd = [found[0] if sd == "auto" and found else sd for _, (sd, found) in wanted]
         families = [(np.flatnonzero(kind == i), found) for i, (sd, found) in wanted if sd == "auto"]
         field_of = np.array([name.split("[")[0].rstrip("0123456789") for name in names])
         is_free = np.isin(field_of, list(set(free) - {"probe"}))
@@ -397,7 +397,7 @@ def _identified(fit, mask, x_names):
         "rank": seen.rank,
         "n_free": len(free_names),
         "condition_number": seen.condition_number,
-        "observability_index": seen.index,
+        "observability_index": seen.o1,
         "scale_sd": scale_sd,
     }
 

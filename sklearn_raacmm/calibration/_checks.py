@@ -73,7 +73,7 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     if lonely:
         said = f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}."
         names = [labels[i] for i in lonely]
-        say_findings([Finding("lonely-position", said, positions=names)])
+        say_findings([Finding("lonely-position", said, positions=tuple(names))])
     return problem, tool_labels, None
 
 
@@ -93,7 +93,7 @@ def _check_points(points, n, lengths):
 class Correction(NamedTuple):
     """A fitted model, and the rows at which it is asked."""
 
-    model: object
+    model: Any
     X: np.ndarray  # as the model takes them
 
     def of_poses(self, poses):

@@ -32,7 +32,7 @@ class Problem:
         Measured orientations of the target, as rotation matrices in the frame of the points.
     """
 
-    index: np.ndarray | None
+    index: Any
     points: np.ndarray | None
     lengths: list
     correction: np.ndarray | None = None

@@ -151,10 +151,12 @@ class LearnedCorrection:
         ValueError
             If the angles do not fit the arm or each other.
         """
-        ends = [self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)]
-        if len(ends[0][0]) != len(ends[1][0]):
-            raise ValueError(f"There are {len(ends[0][0])} angles, but {len(ends[1][0])} others.")
-        return distances(*ends, self.calibration.scale_sd)
+        one, other = (
+            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
+        )
+        if len(one[0]) != len(other[0]):
+            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
+        return distances(one, other, self.calibration.scale_sd)
 
     def save(
         self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None

@@ -109,7 +109,7 @@ class SavedCorrection:
 
         facts = self.facts | {"base": base_as_facts(self.base)}
         contents = {"arm.json": self.arm.to_json(), "model.skops": skops.io.dumps(self.model)}
-        return write_correction(folder, facts, contents | (others or {}))
+        return write_correction(folder, facts, {**contents, **(others or {})})
 
     def correct(
         self, angles: np.ndarray, *, angle_unit: str = "rad", std_of: str = "coordinate"

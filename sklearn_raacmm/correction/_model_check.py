@@ -148,7 +148,7 @@ def check_correction(
     lengths: Iterable[Sequence[Any]] = (),
     arm: Arm | None = None,
     sample_weight: ArrayLike | None = None,
-    refitted: str | list[Any] = (),
+    refitted: str | Sequence[str] = (),
     false_alarm_rate: float = 0.01,
     date: str | None = None,
 ) -> CorrectionCheck:
@@ -242,7 +242,8 @@ def check_correction(
     linear_model_of(model, "checked")
     model = model if arm is None else model.with_arm(arm)
     linear = _widened(model.linear_model_)
-    labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
+    rows: Any = X
+    labels = None if groups is None else encode_groups(groups, len(rows))[0].tolist()
     lengths = _check_lengths(lengths, labels)
     today = NewPoses.checked(model, X, y, groups, sample_weight)
     poses, slipped = _poses_of(linear, model, today, lengths)

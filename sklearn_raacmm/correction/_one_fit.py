@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass
 from inspect import ismethod
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -129,7 +130,7 @@ class Data:
 
     def fit(self, model, calibration, rows):
         """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
-        fitted = model_for(model, calibration.arm)
+        fitted: Any = model_for(model, calibration.arm)
         y = self.residuals(calibration, rows)
         # Of a pipeline, what its last step takes.
         prefix, last = "", fitted

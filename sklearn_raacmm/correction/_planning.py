@@ -26,7 +26,7 @@ _MOST_TARGETS = 200
 class _Design(NamedTuple):
     """What measurements are to find out, in factors that are standard normal before them."""
 
-    columns: object  # angles (n, n_joints) -> (n, 3, p), mm
+    columns: Any  # angles (n, n_joints) -> (n, 3, p), mm
     half: np.ndarray  # (p, k) root of the covariance of the columns' coefficients
     noise_sd: float  # mm
     offsets: bool  # whether each position has an unknown offset
@@ -238,7 +238,7 @@ def _greedy(rows, aim, n_poses, criterion):
     """
     identity = np.eye(rows.shape[1])
     if len(aim) > aim.shape[1]:  # no more rows than there are columns: the same A' A
-        aim = np.linalg.qr(aim, mode="r")
+        aim = np.asarray(np.linalg.qr(aim, mode="r"))
     K, T = rows @ rows.swapaxes(1, 2), _times(rows, aim.T)
     variance, chosen, taken = [np.square(aim).sum()], [], []
     open_ = np.ones(len(rows), bool)

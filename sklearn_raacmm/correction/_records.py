@@ -74,7 +74,7 @@ def read_check_records(path: str | PathLike[str]) -> list[Any]:
     lines = csv.DictReader(text.splitlines()) if is_csv else text.splitlines()
     for number, line in enumerate(lines, start=2 if is_csv else 1):
         try:
-            line = line if is_csv else json.loads(line)
+            line: Any = line if is_csv else json.loads(line)
             records.append({name: kind(line[name]) for name, kind in _FIELDS.items()})
         except (ValueError, KeyError, TypeError):
             raise ValueError(f"line {number} of {path} is not the record of a check.") from None

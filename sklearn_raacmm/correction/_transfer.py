@@ -264,7 +264,9 @@ def _pooled(linears, arm):
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
 
     def pooled_root(roots):
-        return np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r").T
+        return np.asarray(
+            np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r")
+        ).T
 
     return replace(
         model,

@@ -6,6 +6,7 @@
 from copy import deepcopy
 from dataclasses import replace
 from datetime import date as calendar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -139,7 +140,8 @@ def update_correction(
     linear_model_of(model, "updated")
     model = model if arm is None else model.with_arm(arm)
     linear = model.linear_model_
-    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(X) == 0:
+    rows: Any = X
+    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(rows) == 0:
         return deepcopy(model)
     poses = NewPoses.checked(model, X, y, groups, sample_weight, orientation_residuals)
     if poses.too_few:
@@ -162,7 +164,7 @@ def update_correction(
         strange = Finding("strange-poses", said, advice, size_mm=changed.noise_sd)
         found.append(strange)
         say_findings([strange])
-    updated = deepcopy(model)
+    updated: Any = deepcopy(model)
     updated.findings_ = tuple(found)
     updated.linear_model_ = changed.model
     updated.fading_ = _same_fading(model, changed.model, poses.angles[poses.weights > 0])

@@ -268,9 +268,9 @@ class ArmResidualRegressor(
         arm: Arm | None = None,
         *,
         angle_unit: str = "rad",
-        extra: list[str] = (),
+        extra: Sequence[str] = (),
         orders: ArrayLike = 400,
-        causes: list[str] = CAUSES,
+        causes: Sequence[str] = CAUSES,
         offsets: bool | str = "auto",
         fade: float | str = "auto",
         regressor: Any = None,
@@ -359,7 +359,7 @@ class ArmResidualRegressor(
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
+        terms = Terms._make([offered, *(name in self.causes for name in CAUSES), extra])
         with_field = isinstance(self.orders, Integral)
         if groups is None or rows.codes is not None or turns is not None or self.offsets is False:
             fitted = fit_linear_model(rows, terms, with_field, turns)
@@ -385,6 +385,7 @@ class ArmResidualRegressor(
         if self.regressor is not None:
             left = centred(rows.y - mean * self.helps_, rows.codes, robust)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
+        return self
 
     def _fitted_second_stage(self, rows, left, weights):
         """The second stage, fitted to what the linear model leaves where no pose is an outlier."""

@@ -153,7 +153,7 @@ def many_without_weight(pose_weight):
             "many-without-weight",
             f"{len(none)} of {len(pose_weight)} poses lie so far off that they have no weight.",
             "That are more than slips are: look at the labels, the references and the set-up.",
-            rows=none,
+            rows=tuple(none.tolist()),
         )
 
 
@@ -193,7 +193,7 @@ def poses_of(rows, extra, *others):
     return dwells, rows, *(dwells.mean(other) for other in others)
 
 
-def check_turns(turns: Any, n_rows: int, codes: np.ndarray) -> Any:
+def check_turns(turns: Any, n_rows: int, codes: np.ndarray | None) -> Any:
     """Residuals of the orientation (n, 3) in rad, or None where there are none."""
     if turns is None:
         return None

@@ -257,7 +257,7 @@ class GivenFactors(NamedTuple):
     of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
 
 
-def given_factors(arm: Arm, terms: Terms) -> np.ndarray:
+def given_factors(arm: Arm, terms: Terms) -> GivenFactors:
     """Columns that an extra column of X multiplies, see `GivenFactors`."""
     others = other_columns(arm, terms)
     given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)

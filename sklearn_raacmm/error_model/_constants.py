@@ -40,8 +40,8 @@ def fit_with_constants(rows, positions, terms, with_field):
     Fitted
         Its rows are those given less their constants.
     """
-    fitted, known = fit_linear_model(rows, terms, with_field), np.inf
-    for _ in range(_ROUNDS):
+    fitted, known, rounds = fit_linear_model(rows, terms, with_field), np.inf, 0
+    while True:
         # Of a position that is off as a whole no row may have any weight left.
         counts = np.mean(fitted.pose_weight == 0) < _MANY
         weights = rows.weights * (fitted.pose_weight if counts else 1.0)
@@ -52,6 +52,9 @@ def fit_with_constants(rows, positions, terms, with_field):
         if abs(known - last) < _SETTLED * known:
             break
         fitted = fit_linear_model(rows._replace(codes=positions, known=known), terms, with_field)
+        rounds += 1
+        if rounds == _ROUNDS:
+            break
     total = group_weights(positions, weights)
     constants = group_sums(left, positions, weights) / (total + known)[:, None]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))

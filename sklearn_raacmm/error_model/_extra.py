@@ -108,7 +108,7 @@ def check_tools(extra, values):
     values : ndarray of shape (n, n_extra)
     """
     for (name, known), column in zip(extra, values.T, strict=True):
-        new = np.setdiff1d(column, known) if name == "tool" else ()
+        new = np.setdiff1d(column, known) if name == "tool" else column[:0]
         if len(new):
             raise ValueError(
                 f"X has tool {new[0]:g}, of which the model knows nothing: it was fitted with "

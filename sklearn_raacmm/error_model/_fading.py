@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +74,7 @@ class Fading:
         return size / np.maximum(size + self.factor**2 * doubt, 1e-300)
 
 
-def find_fading(y, std, weights, codes, factor="auto", widening=1.0):
+def find_fading(y, std, weights, codes, factor: Any = "auto", widening=1.0):
     """Fading of a correction by what is known at its training poses.
 
     Parameters

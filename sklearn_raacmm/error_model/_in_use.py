@@ -23,7 +23,7 @@ from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, 
 class ModelInUseMixin:
     """What a fitted `ArmResidualRegressor` can do beside predicting."""
 
-    def with_arm(self, arm: Arm) -> Any:
+    def with_arm(self: Any, arm: Arm) -> Any:
         """Move the fitted model to another probe.
 
         A correction of the joints belongs to every probe: each cause is multiplied by the Jacobian
@@ -76,7 +76,7 @@ class ModelInUseMixin:
         return moved
 
     def sample_y(
-        self,
+        self: Any,
         X: ArrayLike,
         n_samples: int = 1,
         random_state: int | np.random.RandomState | None = None,
@@ -130,7 +130,7 @@ class ModelInUseMixin:
             draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
         return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
 
-    def angles_for(self, points: ArrayLike, start: ArrayLike) -> np.ndarray:
+    def angles_for(self: Any, points: ArrayLike, start: ArrayLike) -> np.ndarray:
         """Joint angles that bring the corrected probe to wanted points.
 
         Parameters
@@ -205,7 +205,7 @@ class ModelInUseMixin:
         return np.rad2deg(angles) if self.angle_unit == "deg" else angles
 
     def predict_orientation(
-        self, X: ArrayLike, return_std: bool = False, with_noise: bool = False
+        self: Any, X: ArrayLike, return_std: bool = False, with_noise: bool = False
     ) -> Any:
         """Predict how far the last link is turned from where the arm shows it.
 
@@ -250,7 +250,7 @@ class ModelInUseMixin:
         noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
         return mean, np.hypot(model.std_scale * std, noise)
 
-    def fading(self, X: ArrayLike) -> np.ndarray:
+    def fading(self: Any, X: ArrayLike) -> np.ndarray:
         """Share of the correction that `predict` returns at each pose.
 
         Parameters
@@ -266,7 +266,7 @@ class ModelInUseMixin:
         X = check_poses(self, X)
         return self.fading_.share(self.linear_model_.predict(X, return_std=True)[1])
 
-    def distance_std(self, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
+    def distance_std(self: Any, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
         """Standard deviation of corrected lengths between two poses each, without noise.
 
         Parameters

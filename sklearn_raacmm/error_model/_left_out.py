@@ -104,7 +104,7 @@ def leave_out(fitted, terms, positions, weights):
         block: used.at((blocks == block) & kept).sums(terms)[0]
         for block in np.unique(blocks[kept]).tolist()
     }
-    whole = combined(list(parts.values()), np.ones(len(parts)))
+    whole = combined(list(parts.values()), [1.0] * len(parts))
     found = LeftOut(*(np.empty((len(points), 3)) for _ in LeftOut._fields))
     for block in np.unique(blocks).tolist():
         # A block of outliers alone teaches nothing, but its errors are asked for.

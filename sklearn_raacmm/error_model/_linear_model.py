@@ -171,7 +171,7 @@ class LinearModel:
 
     def predict(
         self, angles: np.ndarray, return_std: bool = False, enough: float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    ) -> tuple[np.ndarray, Any]:
         """Posterior of the correction at some poses.
 
         Parameters
@@ -197,13 +197,13 @@ class LinearModel:
         """
         return self._posterior(angles, return_std, False, enough)
 
-    def predict_turn(self, angles: np.ndarray, return_std: bool = False) -> np.ndarray:
+    def predict_turn(self, angles: np.ndarray, return_std: bool = False) -> Any:
         """As `predict`, of the orientation of the last link: rotation vectors in rad."""
         return self._posterior(angles, return_std, True)
 
     def _posterior(self, angles, return_std, of_turns, enough=0.0):
         mean = np.empty((len(angles), 3))
-        std = np.empty((len(angles), 3)) if return_std else None
+        std = np.empty((len(angles), 3)) if return_std else np.empty((0, 3))
         pays = enough > 0
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = factored_columns(self.arm, angles[rows], self.terms, of_turns)
@@ -216,7 +216,7 @@ class LinearModel:
                 pays = np.mean(doubtful) < 0.5  # not where most poses are far away
             elif return_std:
                 std[rows] = np.sqrt(columns.squares(self._std_root))
-        return mean, std
+        return mean, std if return_std else None
 
     @cached_property
     def _single_root(self):
@@ -236,7 +236,7 @@ class LinearModel:
         n_waves = 2 * len(self.terms.harmonics)
         order = np.roll(np.arange(len(half)), -n_waves)
         root = np.empty((len(half), min(half.shape)))
-        root[order] = np.linalg.qr(half[order].T, mode="r").T
+        root[order] = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
         return root
 
     def widened(self, std: np.ndarray, with_noise: bool = False) -> np.ndarray:

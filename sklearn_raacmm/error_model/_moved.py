@@ -109,7 +109,7 @@ def moved_fading(fading, old, new):
     return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
 
 
-def lever_mm(arm: Arm, probe_mm: np.ndarray = None) -> Any:
+def lever_mm(arm: Arm, probe_mm: Any = None) -> Any:
     """Length of the last link and of the probe, or of one of another length, mm."""
     own = np.linalg.norm(arm.probe) if probe_mm is None else probe_mm
     return float(np.hypot(arm.a[-1], arm.d[-1]) + own)

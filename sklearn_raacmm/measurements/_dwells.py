@@ -27,7 +27,7 @@ class Dwells(NamedTuple):
     def merges(self) -> Any:
         return len(self.first) < len(self.pose)
 
-    def mean(self, values: np.ndarray) -> Any:
+    def mean(self, values: Any) -> Any:
         """Mean over the rows of each pose; of what are no numbers, the first."""
         if values is None or not self.merges:
             return values

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -116,7 +117,7 @@ def moved_positions(
     groups: ArrayLike,
     noise_variance: float,
     numbers: np.ndarray | None = None,
-) -> Finding:
+) -> Iterator[Finding]:
     """Positions that have moved during the test, in one finding.
 
     Parameters
@@ -152,8 +153,8 @@ def moved_positions(
         "No model of the arm can follow that: fasten the socket and the arm's base and measure "
         "again, or give the rows after each step a label of their own.",
         "repair",
-        positions=labels[moved],
-        rows=[rows[step.after] for step in steps],
+        positions=tuple(labels[moved]),
+        rows=tuple(rows[step.after] for step in steps),
         size_mm=max(step.size_mm for step in steps),
     )
 

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ def moved_set_up(
     turns: np.ndarray,
     weights: np.ndarray,
     numbers: Any = None,
-) -> Finding:
+) -> Iterator[Finding]:
     r"""A tracker, a base or a tool that moved during the measurement, in one finding.
 
     A calibration of all rows takes up what it can of the move. Behind every row in turn the rest is
@@ -78,7 +79,7 @@ def moved_set_up(
         f"between rows {numbers[row - 1]} and {numbers[row]} (rows counted from 0).",
         f"Give each part a label of its own, calibrate(..., {what}=labels), or measure again.",
         "repair",
-        rows=[numbers[row]],
+        rows=(numbers[row],),
         size_mm=size,
     )
 

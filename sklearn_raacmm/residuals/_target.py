@@ -438,7 +438,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         return tags
 
 
-def _poses(X, y, groups, codes, fit_params):
+def _poses(X, y, groups, codes, fit_params) -> Any:
     """The same with each pose once at which a logger wrote many rows."""
     try:
         rows = np.asarray(X, dtype=float)

@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
 from functools import wraps
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, cast
 
 from sklearn_raacmm.utils._warn_user import warn_user
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Where findings are collected instead of being said; None outside of `heard_findings`.
-_HEARD = ContextVar("heard findings", default=None)
+_HEARD: ContextVar[Any] = ContextVar("heard findings", default=None)
 # Rows that a finding lists.
 _LISTED = 100
 
@@ -144,14 +144,14 @@ def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, 
 def one_warning() -> Callable[[Function], Function]:
     """Make a function that says each finding once, however many of its parts look at the data."""
 
-    def decorator(function):
+    def decorator(function: Function) -> Function:
         @wraps(function)
         def wrapper(*args, **kwargs):
             result, heard = hear(function, *args, **kwargs)
             say_findings(heard)
             return result
 
-        return wrapper
+        return cast(Function, wrapper)
 
     return decorator
 
@@ -165,7 +165,7 @@ def with_findings(function: Function) -> Function:
         say_findings(heard)
         return replace(result, findings=tuple(heard))
 
-    return wrapper
+    return cast(Function, wrapper)
 
 
 @contextmanager
