@@ -421,7 +421,7 @@ def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any
         If a row does not hold these; the sentence has its number.
     """
     dialect = find_source(path, 1)
-    lengths = []
+    lengths: list[Any] = []
     for number, cells in dialect.rows():
         values = [dialect.number(cell) for cell in cells[2:4]]
         if not lengths and (not values or values[0] is None):

@@ -191,7 +191,7 @@ class Arm(Formats):
 
     def __setstate__(self, state: Any) -> None:
         # The same for formats that restore an object by its state, as skops does.
-        self.__init__(**state)
+        type(self).__init__(self, **state)
 
     def __repr__(self) -> str:
         name = f" {self.name!r}" if self.name else ""

@@ -37,7 +37,7 @@ _UR_NAMES = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
     "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
-BUILT_IN = {
+BUILT_IN: dict = {
     "aacmm6": {
         "a": [-0.0226, 62.1163, -0.0061, 62.1025, 0.0049, 0.0],
         "alpha": [-89.9683, -90.0312, 90.0071, -90.0338, 90.0373, -90.0],

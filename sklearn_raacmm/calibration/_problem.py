@@ -45,7 +45,8 @@ class Problem:
     def __post_init__(self) -> None:
         self.n_tools = 1 if self.tools is None else int(self.tools.max()) + 1
         if self.points is not None:
-            self.n_informative, self.informative = len(self.points), slice(None)
+            self.informative: Any = slice(None)
+            self.n_informative = len(self.points)
             self.n_stations = 1 if self.stations is None else int(self.stations.max()) + 1
             return
         self.n_stations = 0

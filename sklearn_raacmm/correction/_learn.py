@@ -218,8 +218,8 @@ class LearnedCorrection:
     @property
     def saved(self) -> Any:
         """The same without the data: what `save` writes and `load` reads."""
-        base = self.calibration.base_rotation, self.calibration.base_translation
-        base = None if base[0] is None else base
+        turned = self.calibration.base_rotation
+        base = None if turned is None else (turned, self.calibration.base_translation)
         return SavedCorrection(self.arm, self.model, base, self.facts())
 
     def _deviations(self):

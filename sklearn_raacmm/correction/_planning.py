@@ -261,7 +261,7 @@ def _greedy(rows, aim, n_poses, criterion):
     return chosen, np.array(variance)
 
 
-def _check_poses(model, X):
+def _check_poses(model, X) -> np.ndarray:
     """Rows of X in rad, for an arm or a fitted model."""
     if isinstance(model, Arm):
         return check_angles(X, model.n_joints, "rad")

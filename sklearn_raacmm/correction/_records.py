@@ -71,10 +71,10 @@ def read_check_records(path: str | PathLike[str]) -> list[Any]:
         raise ValueError(f"{path} is not the record of checks: it is no text in UTF-8.") from None
     records = []
     is_csv = path.suffix.lower() == ".csv"
-    lines = csv.DictReader(text.splitlines()) if is_csv else text.splitlines()
+    lines: Any = csv.DictReader(text.splitlines()) if is_csv else text.splitlines()
     for number, line in enumerate(lines, start=2 if is_csv else 1):
         try:
-            line: Any = line if is_csv else json.loads(line)
+            line = line if is_csv else json.loads(line)
             records.append({name: kind(line[name]) for name, kind in _FIELDS.items()})
         except (ValueError, KeyError, TypeError):
             raise ValueError(f"line {number} of {path} is not the record of a check.") from None

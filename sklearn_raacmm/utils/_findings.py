@@ -120,7 +120,7 @@ class heard_findings:  # noqa: N801  (a context manager, as those of the standar
     """
 
     def __enter__(self) -> list[Finding]:
-        heard = []
+        heard: list[Finding] = []
         self._token = _HEARD.set(heard)
         return heard
 
