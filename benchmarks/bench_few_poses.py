@@ -97,7 +97,9 @@ def gear_cases(n_arms):
         joint, gear = int(rng.integers(6)), int(rng.choice(GEARS))
         turns = np.zeros_like(test.data)
         phase = rng.uniform(0, 2 * np.pi)
-        turns[:, joint] = np.deg2rad(GEAR_ARCSEC / 3600) * np.cos(gear * test.data[:, joint] - phase)
+        turns[:, joint] = np.deg2rad(GEAR_ARCSEC / 3600) * np.cos(
+            gear * test.data[:, joint] - phase
+        )
         moved = np.einsum("nij,nj->ni", test.arm.jacobian(test.data), turns)
         y = position_residuals(test.points + moved, test.groups)
         train = test.groups % 2 == 0
@@ -107,7 +109,8 @@ def gear_cases(n_arms):
         high = model.harmonics_[model.harmonics_["order"] > LEAST_TEETH]
         right = (high["joint"] == joint + 1) & (high["order"] == gear)
         yield {
-            "ratio": deviation(left, test.groups[~train]) / deviation(y[~train], test.groups[~train]),
+            "ratio": deviation(left, test.groups[~train])
+            / deviation(y[~train], test.groups[~train]),
             "found": int(right.sum()),
             "false": int((~right).sum()),
         }

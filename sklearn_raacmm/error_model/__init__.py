@@ -21,7 +21,6 @@ from sklearn_raacmm.error_model._gauge import constrained
 from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import order_price, smooth_shares
-from sklearn_raacmm.error_model._variance_bound import single_root
 
 __all__ = [
     "LOAD",
@@ -40,7 +39,6 @@ __all__ = [
     "given_factors",
     "observed_columns",
     "order_price",
-    "single_root",
     "smooth_shares",
     "term_columns",
 ]
