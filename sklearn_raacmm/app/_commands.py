@@ -31,10 +31,7 @@ from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program.
-OK, BAD_INPUT, NO_HELP = 0, 2, 3
-# Scatter after calibration beyond which the arm's table is probably wrong, mm: measuring arms have
-# hundredths, the real robots of the tests 0.2 to 0.4.
-_MUCH_SCATTER = 1.0
+OK, BAD_INPUT, NO_HELP, NOT_JUDGED = 0, 2, 3, 4
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
 _FALSE_ALARM = 0.01
 
@@ -80,6 +77,8 @@ def _learn(options, arm, table, lengths, facts):
         result, out / "report.html", limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows
     )
     card = describe(result.model, result.angles)
+    if result.findings:
+        card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     write_whole({out / "card.md": f"{card}\n## Verdict\n\n- {result.verdict}\n"})
     layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
     write_corrected(layout, result.correct, out / "corrected.csv")
@@ -90,19 +89,13 @@ def _learn(options, arm, table, lengths, facts):
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
     print()
     print(result.verdict)
-    scatter = result.calibration.scatter_after_mm
-    if scatter > _MUCH_SCATTER:
-        print(
-            f"But the points scatter by {scatter:.1f} mm after calibration. The table of the arm "
-            "is probably wrong: look at the notes above before you use the correction."
-        )
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
     written = "report.html, model.skops, arm.json, correction.json, card.md, corrected.csv"
     print(f"Written to {out}: {written}")
     if options.open:
         webbrowser.open((out / "report.html").resolve().as_uri())
-    return OK if result.helps else NO_HELP
+    return OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
 
 
 def correct(options):

@@ -15,7 +15,8 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app import _commands
 
 _EPILOG = (
-    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change."
+    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change, "
+    "4 not judged: first repair what was found in the data."
 )
 
 
@@ -31,7 +32,8 @@ def main(arguments=None):
     -------
     int
         0: done; 2: bad input, said in one sentence; 3: the correction does not help, or a
-        check found that it no longer holds or that something has changed.
+        check found that it no longer holds or that something has changed; 4: not judged, for
+        something in the data has to be repaired first.
     """
     options = _parser().parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):

@@ -3,20 +3,17 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from contextlib import contextmanager
-from contextvars import ContextVar
-
 import numpy as np
 
-from sklearn_raacmm.utils import floats, show, warn_user
+from sklearn_raacmm.utils import Finding, floats, say_findings, show
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
 # Degrees of real poses are larger than one turn in radians in some joint. Joints of less than 0.2
 # degrees stand still, and an arm that moves one joint only may stay near its zero.
 _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
-# Warnings given so far within `one_warning`; None outside of it.
-_GIVEN = ContextVar("given", default=None)
+# Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
+_ABSURD_DEG = 3600.0
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
 # A nanometre: on any arm, shorter lengths and their directions are made of rounding.
@@ -84,33 +81,30 @@ def check_angles(angles, n_joints, angle_unit):
             f"angles hold {len(bad)} NaN or infinite values; the first is "
             f"{angles[row, column]} in row {row}, joint {column + 1}."
         )
+    joint = int(largest.argmax()) + 1
+    reach = f"{largest.max():g}"
     if angle_unit == "rad":  # more than two turns
-        _warn_once(
-            f"angles reach {largest.max():g} rad (joint {largest.argmax() + 1}), more than "
-            'two turns: if they are degrees, convert them or pass angle_unit="deg".'
+        _say(
+            f"angles reach {reach} rad (joint {joint}), more than two turns:",
+            'if they are degrees, convert them or pass angle_unit="deg".',
+            joints=(joint,),
         )
         return angles
+    if largest.max() > _ABSURD_DEG:
+        _say(
+            f"angles reach {reach} degrees (joint {joint}), more than ten turns:",
+            "are they counts of the encoders? Convert them to degrees.",
+            "repair",
+            joints=(joint,),
+        )
     if largest.max() < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
-        _warn_once(
-            f"angles in degrees reach {largest.max():g} only (joint {largest.argmax() + 1}): if "
-            'they are radians, pass angle_unit="rad".'
+        _say(
+            f"angles in degrees reach {reach} only (joint {joint}):",
+            'if they are radians, pass angle_unit="rad".',
+            joints=(joint,),
         )
     return np.deg2rad(angles)
 
 
-@contextmanager
-def one_warning():
-    """Give each warning of units once, however many parts of a model look at the same angles."""
-    token = _GIVEN.set(set())
-    try:
-        yield
-    finally:
-        _GIVEN.reset(token)
-
-
-def _warn_once(message):
-    given = _GIVEN.get()
-    if given is None or message not in given:
-        warn_user(message)
-    if given is not None:
-        given.add(message)
+def _say(text, advice, weight="doubt", joints=()):
+    say_findings([Finding("angle-unit", text, advice, weight, joints=joints)])

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.utils import warn_user
+from sklearn_raacmm.utils import Finding, say_findings
 
 _BUILT_IN = "aacmm6"
 
@@ -19,10 +19,12 @@ def arm_or_built_in(arm, owner):
     """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
     if arm is not None:
         return arm
-    warn_user(
+    said = (
         f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are not "
-        f'those of your arm. Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
+        "those of your arm."
     )
+    advice = f'Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
+    say_findings([Finding("built-in-arm", said, advice)])
     return Arm.from_name(_BUILT_IN)
 
 

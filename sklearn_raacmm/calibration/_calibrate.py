@@ -21,18 +21,28 @@ from sklearn_raacmm.calibration._checks import (
     warn_of_wrong_lengths,
 )
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
+from sklearn_raacmm.calibration._gate import (
+    check_fit,
+    named_outliers,
+    one_row_a_pose,
+    per_row,
+    slips,
+    wrong_units,
+)
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._priors import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
 from sklearn_raacmm.utils import (
+    Finding,
     Interval,
     StrOptions,
     listed,
     one_blas_thread,
+    say_findings,
     validate_params,
-    warn_user,
+    with_findings,
 )
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
@@ -62,6 +72,7 @@ _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
     },
     prefer_skip_nested_validation=True,
 )
+@with_findings
 def calibrate(
     arm,
     angles,
@@ -193,15 +204,18 @@ def calibrate(
         angles, groups, points, lengths, tools, stations, orientations
     )
     problem.correction = corrections
+    poses, angles, problem = one_row_a_pose(angles, problem)
+    say_findings(wrong_units(arm, angles, problem))
 
     priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
     wanted = _Parameters.of(arm, tool_labels, free, priors)
     fit, given, before = _fitted(arm, angles, problem, wanted, loss)
     if not fit.converged:
-        warn_user(
+        said = (
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
             f"its scatter is {fit.distances().mean():.4g} mm."
         )
+        say_findings([Finding("not-settled", said, size_mm=fit.distances().mean())])
     warn_of_wrong_lengths(lengths, fit.length_errors(), fit.sigma)
     after, values = fit.distances().mean(), fit.x[: len(wanted.names)]
     warn_of_what_no_arm_is(
@@ -210,7 +224,11 @@ def calibrate(
     if correction is not None:
         bare, *_ = _fitted(arm, angles, replace(problem, correction=None), wanted, loss)
         warn_of_harm(fit.distances(), bare.distances())
-    return _result(fit, wanted, tool_labels, station_labels, given, before, groups)
+    check_fit(fit, fit.mask_of(wanted.is_free), poses, groups)
+    result = _result(fit, wanted, tool_labels, station_labels, given, before, groups)
+    result = per_row(result, poses)
+    say_findings(named_outliers(result))
+    return result
 
 
 class _Parameters(NamedTuple):
@@ -293,7 +311,7 @@ def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
-        residuals_mm=fit.residuals(),
+        residuals_mm=fit.residuals(slips(fit)),
         length_errors_mm=fit.length_errors(),
         sigma_mm=float(fit.sigma),
         sigma_rad=None if problem.turns is None else float(fit.sigma_turn),

@@ -9,7 +9,16 @@ from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
 from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, show, warn_user
+from sklearn_raacmm.measurements import within_turn
+from sklearn_raacmm.utils import (
+    Finding,
+    encode_groups,
+    floats,
+    listed,
+    refuse_huge,
+    say_findings,
+    show,
+)
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
 _LENGTH_OUTLIER = 5.0
@@ -19,10 +28,9 @@ _LEAST_SD_MM = 1e-9
 # nothing on the average one in forty does by chance.
 _HARM = 2.0
 # What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
-# part of the reach; a reach.
+# part of the reach.
 _FAR = 10.0
 SHARE_OF_REACH = 0.02
-_LEAST_REACH_MM = 20.0
 
 
 def check_problem(angles, groups, points, lengths, tools, stations, orientations):
@@ -56,9 +64,9 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     tied = {i for entry in lengths for i in entry[:2]}
     lonely = [i for i, c in enumerate(np.bincount(index)) if c == 1 and i not in tied]
     if lonely:
-        warn_user(
-            f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}."
-        )
+        said = f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}."
+        names = [labels[i] for i in lonely]
+        say_findings([Finding("lonely-position", said, positions=names)])
     return problem, tool_labels, None
 
 
@@ -99,7 +107,7 @@ def check_correction(correction, angles, angle_unit):
 def check_arm_angles(arm, angles, angle_unit):
     """Angles in rad within one turn, lest a warning of far angles be said again by what follows."""
     angles = check_angles(angles, arm.n_joints, angle_unit)
-    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+    return within_turn(angles)
 
 
 def check_free(free):
@@ -140,10 +148,12 @@ def warn_of_wrong_lengths(lengths, errors, sigma):
         if abs(error) > _LENGTH_OUTLIER * max(float(sd), sigma)
     ]
     if wrong:
-        warn_user(
+        said = (
             f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
             f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}."
         )
+        size = max(abs(error) for error in errors)
+        say_findings([Finding("wrong-length", said, size_mm=size)])
 
 
 def warn_of_few_rows(seen, names, problem):
@@ -159,21 +169,19 @@ def warn_of_few_rows(seen, names, problem):
         else "The noise and the standard deviations are hardly known, and the arm may be far off "
         "at other poses."
     )
-    warn_user(
+    said = (
         f"{problem.n_informative} {what} give {max(n, 0)} coordinates for {len(names)} free "
         f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
-        f"with. {known} Measure about {rows} rows or more, or let fewer fields change (free=)."
+        f"with. {known}"
     )
+    advice = f"Measure about {rows} rows or more, or let fewer fields change (free=)."
+    say_findings([Finding("few-rows", said, advice)])
 
 
 def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after):
     """Say that a fit which has settled makes no sense: wrong input can be fitted, too."""
     signs = []
     reach = reach_mm(arm)
-    if reach < _LEAST_REACH_MM:
-        signs.append(
-            f"The nominal arm reaches {reach:.3g} mm: are its lengths in metres, not millimetres?"
-        )
     departure = np.abs(values - nominal) / prior_sd
     worst = int(np.argmax(departure))
     if departure[worst] > _FAR:
@@ -190,7 +198,7 @@ def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after)
             "joints, the convention of the table, and the unit of the angles."
         )
     if signs:
-        warn_user(" ".join(signs))
+        say_findings([Finding("no-such-arm", " ".join(signs), weight="repair", size_mm=after)])
 
 
 def warn_of_harm(corrected, bare):
@@ -203,8 +211,9 @@ def warn_of_harm(corrected, bare):
     """
     more = corrected - bare
     if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
-        warn_user(
+        said = (
             f"With the correction the points scatter by {corrected.mean():.4g} mm, without it by "
-            f"{bare.mean():.4g} mm: do not use it here. Is it of this arm, and is the table that "
-            "of the arm that it was learnt with?"
+            f"{bare.mean():.4g} mm: do not use it here."
         )
+        advice = "Is it of this arm, and is the table that of the arm that it was learnt with?"
+        say_findings([Finding("harmful-correction", said, advice, size_mm=corrected.mean())])

@@ -10,7 +10,7 @@ import numpy as np
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration._orientation import check_turns, turn_vectors
 from sklearn_raacmm.calibration._problem import encode_labels
-from sklearn_raacmm.utils import centred, check_points, encode_groups
+from sklearn_raacmm.utils import centred, check_points, encode_groups, slip_factors
 
 # Rows and combinations that are printed.
 _N_SHOWN = 10
@@ -95,6 +95,8 @@ class CalibrationResult:
         given.
     converged : bool
         Whether weights and parameters settled.
+    findings : tuple of Finding
+        What there is to say about the data.
 
     See Also
     --------
@@ -137,6 +139,7 @@ class CalibrationResult:
     base_translation: np.ndarray | None = field(repr=False)
     target_rotation: np.ndarray | None = field(repr=False)
     converged: bool
+    findings: tuple = ()
 
     def residuals(
         self, angles, points=None, groups=None, *, tools=None, stations=None, angle_unit="rad"
@@ -160,7 +163,7 @@ class CalibrationResult:
         -------
         ndarray of shape (n_samples, 3)
             What the calibrated arm shows, without any correction, minus the measured point, or
-            minus the mean of its group, mm.
+            minus the mean of its group without slips (see :func:`position_residuals`), mm.
 
         Raises
         ------
@@ -186,7 +189,8 @@ class CalibrationResult:
         for rows, arm in self._parts("tools", tools, self.arms, self.arm, len(angles)):
             shown[rows] = arm.forward(angles[rows])
         if groups is not None:
-            return centred(shown, encode_groups(groups, len(angles))[1])
+            codes = encode_groups(groups, len(angles))[1]
+            return centred(shown, codes, slip_factors(shown, codes))
         points = check_points(points, 3)
         if len(points) != len(angles):
             raise ValueError(f"There are {len(points)} points, but {len(angles)} rows of angles.")

@@ -14,10 +14,18 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
-from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
+from sklearn_raacmm.correction._scores import (
+    CorrectionScores,
+    check_judging,
+    scored_and_fitted,
+    with_verdict,
+)
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.measurements import warn_of_moved_seats
-from sklearn_raacmm.utils import check_path, warn_user, write_whole
+from sklearn_raacmm.utils import Finding, check_path, heard_findings, say_findings, write_whole
+
+# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
+# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
+_MUCH_SCATTER_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +66,11 @@ class LearnedCorrection:
     positions: np.ndarray = field(repr=False)
     points: np.ndarray | None = field(repr=False)
     lengths: list = field(repr=False)
+
+    @property
+    def findings(self):
+        """What there is to say about the data, a tuple of :class:`Finding`."""
+        return self.scores.findings
 
     @property
     def helps(self):
@@ -139,6 +152,8 @@ class LearnedCorrection:
             "written_by": f"sklearn_raacmm {__version__}",
             "verdict": scores.verdict,
             "helps": scores.helps,
+            "judged": scores.judged,
+            "findings": [finding.facts() for finding in scores.findings],
             "measure": scores.measure,
             "noise_mm": self.noise,
             "std_factor": scores.std_factor,
@@ -260,22 +275,17 @@ def learn_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-    calibration = _calibrated(data, angles, angle_unit)
-    scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-    kept = np.delete(np.arange(len(data.angles)), scores.outliers)
-    kept = data.without_lonely(kept)[0]
-    fitted, noise = data.fit(model, calibration, kept)
-    if data.points is None:  # of all rows: those after a step may be outliers
-        left = calibration.residuals_mm - fitted.predict(data.angles)
-        every = np.ones(len(left))
-        warn_of_moved_seats(left, data.angles, every, data.positions, noise**2)
+    with heard_findings() as heard:
+        data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
+        calibration = _calibrated(data, angles, angle_unit)
+        scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+    say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,
         model=fitted,
-        scores=scores,
+        scores=with_verdict(scores, heard),
         calibration=calibration,
-        outliers=_outliers(calibration, data.positions, scores.outliers),
+        outliers=_outliers(calibration, data, scores.outliers),
         noise=noise,
         angles=data.angles,
         positions=data.positions,
@@ -286,23 +296,27 @@ def learn_correction(
 
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
-    calibration, said = data.calibrate_all()
+    calibration = data.calibrate_all()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
     if scatter > SHARE_OF_REACH * reach:  # they belong to another table
         positions = data.positions if data.points is None else None
+        angles = np.asarray(angles)[data.rows]
         change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
         raise ValueError(
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
-    for warning in said:
-        warn_user(warning)
+    if scatter > _MUCH_SCATTER_MM:
+        said = f"The points scatter by {scatter:.1f} mm after calibration."
+        advice = "The table of the arm is probably wrong: look at it before you use the correction."
+        say_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
     return calibration
 
 
-def _outliers(calibration, positions, rows):
+def _outliers(calibration, data, poses):
     """Rows of outliers with their labels and distances, the farthest first."""
+    rows, positions = data.rows[poses], data.given[1]
     distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
     order = np.argsort(-distance, kind="stable")
     fields = [("row", "i8"), ("position", positions.dtype), ("distance", "f8")]

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from dataclasses import dataclass
 from inspect import ismethod
 
@@ -18,8 +17,9 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, unheard
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -35,13 +35,15 @@ class Data:
     positions: np.ndarray
     points: np.ndarray | None
     lengths: list
+    rows: np.ndarray  # first row of each pose among those given
+    given: tuple  # angles, positions and points of these
 
     @classmethod
     def checked(cls, arm, angles, positions, points, lengths, angle_unit):
         check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
-        angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+        angles = within_turn(angles)
         lengths = listed("lengths", lengths)
         if points is not None:
             points = floats("points", points)
@@ -50,6 +52,8 @@ class Data:
             refuse_huge("points", points)
             if positions is None:
                 positions = _regions(points)
+        every = angles, encode_groups(positions, len(angles))[1], points
+        poses = find_poses(*every)
         labels, codes = encode_groups(positions, len(angles))
         tied = {i for entry in lengths for i in check_length(entry, labels.tolist())[:2]}
         for code in np.flatnonzero(np.bincount(codes) == 1) if points is None else ():
@@ -58,7 +62,9 @@ class Data:
                     f"position {labels[code].item()!r} has a single row, row "
                     f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
                 )
-        return cls(arm, angles, labels[codes], points, lengths)
+        angles, points = poses.mean_angles(angles), poses.mean(points)
+        given = (every[0], labels[codes], every[2])
+        return cls(arm, angles, labels[codes][poses.first], points, lengths, poses.first, given)
 
     def without_lonely(self, rows):
         """Rows of positions with at least two, and the others: those have no residuals."""
@@ -93,11 +99,11 @@ class Data:
         return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
 
     def calibrate_all(self):
-        """Calibrate on all rows: the calibration, and the warnings that it has given."""
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", UserWarning)
-            calibration = self.calibrate(np.arange(len(self.angles)))
-        return calibration, [warning.message for warning in said]
+        """Calibrate on all rows, as they were given."""
+        angles, positions, points = self.given
+        if points is not None:
+            return calibrate(self.arm, angles, points=points)
+        return calibrate(self.arm, angles, positions, lengths=self.lengths)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
@@ -110,14 +116,15 @@ class Data:
 
         Calibration alone names too many: poses in which the arm bends most are not slipped probes.
         """
-        far = np.flatnonzero(calibration.sample_weight == 0)
+        far = np.flatnonzero(calibration.sample_weight[self.rows] == 0)
         if not len(far):
             return far
         every = np.arange(len(self.angles))
         rows, lonely = self.without_lonely(every)
         model = ArmResidualRegressor(calibration.arm)
         y = self.residuals(calibration, rows)
-        model.fit(self.angles[rows], y, groups=self.positions[rows])
+        with unheard():  # what there is to say is said of the rows that are learnt from
+            model.fit(self.angles[rows], y, groups=self.positions[rows])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):

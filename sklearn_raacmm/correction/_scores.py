@@ -3,8 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from numbers import Integral
 
@@ -13,6 +12,7 @@ from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.measurements import moved_positions
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
     HasMethods,
@@ -20,10 +20,12 @@ from sklearn_raacmm.utils import (
     centred,
     encode_groups,
     group_means,
+    heard_findings,
     listed,
+    say_findings,
     show,
+    unheard,
     validate_parameter_constraints,
-    warn_user,
 )
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
@@ -86,6 +88,8 @@ class CorrectionScores:
         Whether the correction is worth using at new positions.
     verdict : str
         The same in one sentence, with the numbers.
+    findings : tuple of Finding
+        What there is to say about the data. With one of weight "repair" nothing is judged.
 
     See Also
     --------
@@ -107,6 +111,12 @@ class CorrectionScores:
     left_after: np.ndarray = field(repr=False)
     helps: bool
     verdict: str
+    findings: tuple = ()
+
+    @property
+    def judged(self):
+        """Whether nothing has to be repaired before a judgement means something."""
+        return not any(finding.weight == "repair" for finding in self.findings)
 
     def __str__(self):
         width = max(8, *(len(str(label)) for label in self.table["position"]))
@@ -133,7 +143,7 @@ class CorrectionScores:
         lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
         if len(self.outliers):
             lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
-        return lines
+        return lines + [f"{finding.weight}: {finding}" for finding in self.findings]
 
     def _length_lines(self):
         if not self.lengths:
@@ -243,11 +253,11 @@ def cross_validate_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-    calibration, said = data.calibrate_all()
-    for warning in said:
-        warn_user(warning)
-    return scores_of(data, calibration, model, cv, n_jobs, progress)
+    with heard_findings() as heard:
+        data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
+        scores, *_ = scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
+    say_findings(heard)
+    return with_verdict(scores, heard)
 
 
 def check_judging(function, **options):
@@ -259,6 +269,29 @@ def check_judging(function, **options):
 
 
 # -- the folds ------------------------------------------------------------------------------------
+
+
+def scored_and_fitted(data, calibration, model, cv, n_jobs, progress):
+    """Scores, the model of all rows but the outliers, and its noise, mm."""
+    scores = scores_of(data, calibration, model, cv, n_jobs, progress)
+    kept = np.delete(np.arange(len(data.angles)), scores.outliers)
+    fitted, noise = data.fit(model, calibration, data.without_lonely(kept)[0])
+    moved = any(finding.code == "moved-position" for finding in calibration.findings)
+    if data.points is None and not moved:  # of all rows: those after a step may be outliers
+        left = calibration.residuals_mm[data.rows] - fitted.predict(data.angles)
+        every = np.ones(len(left))
+        say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
+    return scores, fitted, noise
+
+
+def with_verdict(scores, findings):
+    """Scores with what was found; with one of weight "repair" nothing is judged."""
+    scores = replace(scores, findings=tuple(findings))
+    if scores.judged:
+        return scores
+    first, *more = (f for f in scores.findings if f.weight == "repair")
+    others = f" And {len(more)} more of the findings." * bool(more)
+    return replace(scores, helps=False, verdict=f"Not judged: first repair this. {first}{others}")
 
 
 def scores_of(data, calibration, model, cv, n_jobs, progress):
@@ -347,9 +380,7 @@ def _are_rows(pair, n_rows):
 def _one_fold(data, model, train, test):
     """Deviations before and after and their standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
-    with warnings.catch_warnings():
-        # Whatever there is to say has been said of all rows.
-        warnings.simplefilter("ignore", UserWarning)
+    with unheard():  # whatever there is to say is said of all rows
         calibration = data.calibrate(np.sort(np.r_[train, lonely]))
         fitted, noise = data.fit(model, calibration, train)
         correction, std = predict_with_std(fitted, data.angles[test], noise)

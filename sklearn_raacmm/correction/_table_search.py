@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, dh_theta, frame_columns
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.utils import align, centred, encode_groups
+from sklearn_raacmm.utils import align, centred, encode_groups, unheard
 
 # Rows that candidates are ranked on, and how many of them are then calibrated: for speed. With all
 # numbers here the tables of tests/correction/test_table_search.py, of one and of two faults, are
@@ -126,9 +125,7 @@ def search_table(arm, angles, positions=None, points=None, *, angle_unit="rad"):
 
 
 def _scatter(arm, angles, positions, points, unit):
-    with warnings.catch_warnings():
-        # Of the wrong tables, nearly all have something to be warned of.
-        warnings.simplefilter("ignore", UserWarning)
+    with unheard():  # of the wrong tables, nearly all have something to be said
         radians = check_angles(angles, arm.n_joints, unit)
         where = {"groups": positions} if points is None else {"points": points}
         return calibrate(arm, radians, **where).scatter_after_mm

@@ -24,7 +24,7 @@ from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, plac
 from sklearn_raacmm.correction._update import record_of
 from sklearn_raacmm.error_model import Fading, order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
-from sklearn_raacmm.utils import centred, listed, one_blas_thread, warn_user
+from sklearn_raacmm.utils import Finding, centred, listed, one_blas_thread, say_findings
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
@@ -155,7 +155,8 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     groups = groups if own.linear_model_.offsets else None
     poses = NewPoses.checked(own, X, y, groups, sample_weight)
     if poses.too_few:
-        warn_user(f"{poses.too_few}: the correction is the mean of the earlier arms.")
+        said = f"{poses.too_few}: the correction is the mean of the earlier arms."
+        say_findings([Finding("few-poses", said)])
         return _of_prior(own, prior)
     changed = changed_model(prior, poses, _LOG_NOISE)
     entry = record_of(changed, len(poses.angles), date)

@@ -9,7 +9,8 @@ from datetime import date as calendar
 from sklearn_raacmm.arm import one_warning
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
-from sklearn_raacmm.utils import one_blas_thread, validate_params, warn_user
+from sklearn_raacmm.correction._update_gate import what_is_wrong
+from sklearn_raacmm.utils import Finding, one_blas_thread, say_findings, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
@@ -121,19 +122,27 @@ def update_correction(
         return deepcopy(model)
     poses = NewPoses.checked(model, X, y, groups, sample_weight, orientation_residuals)
     if poses.too_few:
-        warn_user(
-            f"{poses.too_few}: the model is kept as it was. Register only, or measure more poses."
-        )
+        said = f"{poses.too_few}: the model is kept as it was."
+        say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return deepcopy(model)
+    found = what_is_wrong(model, poses)
+    say_findings(found)
     left = poses.residuals - model.second_stage(poses.angles)
     changed = changed_model(linear, poses._replace(residuals=left))
     if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
-        warn_user(
+        said = (
             f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
-            f"model, the old ones did by {linear.noise_sd:.3g} mm: are they of this arm, and "
-            "residuals in its base frame, registered through the correction?"
+            f"model, the old ones did by {linear.noise_sd:.3g} mm:"
         )
+        advice = (
+            "are they of this arm, and residuals in its base frame, registered through the "
+            "correction?"
+        )
+        strange = Finding("strange-poses", said, advice, size_mm=changed.noise_sd)
+        found.append(strange)
+        say_findings([strange])
     updated = deepcopy(model)
+    updated.findings_ = tuple(found)
     updated.linear_model_ = changed.model
     before = vars(model).get("updates_", ())
     updated.updates_ = (*before, record_of(changed, len(poses.angles), date))

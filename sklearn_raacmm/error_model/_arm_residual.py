@@ -11,8 +11,15 @@ from sklearn.base import MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model._checks import check_fit, check_poses, check_turns
+from sklearn_raacmm.error_model._checks import (
+    check_fit,
+    check_poses,
+    check_turns,
+    many_without_weight,
+    poses_of,
+)
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
+from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
@@ -33,7 +40,9 @@ from sklearn_raacmm.utils import (
     check_flags,
     encode_groups,
     fit_context,
+    heard_findings,
     one_blas_thread,
+    say_findings,
     whole_fit,
 )
 
@@ -343,13 +352,18 @@ class ArmResidualRegressor(
         arm, used = rows.arm, rows.weights > 0
         turns = check_turns(orientation_residuals, len(used), rows.codes)
         positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
-        positions = np.unique(positions[used], return_inverse=True)[1].ravel()
-        rows = rows.at(used)
+        rows, turns = rows.at(used), None if turns is None else turns[used]
+        dwells, rows, turns = poses_of(rows, self.extra, turns)
+        positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
         terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
         with_field = isinstance(self.orders, Integral)
-        fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
+        if groups is None or rows.codes is not None or turns is not None or self.offsets is False:
+            fitted = fit_linear_model(rows, terms, with_field, turns)
+        else:
+            fitted = fit_with_constants(rows, positions, terms, with_field)
+            rows = fitted.rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         robust = rows.weights * fitted.pose_weight
@@ -362,7 +376,8 @@ class ArmResidualRegressor(
         self.helps_ = self.judgement_ is None or self.judgement_.helps
         self.linear_model_ = model
         self.pose_weight_ = np.zeros(len(used))
-        self.pose_weight_[used] = fitted.pose_weight
+        self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
+        say_findings(many_without_weight(fitted.pose_weight))
         self.regressor_ = None
         if self.regressor is not None:
             left = centred(rows.y - model.predict(rows.X)[0] * self.helps_, rows.codes, robust)
@@ -377,7 +392,7 @@ class ArmResidualRegressor(
         if rows.codes is not None:
             options["groups"] = rows.codes[kept]
         # These weights are the model's own, not metadata that a user routes.
-        with config_context(enable_metadata_routing=False):
+        with config_context(enable_metadata_routing=False), heard_findings():
             return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.

@@ -6,15 +6,15 @@
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
+from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
 from sklearn_raacmm.error_model._extra import check_extra, check_tools, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
-from sklearn_raacmm.residuals import refuse_large, refuse_points, warn_of_another_frame
+from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
     CENTRED,
-    centred,
+    Finding,
     check_data,
     check_features,
     check_weights,
@@ -22,21 +22,20 @@ from sklearn_raacmm.utils import (
     floats,
     listed,
     refuse_huge,
+    say_findings,
     share_of_means,
     show,
-    warn_user,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
 # those of weights that add up to 1 are too few, those of inverse variances too many.
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
+# Share of poses without weight that slips do not come to. A choice.
+_MOST_WITHOUT = 0.1
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
-# A share between that and 1 is worth a warning where independent rows have one as small in fewer
-# fits than one of a thousand. Against a reference it is above 1, as neighbours err alike.
-_BY_CHANCE = 1e-3
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths):
@@ -64,9 +63,11 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
-    codes = _check_offsets(estimator.offsets, y, weights, groups)
-    points = points_of(arm, X[:, : arm.n_joints])
-    _check_residuals(y, points, weights, codes, reach_mm(arm))
+    of_offsets = _check_offsets(estimator.offsets, y, weights, groups)
+    codes = None if groups is None else encode_groups(groups, len(y))[1]
+    targets = Targets(y, weights, arm, X[:, : arm.n_joints], codes, of_offsets is not None)
+    say_findings(check_targets(targets))
+    codes = of_offsets
     lengths = _check_lengths(lengths, codes, groups, "kinematics" in estimator.causes)
     return Rows(arm, X, y, weights, codes, tuple(lengths))
 
@@ -80,10 +81,12 @@ def _check_repeats(weights):
         )
     n = np.count_nonzero(weights)
     if not _LEAST_WORTH * n <= weights.sum() <= _LARGEST_WORTH * n:
-        warn_user(
+        said = (
             f"By their sample_weight the {n} rows are worth {weights.sum():.3g} rows: too little "
-            "or too much will be learnt. A weight counts repeats: give weights of about 1.",
+            "or too much will be learnt."
         )
+        advice = "A weight counts repeats: give weights of about 1."
+        say_findings([Finding("worth-of-rows", said, advice)])
     return weights
 
 
@@ -103,27 +106,20 @@ def _check_vectors(y, arm):
     return y
 
 
-def _check_residuals(y, points, weights, codes, reach):
-    """Refuse what is no residual, and warn of what is one in another frame."""
-    used = weights > 0
-    refuse_points(y[used], points[used], reach)
-    if codes is None:
-        refuse_large(y[used], reach)
-        warn_of_another_frame(y[used], points[used], reach)
-    else:  # offsets may be of any size
-        refuse_large(centred(y, codes, weights)[used], reach)
-
-
 def _check_lengths(lengths, codes, groups, kinematics):
     """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
     lengths = listed("lengths", lengths)
     if not lengths:
         if codes is not None and not kinematics:
-            warn_user(
+            said = (
                 "Without the cause kinematics nothing holds the distances between positions with "
-                "offsets: they may come out worse than without correction. Keep it among causes, "
-                "give known lengths, or do not measure lengths with this model.",
+                "offsets: they may come out worse than without correction."
             )
+            advice = (
+                "Keep it among causes, give known lengths, or do not measure lengths with this "
+                "model."
+            )
+            say_findings([Finding("distances-not-held", said, advice)])
         return []
     if codes is None:
         raise ValueError(
@@ -142,21 +138,56 @@ def _check_offsets(offsets, y, weights, groups):
         return None
     _, codes = encode_groups(groups, len(y))
     if offsets == "auto":
-        share, of_most, by_chance = share_of_means(y, codes, weights)
-        offsets = share < CENTRED
-        if not offsets and by_chance < _BY_CHANCE:
-            warn_user(
-                f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those "
-                "of independent rows of this scatter: y may be deviations from the means of more "
-                "rows than these. No offsets are fitted; set offsets to True or False.",
-            )
-        elif not offsets and of_most < 0.1 * CENTRED:
-            warn_user(
-                "Most positions' mean residuals are zero, but not all: y looks like deviations "
-                "from means of other rows than these. No offsets are fitted; set offsets to True "
-                "or False.",
-            )
+        offsets = share_of_means(y, codes, weights) < CENTRED
     return codes if offsets else None
+
+
+def many_without_weight(pose_weight):
+    """More rows without weight than slips can be."""
+    none = np.flatnonzero(pose_weight == 0)
+    if len(none) > _MOST_WITHOUT * len(pose_weight):
+        yield Finding(
+            "many-without-weight",
+            f"{len(none)} of {len(pose_weight)} poses lie so far off that they have no weight.",
+            "That are more than slips are: look at the labels, the references and the set-up.",
+            rows=none,
+        )
+
+
+def poses_of(rows, extra, *others):
+    """Rows in which the arm stood still as one pose each.
+
+    Parameters
+    ----------
+    rows : Rows
+        Of weights above 0.
+    extra : tuple of str
+        Names of the extra columns: a pose has one tool and one direction.
+    *others : ndarray of shape (n, ...) or None
+        What goes with the rows.
+
+    Returns
+    -------
+    dwells : Dwells
+    rows : Rows
+    *others : ndarray of shape (n_poses, ...) or None
+    """
+    n_joints = rows.arm.n_joints
+    kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith(("tool", "direction"))]
+    codes = np.zeros(len(rows.X)) if rows.codes is None else rows.codes
+    codes = np.unique(np.column_stack([codes, rows.X[:, kinds]]), axis=0, return_inverse=True)[1]
+    dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)
+    if not dwells.merges:
+        return dwells, rows, *others
+    say_findings(dwells.findings())
+    angles = dwells.mean_angles(rows.X[:, :n_joints])
+    rows = rows._replace(
+        X=np.hstack([angles, dwells.mean(rows.X[:, n_joints:])]),
+        y=dwells.mean(rows.y),
+        weights=dwells.mean(rows.weights),
+        codes=None if rows.codes is None else rows.codes[dwells.first],
+    )
+    return dwells, rows, *(dwells.mean(other) for other in others)
 
 
 def check_turns(turns, n_rows, codes):

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from sklearn_raacmm.utils import show, warn_user
+from sklearn_raacmm.utils import Finding, say_findings, show
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
@@ -89,10 +89,11 @@ def warn_of_constants(extra, values, weights):
     """Warn of extra columns from which nothing can be learnt."""
     for name, column in zip(extra, values[weights > 0].T, strict=True):
         if np.ptp(column) == 0:
-            warn_user(
+            said = (
                 f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
                 "of it, and predictions will not depend on it."
             )
+            say_findings([Finding("constant-column", said, "Is the sensor alive?")])
 
 
 def check_tools(extra, values):

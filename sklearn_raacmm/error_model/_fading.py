@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_raacmm.utils import centred, warn_user
+from sklearn_raacmm.utils import Finding, centred, say_findings
 
 # Factor of the standard deviation with a reference for every pose: Wiener's. What was left of 25
 # simulated errors at poses of real arms, learnt at new goals, in regions or in one octant, as a
@@ -97,7 +97,9 @@ def warn_where_unknown(share):
     """Warn where next to nothing is left of most corrections."""
     faded = np.count_nonzero(share < _WARN_SHARE)
     if 2 * faded > len(share):
-        warn_user(
+        said = (
             f"{faded} of {len(share)} poses lie where the model knows little: their corrections "
-            "are reduced to less than a tenth. Measure there before you correct, or see `fading`."
+            "are reduced to less than a tenth."
         )
+        advice = "Measure there before you correct, or see `fading`."
+        say_findings([Finding("little-known", said, advice)])

@@ -54,6 +54,7 @@ class Rows(NamedTuple):
     codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
     lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
     turn_mm: float = 0.0  # see `observed_columns`
+    known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
 
     def at(self, which):
         """Some of the rows, with positions counted from 0 and the lengths that are left."""
@@ -82,8 +83,8 @@ class Rows(NamedTuple):
     def sums(self, terms):
         """Sums over the rows, the harmonics of `terms` being the candidates; known lengths."""
         rows = self.arm, self.X, self.y, self.weights, self.codes
-        sums = candidate_sums(*rows, terms.harmonics, terms, self.turn_mm)
-        if self.codes is None:
+        sums = candidate_sums(*rows, terms.harmonics, terms, self.turn_mm, self.known)
+        if self.codes is None or self.known:
             return sums, None
         sums, lengths = without_motions(sums, self.arm, terms), None
         if self.lengths:
@@ -281,7 +282,7 @@ def model_of(rows, terms, state):
         half=half,
         noise_variance=state.noise_variance,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
-        offsets=rows.codes is not None,
+        offsets=rows.codes is not None and not rows.known,
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
         gauge_free_half=half,

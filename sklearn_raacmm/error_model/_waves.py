@@ -50,7 +50,7 @@ _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
 _NODES = 64
 
 
-def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
+def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0, known=0.0):
     """Sum up what the choice of harmonics needs.
 
     Parameters
@@ -71,13 +71,15 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
         The columns that are always in; its harmonics are not used.
     turn_mm : float, default=0
         See :func:`observed_columns`.
+    known : float, default=0
+        Noise variance over that of the offsets: as rows of this weight would, it draws them to 0.
 
     Returns
     -------
     Sums
         The first column of a pair is the cosine.
     """
-    poses = _sorted_poses(angles, y, weights, codes)
+    poses = _sorted_poses(angles, y, weights, codes, known)
     spans = _joint_spans(offered)
     n_joints = len(arm.a)
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
@@ -89,13 +91,15 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
         columns = observed_columns(arm, poses.angles[rows], terms, turn_mm)
         turns[rows] = columns[:, :, : 2 * n_joints : 2]  # the cosines of order 0
         columns = np.concatenate([columns[:, :, 2 * n_joints :], poses.y[rows, :, None]], axis=2)
-        weighted = _weighted_deviations(columns, poses.weights[rows], starts)
+        weighted = _weighted_deviations(columns, poses.weights[rows], starts, known)
         flat = columns.reshape(-1, columns.shape[2])
         gram = gram + flat.T @ weighted.reshape(flat.shape)
         for sums, (joint, _, _) in zip(cross, spans, strict=True):
             share = np.einsum("ncm,nc->nm", weighted, turns[rows, :, joint])
             sums.add(poses.angles[rows, joint], share)
-        own += _own_blocks(turns[rows], poses.angles[rows], poses.weights[rows], starts, spans)
+        own += _own_blocks(
+            turns[rows], poses.angles[rows], poses.weights[rows], starts, spans, known
+        )
     cross = _products(cross, len(gram))
 
     def rows_of(pairs):
@@ -103,7 +107,8 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
         parts = [pairs[i : i + size] for i in range(0, len(pairs), size)]
         return np.concatenate([_gram_rows(poses, turns, spans, part) for part in parts])
 
-    n_observations = float(y.shape[1]) * (poses.weights.sum() - poses.n_groups)
+    n_taken = 0 if known else poses.n_groups
+    n_observations = float(y.shape[1]) * (poses.weights.sum() - n_taken)
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
@@ -124,13 +129,14 @@ class _Poses(NamedTuple):
     weights: np.ndarray
     parts: list  # (rows, first row of each position in the chunk or None)
     n_groups: int
+    known: float  # weight by which offsets are drawn to 0
 
 
-def _sorted_poses(angles, y, weights, codes):
+def _sorted_poses(angles, y, weights, codes, known):
     """Whole positions stay together, so that a chunk knows the means that it takes out."""
     if codes is None:
         parts = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
-        return _Poses(angles, y, weights, parts, 0)
+        return _Poses(angles, y, weights, parts, 0, known)
     order = np.argsort(codes, kind="stable")
     first = np.flatnonzero(np.diff(codes[order], prepend=-1))
     ends, parts, begin = np.append(first[1:], len(angles)), [], 0
@@ -140,7 +146,7 @@ def _sorted_poses(angles, y, weights, codes):
         if last or ends[i + 1] - first[begin] > limit:
             parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
             begin = i + 1
-    return _Poses(angles[order], y[order], weights[order], parts, len(first))
+    return _Poses(angles[order], y[order], weights[order], parts, len(first), known)
 
 
 def _joint_spans(offered):
@@ -155,11 +161,11 @@ def _joint_spans(offered):
     return spans
 
 
-def _weighted_deviations(columns, weights, starts):
+def _weighted_deviations(columns, weights, starts, known):
     """Weights times deviations from the position's mean: one side of a product is enough."""
     weighted = weights[:, None, None] * columns
     if starts is not None:
-        total = np.maximum(np.add.reduceat(weights, starts), _TINY)[:, None, None]
+        total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)[:, None, None]
         mean = np.add.reduceat(weighted, starts, axis=0) / total
         counts = np.diff(starts, append=len(weights))
         weighted -= weights[:, None, None] * np.repeat(mean, counts, axis=0)
@@ -173,7 +179,7 @@ def _products(sums, n_columns):
     return np.concatenate([joint_sums.result() for joint_sums in sums], axis=1)
 
 
-def _own_blocks(turns, angles, weights, starts, spans):
+def _own_blocks(turns, angles, weights, starts, spans, known):
     """cos'cos, sin'sin and cos'sin of each candidate, (3, n_pairs)."""
     out = np.empty((3, sum(len(orders) for _, orders, _ in spans)))
     for joint, orders, pairs in spans:
@@ -184,7 +190,7 @@ def _own_blocks(turns, angles, weights, starts, spans):
         cs = 0.5 * double.imag
         if starts is not None:
             means = waves(theta, orders)
-            total = np.maximum(np.add.reduceat(weights, starts), _TINY)
+            total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)
             for component in range(turn.shape[1]):
                 sums = np.add.reduceat((weights * turn[:, component])[:, None] * means, starts)
                 sums /= np.sqrt(total)[:, None]
@@ -205,7 +211,8 @@ def _gram_rows(poses, turns, spans, pairs):
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
         columns = None
         if starts is not None:
-            columns = _weighted_deviations(turn[:, :, twice] * wave[:, None], weights, starts)
+            columns = turn[:, :, twice] * wave[:, None]
+            columns = _weighted_deviations(columns, weights, starts, poses.known)
         for sums, (joint, _, _) in zip(found, spans, strict=True):
             if columns is None:  # the turns of the joints alone are contracted
                 along = np.einsum("ncj,nc->nj", turn, weights[:, None] * turn[:, :, joint])

@@ -24,7 +24,7 @@ from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to
 from sklearn_raacmm.export._steps import check_fitted
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import check_path, show, write_whole
+from sklearn_raacmm.utils import Finding, check_path, show, write_whole
 
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
@@ -36,6 +36,7 @@ TRUSTED_TYPES = [
         ArmResidualRegressor,
         CylindricalResidualTarget,
         Fading,
+        Finding,
         Judgement,
         LinearModel,
         Network,

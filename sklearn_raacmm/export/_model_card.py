@@ -35,8 +35,8 @@ from sklearn_raacmm.utils import (
 # A position's mean residuals count as taken off where they are this share of what chance would
 # leave of them: those of a single-point test are zero but for the digits of a file.
 _CENTRED = 0.3
-# Characters shown of a text that comes from outside.
-_LONGEST = 200
+# Characters shown of a text that comes from outside, and of a finding.
+_LONGEST, _LONG = 200, 1000
 
 
 class ModelCard(dict):
@@ -49,9 +49,9 @@ class ModelCard(dict):
     def __str__(self):
         lines = ["# Residual correction of an arm", ""]
         for key, value in self.items():
-            if key == "updates":
-                lines += ["", "## updates", ""]
-                lines += [f"- {_short(entry)}" for entry in value]
+            if key in ("updates", "findings"):
+                lines += ["", f"## {key}", ""]
+                lines += [f"- {_short(entry, longest=_LONG)}" for entry in value]
                 continue
             if not isinstance(value, dict):
                 lines.append(f"- {_words(key)}: {_short(value)}")
@@ -72,7 +72,7 @@ def _words(key):
     return " ".join(words) + unit
 
 
-def _short(value, digits=6):
+def _short(value, digits=6, longest=None):
     if isinstance(value, float):
         return repr(value) if digits >= 17 else f"{value:.{digits}g}"
     if isinstance(value, list):
@@ -80,28 +80,30 @@ def _short(value, digits=6):
     if isinstance(value, dict):
         facts = (f"{_words(name)}: {_short(fact, digits)}" for name, fact in value.items())
         return "; ".join(facts)
-    return "unknown" if value is None else escaped(value)
+    return "unknown" if value is None else escaped(value, longest or _LONGEST)
 
 
-def escaped(text):
+def escaped(text, longest=_LONGEST):
     """Text on one line, without control characters, that neither Markdown nor HTML reads as code.
 
     Parameters
     ----------
     text : object
         Its ``str`` is taken.
+    longest : int, default=200
+        Characters that are shown.
 
     Returns
     -------
     str
-        At most 200 characters of it, then "...".
+        At most so many characters of it, then "...".
     """
     # C: control, format (it may turn the direction of writing), surrogates; Zl, Zp: ends of line.
     line = "".join(
         " " if unicodedata.category(c)[0] == "C" or unicodedata.category(c) in ("Zl", "Zp") else c
         for c in str(text)
     )
-    line = line if len(line) <= _LONGEST else line[:_LONGEST] + "..."
+    line = line if len(line) <= longest else line[:longest] + "..."
     line = re.sub(r"([\\`*\[\]|~#!]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", line)
     return line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").strip()
 
@@ -135,7 +137,11 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
-    updates = getattr(list(leaves(model))[-1].estimator, "updates_", ())
+    last = list(leaves(model))[-1].estimator
+    findings = vars(model).get("findings_") or vars(last).get("findings_", ())
+    if findings:
+        card["findings"] = [f"{finding.weight}: {finding}" for finding in findings]
+    updates = getattr(last, "updates_", ())
     if updates:
         card["updates"] = [dict(entry) for entry in updates]
     if X is not None:

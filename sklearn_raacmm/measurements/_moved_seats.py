@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.utils import chunks, encode_groups, warn_user
+from sklearn_raacmm.utils import Finding, chunks, encode_groups
 
 # Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
 # beyond ten a slow change of the residuals counts as much as a step.
@@ -38,8 +38,6 @@ _OUTLIER = 8.0
 _LEAST_NOISE_MM = 1e-3
 # Positions, and steps of each, that the sentence names.
 _NAMED = 3
-# How the sentence begins: who fits to a part of the rows filters it, for its rows have other
-# numbers there.
 MOVED = "The fixed point seems to have moved during the test:"
 
 
@@ -108,8 +106,8 @@ def find_steps(left, angles, codes, noise_variance=0.0):
     return found
 
 
-def warn_of_moved_seats(left, angles, weights, groups, noise_variance):
-    """Name positions that have moved during the test, in one warning.
+def moved_positions(left, angles, weights, groups, noise_variance, numbers=None):
+    """Positions that have moved during the test, in one finding.
 
     Parameters
     ----------
@@ -119,29 +117,46 @@ def warn_of_moved_seats(left, angles, weights, groups, noise_variance):
         Rows without weight do not count.
     groups : array-like of shape (n,)
         Label of the position of each row.
+    numbers : ndarray of shape (n,), default=None
+        What the rows are called; None: from 0.
+
+    Yields
+    ------
+    Finding
     """
     labels, codes = encode_groups(groups)
     rows = np.flatnonzero(weights > 0)
     steps = find_steps(left[rows], angles[rows], codes[rows], noise_variance)
+    rows = rows if numbers is None else numbers[rows]
     if not steps:
         return
     moved = sorted({step.code for step in steps})
     named = []
     for code in moved[:_NAMED]:
         of = [step for step in steps if step.code == code]
-        largest = sorted(sorted(of, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
-        parts = [
-            f"{step.size_mm:.3g} mm between rows {rows[step.before]} and {rows[step.after]}"
-            for step in largest
-        ]
-        more = f" and {len(of) - _NAMED} more times" * (len(of) > _NAMED)
-        named.append(f"position {labels[code].item()!r} by {', by '.join(parts)}{more}")
+        named.append(f"position {labels[code].item()!r} by {_in_words(of, rows)}")
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
-    warn_user(
-        f"{MOVED} {'; '.join(named)}{more} (rows counted from 0). No model of the arm can follow "
-        "that: fasten the socket and the arm's base and measure again, or give the rows after each "
-        "step a label of their own."
+    yield Finding(
+        "moved-position",
+        f"{MOVED} {'; '.join(named)}{more} (rows counted from 0).",
+        "No model of the arm can follow that: fasten the socket and the arm's base and measure "
+        "again, or give the rows after each step a label of their own.",
+        "repair",
+        positions=labels[moved],
+        rows=[rows[step.after] for step in steps],
+        size_mm=max(step.size_mm for step in steps),
     )
+
+
+def _in_words(steps, rows):
+    """The largest steps, in their order."""
+    largest = sorted(sorted(steps, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
+    parts = [
+        f"{step.size_mm:.3g} mm between rows {rows[step.before]} and {rows[step.after]}"
+        for step in largest
+    ]
+    more = f" and {len(steps) - _NAMED} more times" * (len(steps) > _NAMED)
+    return f"{', by '.join(parts)}{more}"
 
 
 class _Poses(NamedTuple):

@@ -8,7 +8,14 @@ here are reconstructions, checked numerically.
 import numpy as np
 from sklearn.utils import check_array, check_consistent_length
 
-from sklearn_raacmm.utils import centred, encode_groups, floats, refuse_disguised, refuse_huge
+from sklearn_raacmm.utils import (
+    centred,
+    encode_groups,
+    floats,
+    refuse_disguised,
+    refuse_huge,
+    slip_factors,
+)
 
 
 def position_residuals(points, groups, sample_weight=None):
@@ -44,7 +51,9 @@ def position_residuals(points, groups, sample_weight=None):
     Notes
     -----
     This is the reference of equation (10), before the rotation. A residual is known only up to
-    one constant per position: where the true point is, the arm cannot tell.
+    one constant per position: where the true point is, the arm cannot tell. Points that lie farther
+    than 11 standard deviations from the others, slips of the probe, take no part in it (Tukey's
+    biweight).
 
     Examples
     --------
@@ -87,7 +96,7 @@ def position_residuals(points, groups, sample_weight=None):
             f"weight: {shown}. The residual of a lone point from its own mean is zero whatever "
             "the arm does; leave these positions out."
         )
-    return centred(points, codes, weight)
+    return centred(points, codes, weight * slip_factors(points, codes, weight))
 
 
 def cartesian_to_cylindrical(vectors, azimuth):

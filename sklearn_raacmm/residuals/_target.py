@@ -21,7 +21,8 @@ from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
 
-from sklearn_raacmm.arm import Arm, one_warning, reach_mm
+from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     std_to_cartesian,
@@ -32,11 +33,6 @@ from sklearn_raacmm.residuals._direction import (
     NORM_TOLERANCE,
     appended_direction,
     ends_in_direction,
-)
-from sklearn_raacmm.residuals._plausible import (
-    refuse_large,
-    refuse_points,
-    warn_of_another_frame,
 )
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
@@ -59,9 +55,11 @@ from sklearn_raacmm.utils import (
     fit_context,
     floats,
     is_plain,
+    one_warning,
     refuse_disguised,
     refuse_huge,
     safe_indexing,
+    say_findings,
     show,
     whole_fit,
 )
@@ -243,9 +241,11 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
                 f"y has {n_targets} columns, but a residual has 3 (dx, dy, dz in mm), or 1 to pass "
                 "through unrotated."
             )
+        if self._rotates:
+            X, y, groups, codes, fit_params = _poses(X, y, groups, codes, fit_params)
         features, direction = self._split(X)
         if self._rotates:
-            self._check_residuals(X, y)
+            self._check_residuals(X, y, codes)
             y = to_cylindrical(y, direction)
         routing = get_config()["enable_metadata_routing"]
         if routing:
@@ -380,14 +380,12 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             return X, (np.cos(azimuth), np.sin(azimuth))
         return X, None
 
-    def _check_residuals(self, X, y):
-        """Refuse what is no residual, by the arm where the azimuth is that of an arm."""
-        known, arm = (), self._arm()
-        if arm is not None:
-            known = arm.forward(X), reach_mm(arm)
-            refuse_points(y, *known)
-        refuse_large(y, *known[1:])
-        warn_of_another_frame(y, *known)
+    def _check_residuals(self, X, y, codes):
+        """Say what is wrong with the targets, by the arm where the azimuth is that of an arm."""
+        weights, arm = np.ones(len(y)), self._arm()
+        angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
+        offsets = codes is not None and are_deviations(y, codes, weights)
+        say_findings(check_targets(Targets(y, weights, arm, angles, codes, offsets)))
 
     def _get_regressor(self):
         if isinstance(self.regressor, type):
@@ -422,6 +420,28 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         tags.input_tags.sparse = inner.input_tags.sparse
         tags.target_tags.multi_output = inner.target_tags.multi_output
         return tags
+
+
+def _poses(X, y, groups, codes, fit_params):
+    """The same with each pose once at which a logger wrote many rows."""
+    try:
+        rows = np.asarray(X, dtype=float)
+    except (TypeError, ValueError):  # sparse, or columns that are no numbers
+        return X, y, groups, codes, fit_params
+    dwells = find_dwells(rows, codes, copies_count=True) if rows.ndim == 2 else None
+    if dwells is None or not dwells.merges:
+        return X, y, groups, codes, fit_params
+    say_findings(dwells.findings())
+    merged = {
+        name: dwells.mean(np.asarray(value))
+        if np.ndim(value) and len(value) == len(rows)
+        else value
+        for name, value in fit_params.items()
+    }
+    X, groups, codes = (
+        v if v is None else safe_indexing(v, dwells.first) for v in (X, groups, codes)
+    )
+    return X, dwells.mean(y), groups, codes, merged
 
 
 def _refuse_negative_weights(fit_params):

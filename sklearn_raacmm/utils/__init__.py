@@ -25,9 +25,14 @@ from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import check_path, write_whole
 from sklearn_raacmm.utils._findings import (
     Finding,
+    FindingError,
     FindingWarning,
+    hear,
     heard_findings,
+    one_warning,
     say_findings,
+    unheard,
+    with_findings,
 )
 from sklearn_raacmm.utils._groups import (
     CENTRED,
@@ -39,6 +44,7 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     group_weights,
     share_of_means,
+    slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
@@ -68,6 +74,7 @@ __all__ = [
     "LARGEST",
     "TUKEY_CUT",
     "Finding",
+    "FindingError",
     "FindingWarning",
     "HasMethods",
     "InconsistentPackageVersionWarning",
@@ -99,6 +106,7 @@ __all__ = [
     "group_means",
     "group_sums",
     "group_weights",
+    "hear",
     "heard_findings",
     "html_table",
     "invert_triangle",
@@ -106,6 +114,7 @@ __all__ = [
     "listed",
     "nearest_rotation",
     "one_blas_thread",
+    "one_warning",
     "refuse_disguised",
     "refuse_huge",
     "refuse_masked",
@@ -114,11 +123,14 @@ __all__ = [
     "say_findings",
     "share_of_means",
     "show",
+    "slip_factors",
     "stage",
     "tukey_weights",
+    "unheard",
     "validate_parameter_constraints",
     "validate_params",
     "warn_user",
     "whole_fit",
+    "with_findings",
     "write_whole",
 ]

@@ -5,9 +5,13 @@
 
 from functools import wraps
 
+from sklearn_raacmm.utils._findings import hear, say_findings
+
 
 def whole_fit(fit):
     """Make a `fit` that leaves the estimator as it was until it is complete.
+
+    What is found in the data meanwhile is kept in `findings_`, and said at the end.
 
     The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
     assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
@@ -27,7 +31,9 @@ def whole_fit(fit):
     def wrapper(self, *args, **kwargs):
         aside = object.__new__(type(self))
         aside.__dict__ = dict(vars(self))
-        fit(aside, *args, **kwargs)
+        _, heard = hear(fit, aside, *args, **kwargs)
+        aside.findings_ = tuple(heard)
+        say_findings(heard)
         self.__dict__ = aside.__dict__
         return self
 

@@ -9,6 +9,8 @@ from sklearn_raacmm import Arm
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration._calibrate import _parameters
 from sklearn_raacmm.calibration._checks import warn_of_what_no_arm_is, warn_of_wrong_lengths
+from sklearn_raacmm.calibration._gate import wrong_units
+from sklearn_raacmm.calibration._problem import Problem
 
 ARM = Arm.from_name("aacmm6")
 REACH = reach_mm(ARM)
@@ -46,15 +48,21 @@ def of_fit(arm=ARM, moved=0.0, before=1.0, after=0.5):
         ({"before": 1.0, "after": 2.01}, "still scatter"),
         ({"before": 0.0, "after": 0.9e-6 * REACH}, ""),  # rounding
         ({"before": 0.0, "after": 1.1e-6 * REACH}, "still scatter"),
-        ({"arm": METRES, "after": 1e-9}, "in metres, not millimetres"),
-        ({"arm": METRES.replace(d=METRES.d + 3.5), "after": 1e-9}, ""),
     ],
 )
 def test_what_no_arm_is(changes, sentence):
-    if "arm" in changes:
-        assert (reach_mm(changes["arm"]) < 20) == bool(sentence)
     found = of_fit(**changes)
     assert (sentence in found) if sentence else not found
+
+
+def test_the_unit_of_a_table_is_told_by_its_reach():
+    scale = 199 / reach_mm(METRES)
+    for factor, n_findings in ((1, 1), (1.01, 0)):
+        arm = METRES.replace(
+            **{f: scale * factor * getattr(METRES, f) for f in ("a", "d", "probe")}
+        )
+        found = list(wrong_units(arm, None, Problem(np.zeros(2, int), None, [])))
+        assert len(found) == n_findings
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
