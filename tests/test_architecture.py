@@ -31,19 +31,19 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 MAX_LINES = 600
 # Lines that a wing may have. The aim is 24 000 in all.
 LINES = {
-    "utils": 1_200,
-    "inference": 1_300,
+    "utils": 1_250,
+    "inference": 1_320,
     "arm": 1_750,
-    "network": 4_450,
-    "residuals": 1_850,
+    "network": 4_500,
+    "residuals": 1_900,
     "metrics": 1_300,
     "calibration": 2_000,
     "measurements": 700,
     "error_model": 3_500,
     "correction": 3_000,
-    "datasets": 1_650,
-    "display": 1_450,
-    "export": 4_450,
+    "datasets": 1_700,
+    "display": 1_550,
+    "export": 4_500,
     "app": 2_400,
 }
 # Lines of the tests; the aim is 20 000.

@@ -244,7 +244,7 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
     return result.arm.replace(name="calibrated (simulated)")
 
 
-def _readings(machine, cones, poses, rng, warming_k=0.0, slipped=False, payload_n=0.0):
+def _readings(machine, cones, poses, rng, warming_k=0.0, slipped: Any = 0.0, payload_n: Any = 0.0):
     """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
     groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
     seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
@@ -319,6 +319,7 @@ def _draw_cones(machine, n, n_poses, rng):
     low, high = _SHARE_OF_REACH
     cones, poses = [], []
     for stratum in range(n):
+        share = 0.0
         for _ in range(100):
             share = low + (high - low) * (stratum + rng.uniform()) / n
             cone = _in_direction(machine, share, rng)

@@ -8,9 +8,11 @@ import hashlib
 import json
 import re
 import unicodedata
+from typing import Any
 
 import numpy as np
 import sklearn
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
@@ -39,14 +41,14 @@ _CENTRED = 0.3
 _LONGEST, _LONG = 200, 1000
 
 
-class ModelCard(dict):
+class ModelCard(dict[str, Any]):
     """Facts about a model: plain numbers, text, lists and dicts, fit for ``json.dumps``.
 
     ``str(card)`` is Markdown, in which what is long, such as the hull's corners, is left out. Text
     is escaped there and stays on its line: a name cannot pass for another fact.
     """
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = ["# Residual correction of an arm", ""]
         for key, value in self.items():
             if key in ("updates", "findings"):
@@ -108,8 +110,81 @@ def escaped(text, longest=_LONGEST):
     return line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").strip()
 
 
-def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None, date=None):
-    """See `sklearn_raacmm.export.describe`."""
+def describe(
+    model: Any,
+    X: ArrayLike | None = None,
+    y: ArrayLike | None = None,
+    groups: ArrayLike | None = None,
+    *,
+    n_folds: int = 5,
+    serial_number: str | None = None,
+    date: Any = None,
+) -> ModelCard:
+    """Say what a fitted model is, so that whoever receives its file knows.
+
+    A fitted model does not keep the poses that it was fitted on: give them here, and pass the card
+    on with the file.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+
+    X : array-like of shape (n_samples, n_features), default=None
+        What the model was fitted on, usually joint angles in the unit it takes: for the number of
+        rows, the range of every joint and the hull of the probe's positions.
+
+    y : array-like of shape (n_samples, 3) or (n_samples,), default=None
+        Residuals in mm that it was fitted on: for the error before and after.
+
+    groups : array-like of shape (n_samples,), default=None
+        Label of the position of each row.
+
+    n_folds : int, default=5
+        Where `groups` are given, the error after the correction is that at positions left out, a
+        copy of the model having been fitted on the others, in so many folds. 0, or without
+        `groups`, or of a model that :func:`update_correction` has changed: that at the rows given,
+        and the card says so.
+
+    serial_number : str, default=None
+        Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
+
+    date : str or datetime.date, default=None
+        Of the measurement, or of the model.
+
+    Returns
+    -------
+    ModelCard
+        A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
+        the single-point repeatability, the mean over positions. Where `y` are deviations from the
+        means of their positions, the means are taken off what is left, too: neither data nor
+        model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
+        ``updates`` lists what :func:`update_correction` has recorded.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together or the model, or hold NaN or infinity.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.export import describe
+    >>> from sklearn.pipeline import make_pipeline
+    >>> test = make_single_point(n_positions=6, n_poses=20, random_state=0)  # simulated
+    >>> model = make_pipeline(
+    ...     PoseFeatures(test.arm, append_azimuth=True),
+    ...     CylindricalResidualTarget(RBFNetRegressor(20)),
+    ... ).fit(test.data, test.target)
+    >>> card = describe(model, test.data, test.target, test.groups, n_folds=3)
+    >>> card["training"]["positions"], card["input"]
+    (6, '6 joint angles in rad')
+    >>> print(str(card)[:32])
+    # Residual correction of an arm
+    """
     check_fitted(model)
     if X is None and (y is not None or groups is not None):
         raise ValueError("y and groups describe rows of X, which is None.")

@@ -50,8 +50,8 @@ class _Chain:
     def __init__(self, model, p, std, x=None, unit=None, any_probe=False):
         self.p, self.std, self.x = p, std, p.x if x is None else x
         self.any_probe = any_probe
-        self.arm, self.unit = arm_of(model)
-        self.unit = self.unit if unit is None else unit
+        self.arm, own = arm_of(model)
+        self.unit = own if unit is None else unit
         self.trust = None
 
     def angles(self):
@@ -397,7 +397,7 @@ def linear_model(chain, linear, fades):
 
     def variances(half):
         # Any root gives the same variances; a triangle has half the entries.
-        root = np.linalg.qr(half[order].T, mode="r").T
+        root = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
         return p("variances", vectors, sizes, vector=vector, root=root)
 
     v = variances(linear.gauge_free_half) if chain.std else None

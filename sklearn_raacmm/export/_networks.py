@@ -130,7 +130,7 @@ def _of_polynomial(p, net, x, phi, T, D, turn, alpha, known):
     """Squared length of R (t - J g), see above: what T is beside D, by orthogonal columns."""
     weights = D.T @ T / known[:, None]
     left = np.vstack([T - D @ weights, -np.sqrt(alpha) * weights])
-    root = np.linalg.qr(left, mode="r").T
+    root = np.asarray(np.linalg.qr(left, mode="r")).T
     of_x, J = np.linalg.solve(root, net.tail_map), np.linalg.solve(root, weights.T @ turn)
     u = p("sub", p.constant(of_x[:, 0]), p("affine", phi, matrix=J, shift=_zeros(J)))
     if np.any(of_x[:, 1:]):

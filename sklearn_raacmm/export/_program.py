@@ -9,6 +9,7 @@ the writers know these operations and no kind of model.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import hashlib
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -195,7 +196,7 @@ class Operation(NamedTuple):
     """Names of its constants, and what it does: constants and values (n, size) to (n, size)."""
 
     constants: tuple
-    compute: callable
+    compute: Callable
 
 
 def _joined(given, *values):

@@ -90,7 +90,8 @@ def compute(name, given, values):
 
 def run(model, row):
     """Outputs of a model, the content of its file, at one row of inputs, as a dict of lists."""
-    values, arrays = [list(row)], model["arrays"]
+    arrays = model["arrays"]
+    values: list = [list(row)]
     for name, inputs, given in model["operations"]:
         given = {k: v if isinstance(v, str) else arrays[v] for k, v in given.items()}
         values.append(compute(name, given, [values[i] for i in inputs]))

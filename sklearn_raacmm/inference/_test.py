@@ -42,20 +42,20 @@ class Whitened:
     ([1.0, -1.0], 1)
     """
 
-    def __init__(self, root, nuisance):
+    def __init__(self, root: np.ndarray, nuisance: np.ndarray) -> None:
         self.root = root
         basis = self.scaled(nuisance)
         if basis.size:
             u, size, _ = np.linalg.svd(basis, full_matrices=False)
             basis = u[:, size > _ROUNDING * size.max()]
         self.basis = basis
-        self.freedom = len(root) - basis.shape[1]
+        self.freedom: int = len(root) - basis.shape[1]
 
-    def scaled(self, values):
+    def scaled(self, values: np.ndarray) -> np.ndarray:
         """Values divided by the root, the nuisances among them."""
         return solve_triangular(self.root, values, lower=True, check_finite=False)
 
-    def __call__(self, values):
+    def __call__(self, values: np.ndarray) -> np.ndarray:
         """Values divided by the root, less what the nuisances explain of them."""
         values = self.scaled(values)
         return values - self.basis @ (self.basis.T @ values)

@@ -11,13 +11,15 @@ here are reconstructions, checked numerically.
 """
 
 from collections.abc import Callable
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn import get_config
-from sklearn.base import RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
-from sklearn.utils import check_array, check_consistent_length, get_tags
+from sklearn.utils import check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
 
@@ -45,8 +47,10 @@ from sklearn_raacmm.residuals._positions import (
 )
 from sklearn_raacmm.utils import (
     HasMethods,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
+    check_array,
     check_feature_names,
     check_fitted,
     check_n_features,
@@ -169,14 +173,22 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         "azimuth": [StrOptions({"appended"}), callable, None],
     }
 
-    def __init__(self, regressor=None, *, azimuth: str | Callable | None = "appended"):
+    def __init__(
+        self, regressor: Any = None, *, azimuth: str | Callable | None = "appended"
+    ) -> None:
         self.regressor = regressor
         self.azimuth = azimuth
 
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
     @one_warning()
-    def fit(self, X, y, groups=None, **fit_params):
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        **fit_params: Any,
+    ) -> Self:
         """Fit the regressor on the residuals in the cylindrical frame.
 
         Parameters
@@ -230,7 +242,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         groups = fit_params.pop("regressor__groups", groups)
         codes = None if groups is None else encode_groups(groups, len(y))[1]
         _refuse_negative_weights(fit_params)
-        n_targets = 1 if y.ndim == 1 else y.shape[1]
+        flat = y.ndim == 1
+        n_targets = 1 if flat else y.shape[1]
 
         self._rotates = n_targets == 3 and self.azimuth is not None
         self._drops_direction = self.azimuth == "appended" and (
@@ -250,18 +263,21 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         routing = get_config()["enable_metadata_routing"]
         if routing:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
-        self.regressor_ = clone(self._get_regressor())
-        self.by_position_ = False
+        self.regressor_: Any = clone(self._get_regressor())
+        self.by_position_: bool = False
+        target = y
         try:
             if codes is not None:
-                y, fit_params = self._by_position(features, y, groups, codes, fit_params, routing)
-            self.regressor_.fit(features, y, **fit_params)
+                target, fit_params = self._by_position(
+                    features, y, groups, codes, fit_params, routing
+                )
+            self.regressor_.fit(features, target, **fit_params)
         except ValueError as error:
-            if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
+            if flat or get_tags(self.regressor_).target_tags.multi_output:
                 raise
             raise ValueError(
                 f"{type(self.regressor_).__name__} learns one target at a time, but y has "
-                f"{y.shape[1]} columns: wrap the last estimator of it in "
+                f"{n_targets} columns: wrap the last estimator of it in "
                 f"sklearn.multioutput.MultiOutputRegressor. ({error})"
             ) from error
         return self
@@ -288,7 +304,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         return y, fit_params
 
     @one_warning()
-    def predict(self, X, **predict_params):
+    def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
         Parameters
@@ -351,7 +367,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     def _arm(self):
         """The arm whose method gives the azimuth, or None."""
         method = getattr(self.azimuth, "__func__", None)
-        return self.azimuth.__self__ if method is Arm.azimuth else None
+        return getattr(self.azimuth, "__self__", None) if method is Arm.azimuth else None
 
     def _split(self, X):
         """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
@@ -367,7 +383,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             # The method of an arm: the direction of its points, without the angle in between.
             x, y, _ = arm.forward(X).T
             return X, direction_of(x, y)
-        if self._rotates:
+        if self._rotates and callable(self.azimuth):
             azimuth = check_array(
                 self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"
             )
@@ -398,7 +414,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             return LinearRegression().set_fit_request(sample_weight=True)
         return LinearRegression()
 
-    def get_metadata_routing(self):
+    def get_metadata_routing(self) -> Any:
         """Get metadata routing of this object.
 
         Returns
@@ -413,7 +429,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         router = MetadataRouter(owner=self).add_self_request(self)
         return router.add(regressor=self._get_regressor(), method_mapping=methods)
 
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         inner = get_tags(self._get_regressor())
         tags.regressor_tags.poor_score = True

@@ -3,7 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
@@ -25,7 +28,7 @@ _SLIP = 2.0
 _TINY = 1e-300
 
 
-def encode_groups(groups, n_samples=None):
+def encode_groups(groups: Any, n_samples: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Turn the labels of groups into indices.
 
     Parameters
@@ -111,7 +114,12 @@ def _missing(labels):
     )
 
 
-def group_sums(values, codes, weights=None, n_groups=None):
+def group_sums(
+    values: np.ndarray,
+    codes: np.ndarray,
+    weights: np.ndarray | None = None,
+    n_groups: int | None = None,
+) -> np.ndarray:
     """Weighted sum of the rows of each group.
 
     Parameters
@@ -135,12 +143,16 @@ def group_sums(values, codes, weights=None, n_groups=None):
     return (sum_up @ values.reshape(n, -1)).reshape(n_groups, *values.shape[1:])
 
 
-def group_weights(codes, weights=None, n_groups=None):
+def group_weights(
+    codes: np.ndarray, weights: np.ndarray | None = None, n_groups: int | None = None
+) -> np.ndarray:
     """Sum of the weights of each group, (n_groups,); the number of rows without weights."""
     return np.bincount(codes, weights=weights, minlength=n_groups or 0)
 
 
-def group_means(values, codes, weights=None):
+def group_means(
+    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
+) -> np.ndarray:
     """Weighted mean of the rows of each group, (n_groups, ...); see `group_sums`."""
     # The sums are those of differences from the first row, so that a large mean costs no digits.
     origin = values[0]
@@ -149,7 +161,9 @@ def group_means(values, codes, weights=None):
     return group_sums(values - origin, codes, weights) / total + origin
 
 
-def centred(values, codes, weights=None):
+def centred(
+    values: np.ndarray, codes: np.ndarray | None, weights: np.ndarray | None = None
+) -> np.ndarray:
     """Rows less the weighted mean of their group; as they are where `codes` is None."""
     return values if codes is None else values - group_means(values, codes, weights)[codes]
 
@@ -229,14 +243,16 @@ def _share_of_means(y, codes, weights):
     return float(between.mean() / within)
 
 
-def check_groups(groups, n_samples):
+def check_groups(groups: ArrayLike | None, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Labels and codes as `encode_groups`; None makes all rows one group."""
     if groups is None:
         return np.zeros(1, dtype=int), np.zeros(n_samples, dtype=int)
     return encode_groups(groups, n_samples)
 
 
-def deviations_by_group(points, groups):
+def deviations_by_group(
+    points: ArrayLike, groups: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Deviation of each point from its position's mean, its position, counts and labels."""
     points = check_points(points)
     labels, codes = check_groups(groups, len(points))

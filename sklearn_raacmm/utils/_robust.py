@@ -18,7 +18,9 @@ from scipy.special import chdtri
 TUKEY_CUT = 5.5
 
 
-def robust_scale(distances, n_coordinates, weights=None):
+def robust_scale(
+    distances: np.ndarray, n_coordinates: int, weights: np.ndarray | None = None
+) -> float:
     """Standard deviation of a coordinate, from the median distance.
 
     Parameters
@@ -39,14 +41,20 @@ def robust_scale(distances, n_coordinates, weights=None):
         median = np.median(distances)
     else:
         counted = weights > 0
-        rule = {"q": 0.5, "weights": weights[counted], "method": "inverted_cdf"}
+        rule: dict = {"q": 0.5, "weights": weights[counted], "method": "inverted_cdf"}
         # The mean of the lower and the upper median, as of rows without weights.
         lower, upper = (sign * np.quantile(sign * distances[counted], **rule) for sign in (1, -1))
         median = (lower + upper) / 2
     return float(median / np.sqrt(chdtri(n_coordinates, 0.5)))
 
 
-def tukey_weights(residuals, weights=None, *, least_scale=0.0, weighed=False):
+def tukey_weights(
+    residuals: np.ndarray,
+    weights: np.ndarray | None = None,
+    *,
+    least_scale: float = 0.0,
+    weighed: bool = False,
+) -> np.ndarray:
     """Factors of the rows' weights by Tukey's biweight, (1 - (r / c)^2)^2 below c [1]_.
 
     Parameters

@@ -3,12 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from functools import wraps
+from typing import Any, TypeVar, cast
 
 from sklearn_raacmm.utils._findings import hear, say_findings
 
+Fit = TypeVar("Fit", bound=Callable[..., Any])
 
-def whole_fit(fit):
+
+def whole_fit(fit: Fit) -> Fit:
     """Make a `fit` that leaves the estimator as it was until it is complete.
 
     What is found in the data meanwhile is kept in `findings_`, and said at the end.
@@ -37,4 +41,4 @@ def whole_fit(fit):
         self.__dict__ = aside.__dict__
         return self
 
-    return wrapper
+    return cast(Fit, wrapper)
