@@ -4,8 +4,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import importlib.util
+import io
+import json
 import sys
 import webbrowser
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +17,14 @@ from scipy import stats
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of, picture_of
 from sklearn_raacmm.app._files import (
+    files_of,
     in_rad,
     load_arm,
     load_correction,
+    open_beside,
     write_corrected,
 )
-from sklearn_raacmm.app._report import judge_limit, write_report
+from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import check_correction, learn_correction, read_check_records
@@ -28,12 +33,17 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import write_whole
+from sklearn_raacmm.utils import check_places, write_whole
 
-# Exit codes; 1 is Python's own, for a fault of this program.
-OK, BAD_INPUT, NO_HELP, NOT_JUDGED = 0, 2, 3, 4
+# Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
+OK, NO_HELP, NOT_JUDGED = 0, 3, 4
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
 _FALSE_ALARM = 0.01
+# What `learn` writes, as its last line names it; the endings of files that no CSV may have.
+_WRITTEN = (
+    "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
+)  # fmt: skip
+_NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 
 def learn(options):
@@ -44,8 +54,15 @@ def learn(options):
             f"{' and '.join(missing)} must be installed for the report and the model's file: "
             f"pip install {' '.join(missing)}."
         )
-    arm = load_arm(options.arm)
-    table = read_table(options.table, arm.n_joints, **_columns(options, points=options.points))
+    out = Path(options.out)
+    check_places(
+        [out / name for name in _WRITTEN],
+        filter(None, (options.table, options.arm, options.lengths)),
+    )
+    if (out / "correction.json").exists() and not options.force:
+        raise TableError(f"{out} holds a correction; --force replaces it.")
+    arm = load_arm(options.arm, options.base, options.tip)
+    table = read_table(options.table, arm.n_joints, **_columns(options, arm, points=options.points))
     _say_notes(table.notes)
     lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else ()
     facts = {"file": Path(options.table).name}
@@ -67,21 +84,31 @@ def _learn(options, arm, table, lengths, facts):
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
     if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
         raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
+    _progress(-1, 1, "calibration")
     result = learn_correction(
         arm, in_rad(table), table.positions, table.points, lengths,
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
     )  # fmt: skip
-    out = Path(options.out)
-    result.save(out)
-    write_report(
-        result, out / "report.html", limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows
-    )
+    _progress(30, 30, "report")
+    layout = find_layout(options.table, arm.n_joints, **_columns(options, arm, labelled=False))
+    corrected = io.StringIO(newline="")
+    write_corrected(layout, result.correct, corrected)
     card = describe(result.model, result.angles)
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
-    write_whole({out / "card.md": f"{card}\n## Verdict\n\n- {result.verdict}\n"})
-    layout = find_layout(options.table, arm.n_joints, **_columns(options, labelled=False))
-    write_corrected(layout, result.correct, out / "corrected.csv")
+    # Everything is made before the first file gets its name.
+    result.save(
+        options.out,
+        {
+            "report.html": report_text(
+                result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows
+            ),
+            "card.md": f"{card}\n## Verdict\n\n- {result.verdict}\n",
+            "corrected.csv": corrected.getvalue().encode(layout.dialect.encoding),
+        },
+    )
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
     # The verdict stands at the end, where it is seen without scrolling.
     print(str(result.scores).removeprefix(f"{result.verdict}\n"))
     rows = table.rows[result.outliers["row"]].tolist()
@@ -91,30 +118,44 @@ def _learn(options, arm, table, lengths, facts):
     print(result.verdict)
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
-    written = "report.html, model.skops, arm.json, correction.json, card.md, corrected.csv"
-    print(f"Written to {out}: {written}")
+    print(f"Written to {options.out}: {', '.join(_WRITTEN)}")
     if options.open:
-        webbrowser.open((out / "report.html").resolve().as_uri())
-    return OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
+        webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
+    code = OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
+    return code, result.facts()
 
 
 def correct(options):
     """Correct a table of any length."""
+    if options.out != "-":
+        if Path(options.out).suffix.lower() in _NO_CSV:
+            raise TableError(f"--out is written as CSV, and {options.out} says something else.")
+        check_places([options.out], [options.table, *files_of(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
-    layout = find_layout(options.table, saved.arm.n_joints, **_columns(options, labelled=False))
+    layout = find_layout(
+        options.table, saved.arm.n_joints, **_columns(options, saved.arm, labelled=False)
+    )
     _say_notes(layout.notes)
-    n_rows = write_corrected(layout, lambda angles: saved.correct(angles)[1:], options.out)
+    stream = (
+        nullcontext(options.stdout)
+        if options.out == "-"
+        else open_beside(options.out, layout.dialect.encoding)
+    )
+    with stream as file:
+        n_rows = write_corrected(layout, lambda angles: saved.correct(angles)[1:], file)
     print(f"{n_rows} rows corrected, written to {options.out}")
-    return OK
+    return OK, {"rows": n_rows}
 
 
 def check(options):
     """Compare today's single-point test with what was promised at positions left out."""
+    inputs = [options.table, *files_of(options.model)]
+    check_places(filter(None, (options.record, options.chart)), inputs)
     saved = load_correction(options.model)
     if saved.facts["measure"] != "2S":
         raise TableError("check needs a correction that was learnt from a single-point test.")
-    table = read_table(options.table, saved.arm.n_joints, **_columns(options))
+    table = read_table(options.table, saved.arm.n_joints, **_columns(options, saved.arm))
     _say_notes(table.notes)
     measured, corrected, _ = saved.correct(in_rad(table))
     before, after = (
@@ -128,19 +169,23 @@ def check(options):
     changed = has_causes and _name_the_suspect(saved, measured, table, options, rate)
     expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
     change = f"mean 2S {before.mean():.3f} -> {after.mean():.3f} mm"
+    facts = {
+        "before_mm": float(before.mean()), "after_mm": float(after.mean()),
+        "expected_below_mm": expected, "holds": after.mean() < before.mean(), "changed": changed,
+    }  # fmt: skip
     if after.mean() >= before.mean():
         print(f"It does not hold: {change}. Calibrate and learn again.")
-        return NO_HELP
+        return NO_HELP, facts
     if after.mean() > expected:
         print(
             f"It helps less than it did: {change}; the mean of {len(after)} positions like those "
             f"that it was judged at would be below {expected:.3f} mm in {1 / rate - 1:.0f} of "
             f"{1 / rate:.0f} tests. Look at probe and base, or learn again."
         )
-        return NO_HELP
+        return NO_HELP, facts
     verdict = "It still helps, but something has changed" if changed else "It holds"
     print(f"{verdict}: {change}; expected below {expected:.3f} mm.")
-    return NO_HELP if changed else OK
+    return NO_HELP if changed else OK, facts
 
 
 def _has_causes(model, options):
@@ -198,26 +243,29 @@ def highest_mean(learnt, n, rate):
 
 def export(options):
     """Write a saved correction as C, with a project that tests it, or as ONNX."""
-    saved = load_correction(options.model)
     if not (options.c or options.onnx):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
+    folder = Path(options.c or ".")
+    sources = [folder / f"{options.name}{end}" for end in (".c", ".h")] if options.c else []
+    check_places(filter(None, (*sources, options.onnx)), files_of(options.model))
+    saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
+    paths = []
     if options.c:
-        folder = Path(options.c)
         folder.mkdir(parents=True, exist_ok=True)
-        paths = export_c(saved.model, folder / f"{options.name}.c", std=options.std, poses="random")
-        print("Written:", *paths)
+        source = folder / f"{options.name}.c"
+        paths += export_c(saved.model, source, std=options.std, poses="random")
     if options.onnx:
         to_onnx(saved.model, options.onnx)
-        print("Written:", options.onnx)
-    return OK
+        paths.append(options.onnx)
+    print("Written:", *paths)
+    return OK, {"files": [str(path) for path in paths]}
 
 
 def arm(options):
     """Show an arm, and write its file."""
-    is_urdf = bool(options.source) and Path(options.source).suffix.lower() == ".urdf"
-    if (options.base or options.tip) and not is_urdf:
-        raise TableError("--base and --tip name links of a URDF, and none is given.")
+    places = [place for place in (options.out, options.picture) if place and place != "-"]
+    check_places(places, [options.source] if options.source else [])
     if (options.elbow_offset or options.wrist_offset) and not (
         options.lengths_222 or options.lengths_223
     ):
@@ -227,20 +275,20 @@ def arm(options):
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
-    elif is_urdf:
-        shown = Arm.from_urdf(options.source, base=options.base, tip=options.tip)
     elif options.source:
-        shown = load_arm(options.source)
+        shown = load_arm(options.source, options.base, options.tip)
     else:
         shown = _ask_for_an_arm()
     print(shown)
-    if options.out:
+    if options.out == "-":
+        options.stdout.write(shown.to_json())
+    elif options.out:
         shown.to_json(options.out)
         print(f"Written to {options.out}")
     if options.picture:
         write_whole({options.picture: picture_of(shown)})
         print(f"Written to {options.picture}")
-    return OK
+    return OK, json.loads(shown.to_json())
 
 
 def _ask_for_an_arm():
@@ -277,16 +325,29 @@ def demo(options):
     return learn(options)
 
 
-def _columns(options, points=None, labelled=True):
+def _columns(options, arm, points=None, labelled=True):
     """Options of `read_table` as the command line has them."""
-    parts = {
-        name: value.split(",") if value else None
-        for name, value in (("angles", options.angles), ("points", points))
+    if points and not Path(points).is_file():
+        points = points.split(",")
+        if len(points) != 3:
+            raise TableError(
+                f"--points needs three columns, such as x,y,z, or a file that is there, got "
+                f"{options.points!r}."
+            )
+    counts = options.counts_per_turn
+    if counts is not None:
+        counts = [_number(text) for text in counts.split(",")]
+        counts = counts[0] if len(counts) == 1 else counts
+    return {
+        "angles": options.angles.split(",") if options.angles else None,
+        "points": points,
+        "position": options.position if labelled else None,
+        "angle_unit": options.unit,
+        "labelled": labelled,
+        "joint_names": arm.names,
+        "counts_per_turn": counts,
+        "sheet": options.sheet,
     }
-    if parts["points"] and len(parts["points"]) != 3:
-        raise TableError(f"--points needs three columns, such as x,y,z, got {points!r}.")
-    position = options.position if labelled else None
-    return parts | {"position": position, "angle_unit": options.unit, "labelled": labelled}
 
 
 def _say_notes(notes):
@@ -299,9 +360,9 @@ def _warn_if_it_does_not_help(saved):
         print(f"note: {saved.facts['verdict']}", file=sys.stderr)
 
 
-def _progress(done, total):
+def _progress(done, total, stage=None):
+    """Draw how far the whole command is; the folds come between two other stages."""
     if sys.stderr.isatty():
-        bar = "#" * (30 * done // total)
-        print(f"\r[{bar:<30}] fold {done} of {total}", end="", file=sys.stderr, flush=True)
-        if done == total:
-            print(file=sys.stderr)
+        bar = "#" * (30 * (done + 1) // (total + 2))
+        stage = stage or ("fit of all rows" if done == total else f"fold {done + 1} of {total}")
+        print(f"\r[{bar:<30}] {stage:<20}", end="", file=sys.stderr, flush=True)

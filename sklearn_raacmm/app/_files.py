@@ -4,8 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import csv
-import json
 import os
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import predict_with_std
+from sklearn_raacmm.correction import predict_with_std, read_correction
 from sklearn_raacmm.export import TRUSTED_TYPES
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
@@ -21,11 +21,13 @@ _BLOCK_ROWS = 8192
 _NEW_COLUMNS = ("x [mm]", "y [mm]", "z [mm]", "sd x [mm]", "sd y [mm]", "sd z [mm]")
 
 
-def load_arm(source):
+def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
     path = Path(source)
     if path.suffix.lower() == ".urdf":
-        return Arm.from_urdf(path)
+        return Arm.from_urdf(path, base=base, tip=tip)
+    if base or tip:
+        raise TableError("--base and --tip name links of a URDF, and none is given.")
     if path.exists():
         return Arm.from_json(path)
     try:
@@ -54,29 +56,34 @@ def load_correction(source):
     folder = Path(source)
     if folder.is_file():
         folder = folder.parent
-    facts, arm, model = (folder / name for name in ("correction.json", "arm.json", "model.skops"))
-    for path in (facts, arm):
-        if not path.is_file():
-            raise TableError(f"--model: {folder} has no {path.name}; raacmm learn writes one.")
-    if not model.is_file():
+    if (folder / "model.joblib").is_file() and not (folder / "model.skops").is_file():
         raise TableError(
             f"--model: {folder} has no model.skops. Only these are loaded, since other files can "
             "run code: install skops (pip install skops) and learn again."
         )
     try:
+        facts, (arm, model) = read_correction(folder, ["arm.json", "model.skops"])
+    except (ValueError, OSError) as error:
+        raise TableError(f"--model: {error}") from None
+    try:
         import skops.io
     except ImportError:
         raise TableError("To load a model, install skops: pip install skops.") from None
     try:
-        loaded = skops.io.load(model, trusted=TRUSTED_TYPES)
-        return SavedCorrection(
-            Arm.from_json(arm), loaded, json.loads(facts.read_text(encoding="utf-8"))
-        )
-    except Exception as error:  # of a damaged file, anything
+        model = skops.io.loads(model, trusted=TRUSTED_TYPES)
+    except Exception as error:  # of a file of another version, anything
         raise TableError(f"--model: {folder} cannot be loaded: {error}") from None
+    return SavedCorrection(Arm.from_json(arm), model, facts)
 
 
-def write_corrected(layout, correct, path):
+def files_of(source):
+    """Files that loading a correction reads: no output may be one of them."""
+    folder = Path(source)
+    folder = folder.parent if folder.is_file() else folder
+    return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
+
+
+def write_corrected(layout, correct, file):
     """Copy a table with the corrected points beside its columns, block by block.
 
     Parameters
@@ -85,29 +92,36 @@ def write_corrected(layout, correct, path):
         Of the table.
     correct : callable
         Takes angles in rad, returns points and standard deviations (n, 3).
-    path : path-like
-        Written beside its place and renamed when complete.
+    file : text stream
+        Written to, with the line ends that the stream makes.
 
     Returns
     -------
     int
         Number of rows.
     """
-    path, dialect, n_rows = Path(path), layout.dialect, 0
-    beside = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    dialect, n_rows = layout.dialect, 0
+    writer = csv.writer(file, delimiter=dialect.separator or " ")
+    writer.writerow([*layout.header, *_NEW_COLUMNS])
+    for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
+        numbers = np.hstack(correct(in_rad(block)))
+        for row, values in zip(cells, numbers.tolist(), strict=True):
+            writer.writerow([*row, *map(dialect.text, values)])
+        n_rows += len(cells)
+    return n_rows
+
+
+@contextmanager
+def open_beside(path, encoding):
+    """A text stream whose file gets its name when it is complete."""
+    path = Path(path)
+    beside = path.with_name(f"{path.name}.{os.getpid():x}.tmp")
     try:
-        with open(beside, "w", encoding=dialect.encoding, newline="") as file:
-            writer = csv.writer(file, delimiter=dialect.separator or " ")
-            writer.writerow([*layout.header, *_NEW_COLUMNS])
-            for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-                numbers = np.hstack(correct(in_rad(block)))
-                for row, values in zip(cells, numbers.tolist(), strict=True):
-                    writer.writerow([*row, *map(dialect.text, values)])
-                n_rows += len(cells)
+        with open(beside, "w", encoding=encoding, newline="") as file:
+            yield file
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
-    return n_rows
 
 
 def in_rad(table):

@@ -67,6 +67,13 @@ def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
         learned = learn_correction(arm, angles, positions)
         write_report(learned, "report.html", limit_2s=0.05, facts={"serial number": "17"})
     """
+    text = report_text(result, limit_2s=limit_2s, facts=facts, row_numbers=row_numbers)
+    write_whole({path: text})
+    return text
+
+
+def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
+    """Text of the report; parameters as for `write_report`."""
     try:
         import jinja2
     except ImportError:
@@ -77,7 +84,7 @@ def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
     )
     environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
     template = files("sklearn_raacmm.app").joinpath("_report.html").read_text(encoding="utf-8")
-    text = environment.from_string(template).render(
+    return environment.from_string(template).render(
         result=result,
         scores=result.scores,
         limit=limit,
@@ -92,8 +99,6 @@ def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
         figures=figures_of(result, limit_2s),
         most_rows=_MOST_ROWS,
     )
-    write_whole({path: text})
-    return text
 
 
 def micrometres(mm):

@@ -27,9 +27,15 @@ _JSON_KEYS = {
     "pose_joints": "pose_joints",
     "pose_frames": "pose_frames",
 }
+# These may be missing.
+_OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad"}
 
 # -- built-in arms, mm and deg ------------------------------------------------------------------
 
+_UR_NAMES = (
+    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
+    "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+)  # fmt: skip
 BUILT_IN = {
     "aacmm6": {
         "a": [-0.0226, 62.1163, -0.0061, 62.1025, 0.0049, 0.0],
@@ -44,6 +50,7 @@ BUILT_IN = {
         "d": [333.0, 0.0, 316.0, 0.0, 384.0, 0.0, 0.0],
         "probe": (0.0, 0.0, 107.0),
         "convention": "modified",
+        "names": tuple(f"panda_joint{i}" for i in range(1, 8)),
     },
     "ur10": {
         "a": [0.0, -612.0, -572.3, 0.0, 0.0, 0.0],
@@ -51,6 +58,7 @@ BUILT_IN = {
         "d": [127.3, 0.0, 0.0, 163.941, 115.7, 92.2],
         "pose_joints": (4, 3),
         "pose_frames": (1, 3),
+        "names": _UR_NAMES,
     },
 }
 
@@ -68,14 +76,15 @@ def read_json(cls, source):
     missing = [key for key in _JSON_KEYS.values() if key not in content]
     if missing:
         raise ValueError(f"{where} lacks the field {missing[0]!r}.")
-    unknown = sorted(set(content) - {*_JSON_KEYS.values(), "format", "format_version"})
+    keys = _JSON_KEYS | {f: key for f, key in _OPTIONAL_KEYS.items() if key in content}
+    unknown = sorted(set(content) - {*keys.values(), "format", "format_version"})
     if unknown:  # misspelt, or of a later version: it would be ignored silently
         raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
-    for key in _JSON_KEYS.values():  # true and false would pass for 1 and 0
+    for key in keys.values():  # true and false would pass for 1 and 0
         if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
             raise ValueError(f"{where}: {key} must hold numbers, got {show(content[key])}.")
     try:
-        return cls(**{field: content[key] for field, key in _JSON_KEYS.items()})
+        return cls(**{field: content[key] for field, key in keys.items()})
     except (ValueError, TypeError) as error:
         raise ValueError(f"{where}: {error}") from None
 
@@ -109,6 +118,11 @@ def write_json(arm, path):
     for field, key in _JSON_KEYS.items():
         value = getattr(arm, field)
         content[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    if arm.names:
+        content["joint_names"] = list(arm.names)
+    if arm.limits is not None:  # JSON has no infinity
+        finite = np.isfinite(arm.limits)
+        content["limits_rad"] = np.where(finite, arm.limits, None).tolist()
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     if path is not None:
         write_whole({path: text})

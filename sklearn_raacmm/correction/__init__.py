@@ -8,6 +8,7 @@ from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correc
 from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._records import read_check_records
+from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
 from sklearn_raacmm.correction._table_search import TableChange, search_table
 from sklearn_raacmm.correction._transfer import transfer_correction
@@ -24,7 +25,9 @@ __all__ = [
     "next_poses",
     "predict_with_std",
     "read_check_records",
+    "read_correction",
     "search_table",
     "transfer_correction",
     "update_correction",
+    "write_correction",
 ]

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import json
 from dataclasses import dataclass, field
 from html import escape
 
@@ -14,6 +13,7 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._saved import write_correction
 from sklearn_raacmm.correction._scores import (
     CorrectionScores,
     check_judging,
@@ -21,7 +21,7 @@ from sklearn_raacmm.correction._scores import (
     with_verdict,
 )
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.utils import Finding, check_path, heard_findings, say_findings, write_whole
+from sklearn_raacmm.utils import Finding, heard_findings, say_findings
 
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
@@ -110,28 +110,30 @@ class LearnedCorrection:
         correction, std = predict_with_std(self.model, angles, self.noise)
         return self.arm.forward(angles) - correction, self.scores.std_factor * std
 
-    def save(self, folder):
+    def save(self, folder, others=None):
         """Write the arm, the model and the scores into a folder.
 
         ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
-        should load.
+        should load. Whatever interrupts the writing, the folder holds the old correction or this
+        one: ``correction.json`` has the fingerprints of the files that belong to it.
 
         Parameters
         ----------
         folder : str or path-like
             Made if it does not exist.
+        others : dict of str to str or bytes, default=None
+            Names and contents of files to write with them, such as a report.
 
         Returns
         -------
         list of pathlib.Path
-            ``arm.json``, the model, and ``correction.json`` with scores, verdict and versions.
+            ``correction.json`` with scores, verdict and versions, ``arm.json``, the model, and the
+            others.
         """
-        folder = check_path("folder", folder)
-        folder.mkdir(parents=True, exist_ok=True)
         try:
             import skops.io
 
-            name, content = "model.skops", skops.io.dumps(self.model)
+            name, model = "model.skops", skops.io.dumps(self.model)
         except ImportError:
             import io
 
@@ -139,11 +141,9 @@ class LearnedCorrection:
 
             file = io.BytesIO()
             joblib.dump(self.model, file)
-            name, content = "model.joblib", file.getvalue()
-        facts = json.dumps(self.facts(), indent=1, ensure_ascii=False) + "\n"
-        paths = [folder / part for part in ("arm.json", name, "correction.json")]
-        write_whole(dict(zip(paths, (self.arm.to_json(), content, facts), strict=True)))
-        return paths
+            name, model = "model.joblib", file.getvalue()
+        contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
+        return write_correction(folder, self.facts(), contents)
 
     def facts(self):
         """Scores and verdict as plain values, fit for JSON."""

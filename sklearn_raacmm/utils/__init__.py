@@ -22,7 +22,13 @@ from sklearn_raacmm.utils._checks import (
     show,
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
-from sklearn_raacmm.utils._files import check_path, write_whole
+from sklearn_raacmm.utils._files import (
+    check_path,
+    check_places,
+    digest_of,
+    whole_file,
+    write_whole,
+)
 from sklearn_raacmm.utils._findings import (
     Finding,
     FindingError,
@@ -93,6 +99,7 @@ __all__ = [
     "check_n_features",
     "check_option",
     "check_path",
+    "check_places",
     "check_points",
     "check_shapes",
     "check_weights",
@@ -100,6 +107,7 @@ __all__ = [
     "chunk_size",
     "chunks",
     "deviations_by_group",
+    "digest_of",
     "encode_groups",
     "fit_context",
     "floats",
@@ -130,6 +138,7 @@ __all__ = [
     "validate_parameter_constraints",
     "validate_params",
     "warn_user",
+    "whole_file",
     "whole_fit",
     "with_findings",
     "write_whole",

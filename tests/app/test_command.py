@@ -343,10 +343,14 @@ def test_a_damaged_model_is_not_loaded(learned, tmp_path, capsys):
         shutil.copy(folder / name, tmp_path)
     model = ["correct", str(folder.parent / "log.csv"), "--model", str(tmp_path), "--out", "x.csv"]
     assert main(model) == 2
-    assert "has no model.skops" in capsys.readouterr().err
+    assert "model.skops is missing" in capsys.readouterr().err
     (tmp_path / "model.skops").write_bytes(b"no zip")
     assert main(model) == 2
-    assert "cannot be loaded" in capsys.readouterr().err
+    assert "model.skops is not the one" in capsys.readouterr().err
+    (tmp_path / "model.joblib").write_bytes((tmp_path / "model.skops").read_bytes())
+    (tmp_path / "model.skops").unlink()
+    assert main(model) == 2
+    assert "has no model.skops. Only these are loaded" in capsys.readouterr().err
 
 
 def test_help_and_usage(capsys):

@@ -259,7 +259,7 @@ def test_saved_and_loaded(tmp_path, learned, test_data):
     skops_io = pytest.importorskip("skops.io")
     from sklearn_raacmm.export import TRUSTED_TYPES
 
-    arm, model, facts = learned.save(tmp_path / "new")
+    facts, arm, model = learned.save(tmp_path / "new")
     assert Arm.from_json(arm) == learned.arm
     loaded = skops_io.load(model, trusted=TRUSTED_TYPES)
     expected = learned.model.predict(test_data.data)

@@ -1,0 +1,106 @@
+"""Options of the words of the command `raacmm`, one function for each word."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+
+def learn(parser):
+    """Add the options of ``raacmm learn``."""
+    parser.add_argument("table", help="one row per pose: joint angles and position")
+    parser.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
+    _add_ends(parser)
+    _add_learning(parser, out=None)
+    _add_columns(parser)
+    text = "columns of a tracker's points, or a file of points"
+    parser.add_argument("--points", metavar="X,Y,Z", help=text)
+    parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
+    parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
+    parser.add_argument("--serial", help="serial number, for the report")
+    parser.add_argument("--operator", help="name, for the report")
+
+
+def correct(parser):
+    """Add the options of ``raacmm correct``."""
+    parser.add_argument("table", help="table with joint angles")
+    _add_model(parser)
+    parser.add_argument("--out", required=True, help="CSV to write; - is the standard output")
+    _add_columns(parser, labelled=False)
+
+
+def check(parser):
+    """Add the options of ``raacmm check``."""
+    parser.add_argument("table", help="a small single-point test of today")
+    _add_model(parser)
+    parser.add_argument("--record", metavar="CSV", help="file to append the line of this check to")
+    parser.add_argument("--chart", metavar="SVG", help="control chart of the record to write")
+    _add_columns(parser)
+
+
+def export(parser):
+    """Add the options of ``raacmm export``."""
+    _add_model(parser)
+    parser.add_argument("--c", metavar="FOLDER", help="C source and header")
+    parser.add_argument("--onnx", metavar="FILE", help="ONNX file to write")
+    parser.add_argument("--name", default="arm_correction", help="name of the C functions")
+    parser.add_argument("--std", action="store_true", help="standard deviations in C, too")
+
+
+def arm(parser):
+    """Add the options of ``raacmm arm``."""
+    parser.add_argument("source", nargs="?", help="arm file, URDF, or name of a built-in arm")
+    _add_ends(parser)
+    for layout in ("222", "223"):
+        parser.add_argument(
+            f"--lengths-{layout}", type=float, nargs=4,
+            metavar=("SHOULDER", "UPPER", "FORE", "PROBE"),
+            help=f"lengths in mm of a {'-'.join(layout)} arm",
+        )  # fmt: skip
+    for place in ("elbow", "wrist"):
+        text = f"distance in mm at which the axes of the {place} pass each other (0)"
+        parser.add_argument(f"--{place}-offset", type=float, default=0.0, metavar="MM", help=text)
+    parser.add_argument("--out", help="JSON file to write; - is the standard output")
+    parser.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
+
+
+def demo(parser):
+    """Add the options of ``raacmm demo``."""
+    _add_learning(parser, out="raacmm-demo")
+    parser.set_defaults(
+        angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
+        lengths=None, length_sd=None, serial="simulated", operator=None, base=None, tip=None,
+    )  # fmt: skip
+
+
+def completion(parser):
+    """``raacmm completion`` has no options of its own."""
+
+
+def _add_ends(parser):
+    parser.add_argument("--base", metavar="LINK", help="first link of a URDF's chain")
+    parser.add_argument("--tip", metavar="LINK", help="last link of a URDF's chain: the probe")
+
+
+def _add_learning(parser, out):
+    parser.add_argument("--out", required=out is None, default=out, help="folder to write into")
+    parser.add_argument(
+        "--limit-2s", type=float, metavar="MM", help="limit of the mean 2S to judge by"
+    )
+    parser.add_argument("--folds", type=int, help="times that some positions are left out (5)")
+    parser.add_argument("--jobs", type=int, help="folds computed at the same time (1)")
+    parser.add_argument("--open", action="store_true", help="open the report in the browser")
+    text = "replace the correction that the folder holds"
+    parser.add_argument("--force", action="store_true", help=text)
+
+
+def _add_columns(parser, labelled=True):
+    parser.add_argument("--angles", metavar="Q1,Q2,...", help="columns of the joint angles")
+    if labelled:
+        parser.add_argument("--position", metavar="NAME", help="column of the positions' labels")
+    parser.add_argument("--unit", choices=("deg", "rad"), help="unit of the joint angles")
+    text = "counts of the encoders in a turn, one number or one for each joint"
+    parser.add_argument("--counts-per-turn", metavar="N", help=text)
+    parser.add_argument("--sheet", metavar="NAME", help="sheet of a spreadsheet, name or number")
+
+
+def _add_model(parser):
+    parser.add_argument("--model", required=True, help="folder written by raacmm learn")
