@@ -15,6 +15,7 @@ import numpy as np
 from scipy import stats
 
 from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import chart_of, picture_of
 from sklearn_raacmm.app._files import (
     files_of,
@@ -270,27 +271,49 @@ def export(options):
 
 def arm(options):
     """Show an arm, and write its file."""
-    places = [place for place in (options.out, options.picture) if place and place != "-"]
-    check_places(places, [options.source] if options.source else [])
-    if (options.elbow_offset or options.wrist_offset) and not (
-        options.lengths_222 or options.lengths_223
-    ):
+    given = [options.source, options.dh, options.lengths_222, options.lengths_223]
+    if sum(one is not None for one in given) > 1:
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
         raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
-    if options.lengths_222 or options.lengths_223:
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
+    if options.into and not options.out:
+        raise TableError("--into needs --out, the file to write; it may be the same file.")
+    places = [options.out, options.picture, options.template]
+    check_places(
+        [place for place in places if place and place != "-"],
+        [one for one in (options.source, options.dh) if one],
+    )
+    if options.template:
+        write_template(options.template)
+        print(f"Written to {options.template}")
+        if not any(given):
+            return OK
+    if any(given[2:]):
         layout = "2-2-2" if options.lengths_222 else "2-2-3"
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
+    elif options.dh:
+        probe = [_number(text) for text in (options.probe or "0,0,0").split(",")]
+        convention = "modified" if options.modified else "standard"
+        shown = read_dh(options.dh, convention, probe)
+    elif options.source and options.into:
+        shown = load_arm(options.source)  # --base and --tip are those of the other file
     elif options.source:
         shown = load_arm(options.source, options.base, options.tip)
     else:
         shown = _ask_for_an_arm()
     print(shown)
-    if options.out == "-":
-        options.stdout.write(shown.to_json())
-    elif options.out:
-        shown.to_json(options.out)
-        print(f"Written to {options.out}")
+    if options.out:
+        ends = {"base": options.base, "tip": options.tip}
+        text = shown.update_urdf(options.into, **ends) if options.into else shown.to_json()
+        if options.out == "-":
+            options.stdout.write(text)
+        else:
+            write_whole({options.out: text})
+            print(f"Written to {options.out}")
     if options.picture:
         write_whole({options.picture: picture_of(shown)})
         print(f"Written to {options.picture}")

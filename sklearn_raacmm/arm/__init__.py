@@ -17,6 +17,7 @@ from sklearn_raacmm.arm._kinematics import (
     probe_points,
     reach_mm,
 )
+from sklearn_raacmm.arm._layouts import usual_pose
 
 __all__ = [
     "FIELDS",
@@ -36,4 +37,5 @@ __all__ = [
     "points_of",
     "probe_points",
     "reach_mm",
+    "usual_pose",
 ]
