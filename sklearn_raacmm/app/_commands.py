@@ -34,7 +34,7 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, write_whole
+from sklearn_raacmm.utils import check_places, natural_order, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP = 0, 3
@@ -52,6 +52,8 @@ _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
+    if options.folds is not None and options.folds < 2:
+        raise TableError(f"--folds must be 2 or more, got {options.folds}.")
     missing = [name for name in ("jinja2", "matplotlib", "skops") if not _is_there(name)]
     if missing:  # said now, not after minutes of learning
         raise TableError(
@@ -169,8 +171,9 @@ def check(options):
         single_point_repeatability(points, table.positions, aggregate=None)
         for points in (measured, corrected)
     )
-    for label, one, other in zip(np.unique(table.positions), before, after, strict=True):
-        print(f"{label}: 2S {one:.4f} -> {other:.4f} mm")
+    labels = np.unique(table.positions)
+    for i in natural_order(labels):
+        print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
     has_causes = _has_causes(saved.model, options)
     rate = _FALSE_ALARM / (1 + has_causes)
     changed = has_causes and _name_the_suspect(saved, measured, table, options, rate)

@@ -44,6 +44,7 @@ from sklearn_raacmm.utils._groups import (
     group_means,
     group_sums,
     group_weights,
+    natural_order,
     share_of_means,
 )
 from sklearn_raacmm.utils._html import html_table
@@ -112,6 +113,7 @@ __all__ = [
     "invert_triangle",
     "is_plain",
     "listed",
+    "natural_order",
     "nearest_rotation",
     "one_blas_thread",
     "refuse_disguised",
