@@ -258,7 +258,7 @@ def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "It helps at new positions: mean deviation" in said
     assert "region 05" in said
-    assert main([*arguments.split(), "--limit-2s", "0.1"]) == 2
+    assert main([*arguments.split(), "--limit-2s", "0.1", "--force"]) == 2
     assert "not for a tracker's points" in capsys.readouterr().err
     assert main(["check", f"{tmp_path}/t.csv", "--model", str(tmp_path)]) == 2
     assert "learnt from a single-point test" in capsys.readouterr().err
