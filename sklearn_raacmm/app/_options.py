@@ -83,7 +83,17 @@ def arm(parser):
     for place in ("elbow", "wrist"):
         text = f"distance in mm at which the axes of the {place} pass each other (0)"
         parser.add_argument(f"--{place}-offset", type=float, default=0.0, metavar="MM", help=text)
-    parser.add_argument("--out", help="JSON file to write; - is the standard output")
+    parser.add_argument("--dh", metavar="TABLE", help="table of a, alpha, d and theta offset")
+    text = "the table of --dh is in the modified convention"
+    parser.add_argument("--modified", action="store_true", help=text)
+    text = "probe centre in the last frame, mm, for --dh"
+    parser.add_argument("--probe", metavar="X,Y,Z", help=text)
+    text = "write the arm's numbers into a copy of the robot's own URDF or UR kinematics"
+    parser.add_argument("--into", metavar="FILE", help=text)
+    text = "write a workbook to fill in: a sheet for --dh and one for poses"
+    parser.add_argument("--template", metavar="XLSX", help=text)
+    text = "file to write, JSON or what --into names; - is the standard output"
+    parser.add_argument("--out", help=text)
     parser.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
 
 

@@ -24,6 +24,7 @@ from sklearn_raacmm.utils import (
     group_means,
     heard_findings,
     listed,
+    natural_order,
     say_findings,
     show,
     unheard,
@@ -125,7 +126,8 @@ class CorrectionScores:
             f"{'position':<{width}}{'points':>8}{self.measure + ' before':>24}{'after, mm':>12}"
             f"{'maximum before':>17}{'after, mm':>12}",
         ]
-        for row in zip(*self.table.values(), strict=True):
+        rows = list(zip(*self.table.values(), strict=True))
+        for row in (rows[i] for i in natural_order(self.table["position"])):
             lines.append(
                 f"{row[0]!s:<{width}}{row[1]:8d}{row[2]:24.4f}{row[3]:12.4f}{row[4]:17.4f}"
                 f"{row[5]:12.4f}"
@@ -136,9 +138,8 @@ class CorrectionScores:
         lines = []
         for name in ("before", "after"):
             mean, low, high = self.summary[name]
-            lines.append(
-                f"mean {self.measure} {name}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})"
-            )
+            measure = f"mean {self.measure.removeprefix('mean ')}"
+            lines.append(f"{measure} {name}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})")
         lines += self._length_lines()
         lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
         if len(self.outliers):

@@ -49,6 +49,7 @@ from sklearn_raacmm.utils._groups import (
     group_means,
     group_sums,
     group_weights,
+    natural_order,
     share_of_means,
     slip_factors,
 )
@@ -128,6 +129,7 @@ __all__ = [
     "invert_triangle",
     "is_plain",
     "listed",
+    "natural_order",
     "nearest_rotation",
     "one_blas_thread",
     "one_warning",
