@@ -21,6 +21,7 @@ from sklearn_raacmm.correction import (
     update_correction,
 )
 from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import (
     CylindricalResidualTarget,
@@ -39,6 +40,9 @@ __all__ = [
     "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
+    "Finding",
+    "FindingError",
+    "FindingWarning",
     "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",

@@ -9,7 +9,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
-from sklearn_raacmm.error_model._extra import check_extra, check_tools, warn_of_constants
+from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
@@ -242,7 +242,7 @@ def check_poses(model, X):
     X = check_features(model, X, dtype=np.float64, reset=False)
     linear = model.linear_model_
     n_joints = linear.arm.n_joints
-    check_tools(linear.terms.extra, X[:, n_joints:])
+    check_values(linear.terms.extra, X[:, n_joints:])
     return _in_rad(X, n_joints, model.angle_unit)
 
 

@@ -192,7 +192,7 @@ def are_what_calibration_takes(targets, points):
     ):
         return
     jac, n = parameter_jacobian(arm, targets.angles)[1], arm.n_joints
-    # An arm without lengths has no deviations at all: tables change by millimetres and milliradians.
+    # An arm without lengths has no deviations at all, but tables change by millimetres only.
     sizes = np.repeat([_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM], [n] * 4 + [3])
     jac = jac * sizes
     if not targets.offsets:

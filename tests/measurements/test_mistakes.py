@@ -1,4 +1,4 @@
-# ruff: noqa: E501  (one line a mistake)
+# ruff: noqa: E501, RUF005  (one line a mistake; arrays are added)
 """The table of mistakes: what tired people do to their data, at which door, and what is said of it.
 
 One line a mistake: the door, the mistake in words, what it does to the data, and the code of the
@@ -56,6 +56,7 @@ def residuals(arm=ARM, points=None, angles=TEST.data):
 
 
 OF = residuals()
+WARM = np.random.default_rng(6).uniform(18, 23, N)
 MODELS = {
     "cones": clone(SMALL).fit(TEST.data, OF.cones, groups=TEST.groups),
     "tracker": clone(SMALL).fit(TEST.data, OF.tracker),
@@ -115,6 +116,12 @@ def update_tracker(d):
 
 def transfer(d):
     transfer_correction(MODELS["cones"], ARM, d.angles, d.y, groups=d.groups)
+
+
+def predict(column):
+    model = ArmResidualRegressor(ARM, orders=2, extra=["temperature"])
+    model.fit(np.column_stack([TEST.data, WARM]), OF.cones, groups=TEST.groups)
+    model.predict(np.column_stack([TEST.data, column]))
 
 
 # -- the mistakes ---------------------------------------------------------------------------------
@@ -259,6 +266,8 @@ MISTAKES = [
     (fit_cones, "weights that add up to 1", lambda: of(OF, sample_weight=np.full(N, 1 / N)), "worth-of-rows"),
     (fit_cones, "a logger's stream", lambda: SimpleNamespace(**vars(stream("cones")) | {"model": clone(SMALL)}), "dwells"),
     (fit_cones, "a dead thermometer", lambda: extra(np.full(N, 20.0)), "constant-column"),
+    (predict, "Fahrenheit for Celsius", lambda: 68 + 3 * WARM, "column-out-of-range"),
+    (predict, "a thermometer that has died", lambda: 0 * WARM - 273, "column-out-of-range"),
     (fit_cones, "a thermometer that drifts", lambda: extra(np.linspace(20, 21, N)), BECAUSE + "nothing else has measured the temperature"),
     (fit_tracker, "another frame, near", lambda: of(OF.tracker + [5.0, 2.0, 0.0], "tracker"), "another-frame"),
     (fit_tracker, "another frame, far", lambda: of(EXACT - TRACKER), "points-for-residuals|no-residuals"),
