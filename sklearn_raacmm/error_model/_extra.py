@@ -123,8 +123,8 @@ def _beyond(name, known, column):
     far = np.flatnonzero((column < low - room) | (column > high + room))
     if room > 0 and len(far):
         said = (
-            f"The column {name!r} is {column[far[0]]:g} in row {far[0]}, and in the fit it was from "
-            f"{low:g} to {high:g}."
+            f"The column {name!r} is {column[far[0]]:g} in row {far[0]}, and in the fit it was "
+            f"from {low:g} to {high:g}."
         )
         advice = "Is the sensor alive, and the unit that of the fit?"
         yield Finding("column-out-of-range", said, advice, rows=far)

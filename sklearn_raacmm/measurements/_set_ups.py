@@ -8,7 +8,7 @@ import numpy as np
 from sklearn_raacmm.utils import Finding
 
 # A set-up of its own behind a row has to take away this share of the squares, beside what chance
-# does (benchmarks/bench_gate.py has those of clean data and of real arms); rows on either side.
+# does (``benchmarks/bench_gate.py set-ups``); rows on either side.
 _SHARE, _LEAST_ROWS = 0.25, 8
 # Part of the squares of a move that is added: rows at one place cannot show a turn.
 _RIDGE = 1e-4
