@@ -27,7 +27,7 @@ _LEAST_ROWS, _ROWS_OF_FACTORS, _COORDINATES_OF_TABLES = 4, 10, 3
 _LEFT_OF_FACTOR, _FACTOR, _ONE_SEAT = 0.05, 0.05, 0.01
 # A table explains what is left by less than this share, and is larger than this, mm: a calibrated
 # arm leaves nothing that its table explains.
-_LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.3
+_LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.5
 _WIDE = 0.1  # spread of the points, as a share of the reach
 # What a table and a probe are off by as a rule.
 _TABLE_MM, _TABLE_RAD, _PROBE_MM = 2.0, 3e-3, 20.0
@@ -178,6 +178,7 @@ def are_of_positions_unnamed(targets, points):
             f"y are deviations from the means of {len(labels)} positions, and the fit does not "
             "know of these.",
             "Give groups, the label of the position of each row.",
+            "note",
         )
 
 
