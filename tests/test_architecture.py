@@ -31,14 +31,14 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 MAX_LINES = 600
 # Lines that a wing may have. The aim is 24 000 in all.
 LINES = {
-    "utils": 1_250,
+    "utils": 1_400,
     "inference": 1_320,
     "arm": 1_750,
     "network": 4_500,
     "residuals": 1_900,
     "metrics": 1_300,
     "calibration": 2_000,
-    "measurements": 700,
+    "measurements": 950,
     "error_model": 3_500,
     "correction": 3_000,
     "datasets": 1_700,
@@ -49,7 +49,7 @@ LINES = {
 # Lines of the tests; the aim is 20 000.
 TEST_LINES = 23_000
 # Floors of the house and of a wing, wings that import from one another, and names that they share.
-MAX_FLOORS, MAX_ARROWS, MAX_NAMES = 7, 50, 320
+MAX_FLOORS, MAX_ARROWS, MAX_NAMES = 7, 52, 340
 
 
 def wing_of(path):

@@ -24,6 +24,7 @@ from sklearn_raacmm.app._files import (
     in_rad,
     load_arm,
     load_correction,
+    number_of,
     open_beside,
     write_corrected,
 )
@@ -302,7 +303,7 @@ def arm(options):
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
     elif options.dh:
-        probe = [_number(text) for text in (options.probe or "0,0,0").split(",")]
+        probe = [number_of(text) for text in (options.probe or "0,0,0").split(",")]
         convention = "modified" if options.modified else "standard"
         shown = read_dh(options.dh, convention, probe)
     elif options.source and options.into:

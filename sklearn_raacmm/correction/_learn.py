@@ -23,7 +23,7 @@ from sklearn_raacmm.correction._scores import (
     with_verdict,
 )
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.utils import Finding, check_option, heard_findings, say_findings
+from sklearn_raacmm.utils import Finding, check_option, hear, say_findings
 
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
@@ -348,10 +348,14 @@ def learn_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    with heard_findings() as heard:
+
+    def inside():
         data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
         calibration = _calibrated(data, angles, angle_unit)
-        scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+        fits = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+        return data, calibration, *fits
+
+    (data, calibration, scores, fitted, noise), heard = hear(inside)
     say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,

@@ -22,7 +22,7 @@ from sklearn_raacmm.utils import (
     centred,
     encode_groups,
     group_means,
-    heard_findings,
+    hear,
     listed,
     natural_order,
     say_findings,
@@ -253,9 +253,12 @@ def cross_validate_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    with heard_findings() as heard:
+
+    def inside():
         data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-        scores, *_ = scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
+        return scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
+
+    (scores, *_), heard = hear(inside)
     say_findings(heard)
     return with_verdict(scores, heard)
 

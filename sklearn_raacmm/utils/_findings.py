@@ -133,7 +133,12 @@ def hear(function, *args, **kwargs):
 
     def inside():
         with heard_findings() as heard:
-            return function(*args, **kwargs), heard
+            try:
+                return function(*args, **kwargs), heard
+            except ValueError as error:
+                refusal = error
+        say_findings(heard)  # it may be why
+        raise refusal
 
     return copy_context().run(inside)
 
