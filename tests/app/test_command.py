@@ -12,6 +12,8 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_check_records
 from sklearn_raacmm.app import _commands, _files, main
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._lengths import length_of, read_places
 from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
@@ -412,3 +414,19 @@ def test_a_record_is_appended_to_records_only(tmp_path):
         with pytest.raises(ValueError, match=r"is not the record of (a check|checks)"):
             append_record(data, record)
         assert data.read_bytes() == text
+
+
+def test_known_lengths_and_places_of_the_command_line(tmp_path):
+    assert length_of("A:B: 500.012:0.005") == ("A", "B", 500.012, 0.005)
+    with pytest.raises(TableError, match="such as A:B:500.012:0.005, got 'A:B:500'"):
+        length_of("A:B:500")
+    path = tmp_path / "plate.csv"
+    path.write_text("ball;x;y;z\nA;0;0;0\nB;300;400;0\nC;0;0;100\n")
+    found = read_places(path, 0.004)
+    assert found[0][:3] == ("A", "B", 500.0)
+    assert len(found) == 3
+    with pytest.raises(TableError, match="row 2 must hold a label, x, y, z and their"):
+        read_places(path)
+    path.write_text("A;0;0;0;0.004\nA;300;400;0;0.004\n")
+    with pytest.raises(TableError, match="two different labels"):
+        read_places(path)
