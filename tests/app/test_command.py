@@ -418,7 +418,7 @@ def test_a_record_is_appended_to_records_only(tmp_path):
 
 def test_known_lengths_and_places_of_the_command_line(tmp_path):
     assert length_of("A:B: 500.012:0.005") == ("A", "B", 500.012, 0.005)
-    with pytest.raises(TableError, match="such as A:B:500.012:0.005, got 'A:B:500'"):
+    with pytest.raises(TableError, match="such as A:B"):
         length_of("A:B:500")
     path = tmp_path / "plate.csv"
     path.write_text("ball;x;y;z\nA;0;0;0\nB;300;400;0\nC;0;0;100\n")
