@@ -210,6 +210,9 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
 def test_export_compiles_and_says_the_same(learned, tmp_path):
     folder, _, readings, _ = learned
     assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
+    header = (tmp_path / "arm_correction.h").read_text()
+    scale_sd = json.loads((folder / "correction.json").read_text(encoding="utf-8"))["scale_sd"]
+    assert f"#define ARM_CORRECTION_SCALE_SD {scale_sd!r}\n" in header
     written = np.deg2rad(np.rad2deg(readings[0]).round(5))  # as the log has it
     values = ", ".join(repr(float(v)) for v in written)
     (tmp_path / "main.c").write_text(
