@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
+    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -44,6 +45,9 @@ __all__ = [
     "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
+    "Finding",
+    "FindingError",
+    "FindingWarning",
     "LearnedCorrection",
     "PoseFeatures",
     "RBFNetRegressor",

@@ -12,7 +12,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sklearn_raacmm import __version__
+from sklearn_raacmm import (
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    PoseFeatures,
+    RBFNetRegressor,
+    __version__,
+)
+from sklearn_raacmm._version import documentation_of
+from sklearn_raacmm.utils._versioned import VersionedEstimator, link_template
 
 DOC = Path(__file__).resolve().parent.parent / "doc"
 PAGES = sorted([*DOC.glob("*.md"), *DOC.glob("user_guide/*.md")])
@@ -74,26 +82,46 @@ def test_the_version_is_said_once_and_cited_right():
     assert re.search(r"^version: (\S+)$", citation, flags=re.MULTILINE)[1] == __version__
 
 
-@pytest.mark.parametrize("address", [None, "https://example.org/v1/"])
-def test_the_readme_leads_somewhere_from_a_package_index(address, monkeypatch):
+@pytest.mark.parametrize("repository", [None, "https://github.com/someone/sklearn_raacmm"])
+def test_the_readme_leads_somewhere_from_a_package_index(repository, monkeypatch):
     interface = types.ModuleType("interface")
     interface.MetadataHookInterface = object
     monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", interface)
     build = runpy.run_path(str(DOC.parent / "hatch_build.py"))
-    for_the_index = build["for_the_index"]
-    urls = build["project_urls"](address)
+    urls = build["project_urls"](repository, documentation_of(repository))
     assert all(url.startswith("https://") for url in urls.values())
-    assert ("Source" in urls) == (address is not None)
-    assert all((DOC.parent / file).exists() for file in build["FILES"].values())
+    assert ("Source" in urls) == (repository is not None)
     text = (DOC.parent / "README.md").read_text(encoding="utf-8")
-    shown = for_the_index(text, address)
+    shown = build["for_the_index"](text, repository, "0.1.0")
     links = re.findall(r"\]\(([^)#]+)\)", shown)
     assert links
     assert all("://" in link for link in links)
-    assert ("https://example.org/v1/doc/images/" in shown) == (address is not None)
+    there = f"]({repository}/raw/v0.1.0/doc/images/simulated_arm.png)" in shown
+    assert there == (repository is not None)
+    for file in re.findall(r"/(?:blob|raw)/v0.1.0/([^)#]+)", shown):
+        assert (DOC.parent / file).exists()
     # All else stays.
     assert shown.count(">>>") == text.count(">>>")
     assert "Licence" in shown or "licence" in shown
+
+
+def test_estimators_in_a_notebook_link_to_their_pages(monkeypatch):
+    place = documentation_of("https://github.com/someone/sklearn_raacmm")
+    assert place == "https://someone.github.io/sklearn_raacmm/"
+    assert RBFNetRegressor()._get_doc_link() == ""  # no public place yet
+    monkeypatch.setattr(VersionedEstimator, "_doc_link_template", link_template(place))
+    top = (DOC / "api.rst").read_text(encoding="utf-8").split(".. currentmodule:: ")[1]
+    for estimator in (
+        PoseFeatures,
+        RBFNetRegressor,
+        CylindricalResidualTarget,
+        ArmResidualRegressor,
+    ):
+        page = f"{place}generated/sklearn_raacmm.{estimator.__name__}.html"
+        assert estimator()._get_doc_link() == page
+        assert f'href="{page}"' in estimator()._repr_html_()
+        # autosummary writes a page of this name for each entry.
+        assert f"\n   {estimator.__name__}\n" in top
 
 
 def test_every_benchmark_is_on_its_page():

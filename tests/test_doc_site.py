@@ -7,7 +7,9 @@ import sys
 import tomllib
 from pathlib import Path
 
+import jinja2
 import pytest
+import yaml
 
 from sklearn_raacmm import __version__
 
@@ -125,18 +127,19 @@ def test_what_the_pages_say_of_the_results_is_true(results):
 
 def test_the_recipe_asks_for_what_the_project_asks_for():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    recipe = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
-    assert f"version: {__version__}\n" in recipe
-    run, optional = recipe.split("  run:\n")[1].split("test:")[0].split("  run_constrained:\n")
+    text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    recipe = yaml.safe_load(jinja2.Template(text).render(PYTHON="python"))
+    assert recipe["package"] == {"name": project["name"], "version": __version__}
+    assert recipe["source"]["url"].endswith(f"/sklearn_raacmm-{__version__}.tar.gz")
 
-    def asked(text):
-        return {re.sub(r"[ -]|-base", "", line) for line in text.split("\n") if line.strip()}
+    def asked(kind):
+        return {re.sub(r"-base|[ -]", "", need) for need in recipe["requirements"][kind]}
 
     def wanted(needs):
         return {need.replace("-", "") for need in needs}
 
-    assert asked(run) == wanted([f"python{project['requires-python']}", *project["dependencies"]])
+    assert asked("run") == wanted([f"python{project['requires-python']}", *project["dependencies"]])
     extras = project["optional-dependencies"]
-    assert asked(optional.replace("-base", "")) == wanted(extras["app"] + extras["examples"])
+    assert asked("run_constrained") == wanted(extras["app"] + extras["examples"])
     version = re.search(r"version = \{(\S+)\}", (DOC / "citing.md").read_text(encoding="utf-8"))[1]
     assert version == __version__

@@ -22,7 +22,14 @@ from sklearn_raacmm.calibration._checks import (
     warn_of_wrong_lengths,
 )
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
-from sklearn_raacmm.calibration._gate import check_fit, one_row_a_pose, per_row, slips, wrong_units
+from sklearn_raacmm.calibration._gate import (
+    check_fit,
+    named_outliers,
+    one_row_a_pose,
+    per_row,
+    slips,
+    wrong_units,
+)
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._priors import (
@@ -233,8 +240,10 @@ def calibrate(
     if correction is not None:
         bare, *_ = _fitted(arm, angles, replace(problem, correction=None), wanted, loss)
         warn_of_harm(fit.distances(), bare.distances())
-    check_fit(fit, fit.mask_of(wanted.is_free), poses)
-    return per_row(result, poses)
+    check_fit(fit, fit.mask_of(wanted.is_free), poses, groups)
+    result = per_row(result, poses)
+    say_findings(named_outliers(result))
+    return result
 
 
 class _Parameters(NamedTuple):

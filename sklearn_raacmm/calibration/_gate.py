@@ -9,7 +9,8 @@ import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._orientation import flange_turns
-from sklearn_raacmm.measurements import find_poses, moved_set_up
+from sklearn_raacmm.calibration._problem import jacobian_of_all
+from sklearn_raacmm.measurements import coarse_angles, find_poses, moved_positions, moved_set_up
 from sklearn_raacmm.utils import Finding, say_findings, slip_factors
 
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
@@ -21,6 +22,8 @@ _FAR = 5.0
 # Spread of measured points over that of the arm's: beyond, one of them is in another unit.
 _SPREAD = 1.5
 _UNITS = {25.4: "inches", 10.0: "centimetres", 1e3: "metres", 1e-3: "micrometres"}
+# Share of rows far off that slips do not come to. A choice.
+_MOST_OUTLIERS = 0.1
 # Measuring arms reach from half a metre on, robots are not much smaller.
 _LEAST_REACH_MM = 200.0
 
@@ -62,9 +65,37 @@ def per_row(result, poses):
     )
 
 
+def named_outliers(result):
+    """Rows far from where they belong."""
+    rows, n = result.outliers, len(result.residuals_mm)
+    if rows:
+        far = np.linalg.norm(result.residuals_mm[list(rows)], axis=1).max()
+        many = len(rows) > _MOST_OUTLIERS * n
+        yield Finding(
+            "outliers",
+            f"{len(rows)} of {n} rows lie farther than {result.outlier_limit_mm:.3g} mm from where "
+            f"they belong, up to {far:.3g} mm.",
+            "They are not learnt from. " + "Look at their labels and at the seat." * many,
+            "doubt" if many else "note",
+            rows=rows,
+            size_mm=far,
+        )
+
+
+def positions_moved(fit, groups, poses):
+    """The fixed point of a position moved during the test."""
+    if groups is None:
+        return
+    groups, left = np.asarray(groups)[poses.first], fit.residuals(slips(fit))
+    every, noise = np.ones(len(left)), fit.sigma**2
+    yield from moved_positions(left, fit.angles, every, groups, noise, poses.first)
+
+
 def wrong_units(arm, angles, problem):
     """Measured points, or the arm's table, are in another unit."""
     reach, points = reach_mm(arm), problem.points
+    if angles is not None:
+        yield from coarse_angles(angles, reach)
     if points is not None and len(points) > 1:
         shown = arm.forward(angles)
         sizes = [np.sqrt(np.square(p - p.mean(axis=0)).sum(axis=1).mean()) for p in (shown, points)]
@@ -94,14 +125,19 @@ def wrong_units(arm, angles, problem):
         )
 
 
-def set_up_moved(fit, poses):
+def set_up_moved(fit, mask, poses):
     """The tracker, the base or the tool moved during the measurement."""
-    problem = fit.problem
+    problem, n = fit.problem, 4 * fit.nominal_arm.n_joints + 3
     if problem.points is None or problem.n_stations > 1 or problem.n_tools > 1:
         return
-    weights = np.ones(len(fit.angles))
+    points, columns = jacobian_of_all(fit.nominal_arm, fit.angles, fit.x[:n], problem)
     turns = flange_turns(fit.arm(), fit.angles)[0]
-    yield from moved_set_up(fit.residuals(), turns, fit.angles, weights, fit.sigma**2, poses.first)
+    around = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
+    base = np.broadcast_to(np.eye(3), columns[:, :, :3].shape)
+    columns = np.concatenate([columns[:, :, mask[:n]], base, around], axis=2)
+    ridge = np.r_[np.square(fit.sigma / fit.prior_sd[:n][mask[:n]]), np.zeros(6)]
+    parts = fit.residuals(), columns, ridge, points, turns, fit.weights, poses.first
+    yield from moved_set_up(*parts)
 
 
 def poses_alike(fit, mask):
@@ -135,7 +171,11 @@ def poses_alike(fit, mask):
         )
 
 
-def check_fit(fit, mask, poses):
+def check_fit(fit, mask, poses, groups):
     """Findings on a calibration that has settled."""
-    checks = (set_up_moved(fit, poses), poses_alike(fit, mask))
+    checks = (
+        positions_moved(fit, groups, poses),
+        set_up_moved(fit, mask, poses),
+        poses_alike(fit, mask),
+    )
     say_findings(finding for check in checks for finding in check)

@@ -276,7 +276,8 @@ def scored_and_fitted(data, calibration, model, cv, n_jobs, progress):
     say_findings(length_findings(calibration))
     kept = np.delete(np.arange(len(data.angles)), scores.outliers)
     fitted, noise = data.fit(model, calibration, data.without_lonely(kept)[0])
-    if data.points is None:  # of all rows: those after a step may be outliers
+    moved = any(finding.code == "moved-position" for finding in calibration.findings)
+    if data.points is None and not moved:  # of all rows: those after a step may be outliers
         left = calibration.residuals_mm[data.rows] - fitted.predict(data.angles)
         every = np.ones(len(left))
         say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))

@@ -141,7 +141,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     True
     """
     models = [models] if isinstance(models, BaseEstimator) else listed("models", models)
-    linears = _checked(models, arm)
+    linears = _without_copies(_checked(models, arm))
     prior = _pooled(linears, arm)
     template = clone(models[0]).set_params(arm=arm)
     if X is None and y is None:
@@ -197,6 +197,19 @@ def _checked(models, arm):
                 "causes and extra columns, with orientations or without."
             )
     return linears
+
+
+def _without_copies(linears):
+    """Each linear model once: two copies of an arm are no two arms."""
+    kept = []
+    for linear in linears:
+        known = (one for one in kept if one.coef.shape == linear.coef.shape)
+        if not any(np.array_equal(one.coef, linear.coef) for one in known):
+            kept.append(linear)
+    if len(kept) < len(linears):
+        said = f"Of {len(linears)} models {len(linears) - len(kept)} are copies: they count once."
+        say_findings([Finding("copied-models", said)])
+    return kept
 
 
 def _families(terms):

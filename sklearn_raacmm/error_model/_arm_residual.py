@@ -15,14 +15,12 @@ from sklearn_raacmm.error_model._checks import (
     check_fit,
     check_poses,
     check_turns,
-    many_without_weight,
     poses_of,
 )
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
 from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit import fit_linear_model
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
@@ -36,6 +34,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     fit_context,
     heard_findings,
+    many_without_weight,
     one_blas_thread,
     say_findings,
     whole_fit,
@@ -97,10 +96,10 @@ class ArmResidualRegressor(
         Which of these causes are in the model.
 
     offsets : bool or "auto", default="auto"
-        Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
-        are deviations from the position's own mean, as in a single-point test; it has not where
-        `y` was measured against a tracker. "auto" finds out: the positions' mean residuals are
-        zero, or not.
+        Whether each position (`groups` of `fit`) has an unknown constant offset, of any size: it
+        has where `y` are deviations from the position's own mean. "auto": where the positions'
+        means are zero; else the evidence finds how large the constants of their references are.
+        False: there are none.
 
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
@@ -173,6 +172,9 @@ class ArmResidualRegressor(
 
     arm_ : Arm
         The arm in use.
+
+    findings_ : tuple of Finding
+        What there is to say about the data.
 
     n_features_in_ : int
         Number of joints, and of extra columns.
@@ -334,13 +336,10 @@ class ArmResidualRegressor(
 
         Warns
         -----
-        UserWarning
-            If the angles are most likely in the other unit: larger than two turns in rad, or all
-            within one turn of radians in degrees; if positions have offsets but neither kinematics
-            nor `lengths` are given; if ``offsets="auto"`` finds none although the positions' means
-            are smaller than chance makes them; if the weights add up to less than a tenth or more
-            than a hundred times the number of rows; if nearly all of `y` is one motion of the base:
-            the reference is then most likely in another frame.
+        FindingWarning
+            Of what is found in the data, such as a wrong sign or unit of `y`, an arm that is not
+            calibrated, a reference in another frame, or an extra column without variation; see
+            `findings_`. Rows in which the arm stood still are merged to one pose.
         """
         rows = check_fit(self, X, y, sample_weight, groups, lengths)
         arm, used = rows.arm, rows.weights > 0
@@ -353,11 +352,10 @@ class ArmResidualRegressor(
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
         terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
         with_field = isinstance(self.orders, Integral)
-        if groups is None or rows.codes is not None or turns is not None or self.offsets is False:
-            fitted = fit_linear_model(rows, terms, with_field, turns)
-        else:
-            fitted = fit_with_constants(rows, positions, terms, with_field)
-            rows = fitted.rows
+        known = groups is None or self.offsets is False  # or nobody says which rows are of one
+        of_constants = None if known else positions
+        fitted = fit_with_constants(rows, of_constants, terms, with_field, turns)
+        rows = fitted.rows if turns is None else rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         mean, std = model.predict(rows.X, return_std=True)

@@ -19,28 +19,34 @@ _ROUNDS, _SETTLED = 4, 0.1
 # Constants count from this many times the noise of a coordinate on: a model that is not complete
 # errs alike at the rows of one position, too.
 _LEAST_RATIO = 1.0
+# Share of the rows without weight that slips do not come to.
+_MANY = 0.1
 
 
-def fit_with_constants(rows, positions, terms, with_field):
+def fit_with_constants(rows, positions, terms, with_field, turns=None):
     """Fit the model and, where the evidence asks for them, constants of the positions.
 
     Parameters
     ----------
     rows : Rows
-        Without offsets, of weights above 0.
-    positions : ndarray of shape (n,)
-        Position of each row, from 0.
-    terms, with_field
-        As for `fit_linear_model`.
+        Of weights above 0.
+    positions : ndarray of shape (n,) or None
+        Position of each row, from 0; None: there are no constants.
+    terms, with_field, turns
+        As for `fit_linear_model`; with turns there are no constants.
 
     Returns
     -------
     Fitted
         Its rows are those given less their constants.
     """
-    fitted, known = fit_linear_model(rows, terms, with_field), np.inf
+    fitted, known = fit_linear_model(rows, terms, with_field, turns), np.inf
+    if positions is None or rows.codes is not None or turns is not None:
+        return fitted
     for _ in range(_ROUNDS):
-        weights = rows.weights * fitted.pose_weight
+        # Of a position that is off as a whole no row may have any weight left.
+        counts = np.mean(fitted.pose_weight == 0) < _MANY
+        weights = rows.weights * (fitted.pose_weight if counts else 1.0)
         left = rows.y - fitted.model.predict(rows.X)[0]
         last, known = known, _known(left, positions, weights)
         if not known < 1 / _LEAST_RATIO**2:
@@ -70,6 +76,8 @@ def _known(left, positions, weights):
     total = group_weights(positions, weights)
     used = total > 0
     n, n_groups = weights.sum(), used.sum()
+    if np.count_nonzero(weights) < 2 * n_groups:
+        return np.inf
     means = group_means(left, positions, weights)
     within = weights @ np.square(left - means[positions]).sum(axis=1) / max(n - n_groups, 1e-9)
     between = (total[:, None] * np.square(means))[used].sum() / max(n_groups, 1)

@@ -3,8 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.measurements._angles import coarse_angles
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
-from sklearn_raacmm.measurements._moved_seats import find_steps, moved_positions, moved_set_up
+from sklearn_raacmm.measurements._moved_seats import find_steps, moved_positions
+from sklearn_raacmm.measurements._set_ups import moved_set_up
 from sklearn_raacmm.measurements._targets import Targets, check_targets
 from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
@@ -15,6 +17,7 @@ __all__ = [
     "FindingWarning",
     "Targets",
     "check_targets",
+    "coarse_angles",
     "find_dwells",
     "find_poses",
     "find_steps",

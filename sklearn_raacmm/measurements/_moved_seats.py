@@ -148,43 +148,6 @@ def moved_positions(left, angles, weights, groups, noise_variance, numbers=None)
     )
 
 
-def moved_set_up(left, turns, angles, weights, noise_variance, numbers=None):
-    """A tracker, a base or a tool that moved during the measurement, in one finding.
-
-    Parameters
-    ----------
-    left : ndarray of shape (n, 3)
-        What calibration leaves of measured points, mm, in the order in which they were taken.
-    turns : ndarray of shape (n, 3, 3)
-        Orientation of the last link: a tool moves along with it.
-    angles, weights, noise_variance, numbers
-        As for `moved_positions`.
-
-    Yields
-    ------
-    Finding
-    """
-    rows = np.flatnonzero(weights > 0)
-    every = np.zeros(len(rows), dtype=int)
-    found = {}
-    for what, of in (("stations", left), ("tools", np.einsum("nji,nj->ni", turns, left))):
-        found[what] = find_steps(of[rows], angles[rows], every, noise_variance)
-    rows = rows if numbers is None else numbers[rows]
-    what = max(found, key=lambda name: max((s.size_mm for s in found[name]), default=0.0))
-    steps = found[what]
-    if steps:
-        moved = "the tracker or the arm's base" if what == "stations" else "the probe or target"
-        yield Finding(
-            "moved-station" if what == "stations" else "moved-tool",
-            f"The measured points jump beside the arm's, as if {moved} had moved: by "
-            f"{_in_words(steps, rows)} (rows counted from 0).",
-            f"Give each part a label of its own: calibrate(..., {what}=labels); or measure again.",
-            "repair",
-            rows=[rows[step.after] for step in steps],
-            size_mm=max(step.size_mm for step in steps),
-        )
-
-
 def _in_words(steps, rows):
     """The largest steps, in their order."""
     largest = sorted(sorted(steps, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
-from sklearn_raacmm.utils import Finding, align, centred
+from sklearn_raacmm.utils import CENTRED, Finding, align, centred, share_of_means
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
 # base: no calibrated arm is that far off.
@@ -29,6 +29,8 @@ _LEFT_OF_FACTOR, _FACTOR, _ONE_SEAT = 0.05, 0.05, 0.01
 # arm leaves nothing that its table explains.
 _LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.3
 _WIDE = 0.1  # spread of the points, as a share of the reach
+# What a table and a probe are off by as a rule.
+_TABLE_MM, _TABLE_RAD, _PROBE_MM = 2.0, 3e-3, 20.0
 _UNITS = {1 / 25.4: "inches", 0.1: "centimetres", 1e-3: "metres", 1e3: "micrometres"}
 HOW_TO = (
     "Give arm.forward(angles) minus the reference in the arm's base frame: "
@@ -162,6 +164,23 @@ def are_not_of_these_points(targets, points):
             return
 
 
+def are_of_positions_unnamed(targets, points):
+    """Deviations from the means of positions, which the fit was not told."""
+    if points is None or targets.codes is not None:
+        return
+    labels, codes = np.unique(np.round(points - targets.y, 3), axis=0, return_inverse=True)
+    codes = codes.ravel()
+    if 2 * len(labels) > len(codes) or len(labels) < 2:
+        return
+    if share_of_means(targets.y, codes, targets.weights) < CENTRED:
+        yield Finding(
+            "groups-missing",
+            f"y are deviations from the means of {len(labels)} positions, and the fit does not "
+            "know of these.",
+            "Give groups, the label of the position of each row.",
+        )
+
+
 def are_what_calibration_takes(targets, points):
     """The arm's static parameters explain nearly all: it has not been calibrated."""
     y, arm = targets.y, targets.arm
@@ -172,19 +191,27 @@ def are_what_calibration_takes(targets, points):
         or _rms(points - points.mean(axis=0)) < _WIDE * (targets.reach)
     ):
         return
-    jac = parameter_jacobian(arm, targets.angles)[1]
+    jac, n = parameter_jacobian(arm, targets.angles)[1], arm.n_joints
+    # An arm without lengths has no deviations at all, but tables change by millimetres only.
+    sizes = np.repeat([_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM], [n] * 4 + [3])
+    jac = jac * sizes
     if not targets.offsets:
         turns = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
         base = np.broadcast_to(np.eye(3), (len(y), 3, 3))
-        jac = np.concatenate([jac, base, turns / targets.reach], axis=2)
+        jac = np.concatenate([jac, 1e3 * base, turns], axis=2)
     else:
         y, jac = (centred(v, targets.codes, targets.weights) for v in (y, jac))
     n_columns = jac.shape[2]
-    if y.size < _COORDINATES_OF_TABLES * n_columns:
+    # Every second position by the others: those at hand could be imitated.
+    fold = (np.arange(len(y)) if targets.codes is None else targets.codes) % 2 == 0
+    if min(fold.sum(), (~fold).sum()) * 3 < _COORDINATES_OF_TABLES * n_columns:
         return
-    jac = jac / np.maximum(np.sqrt(np.square(jac).mean(axis=(0, 1))), 1e-12)
-    coef = np.linalg.lstsq(jac.reshape(-1, n_columns), y.ravel(), rcond=1e-9)[0]
-    left = _rms(y - jac @ coef) * np.sqrt(y.size / (y.size - n_columns))
+    off, ridge = np.empty_like(y), _LEFT_OF_TABLE / 3 * _rms(y) * np.eye(n_columns)
+    for rows in (fold, ~fold):
+        columns = np.concatenate([jac[~rows].reshape(-1, n_columns), ridge])
+        coef = np.linalg.lstsq(columns, np.r_[y[~rows].ravel(), np.zeros(n_columns)])[0]
+        off[rows] = y[rows] - jac[rows] @ coef
+    left = _rms(off)
     if left < _LEFT_OF_TABLE * _rms(y):
         yield Finding(
             "not-calibrated",
@@ -213,6 +240,7 @@ CHECKS = (
     are_too_large,
     are_of_another_frame,
     are_not_of_these_points,
+    are_of_positions_unnamed,
     are_what_calibration_takes,
     are_all_zero,
 )

@@ -52,8 +52,8 @@ def position_residuals(points, groups, sample_weight=None):
     -----
     This is the reference of equation (10), before the rotation. A residual is known only up to
     one constant per position: where the true point is, the arm cannot tell. Points that lie farther
-    than 5.5 standard deviations from the mean, slips of the probe, take no part in it (Tukey's
-    biweight), as long as there are some in any position.
+    than 11 standard deviations from the others, slips of the probe, take no part in it (Tukey's
+    biweight).
 
     Examples
     --------

@@ -388,6 +388,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         say_findings(check_targets(Targets(y, weights, arm, angles, codes, offsets)))
 
     def _get_regressor(self):
+        if isinstance(self.regressor, type):
+            raise TypeError(
+                f"regressor must be an estimator instance, got the class {self.regressor.__name__}."
+            )
         if self.regressor is not None:
             return self.regressor
         if get_config()["enable_metadata_routing"]:

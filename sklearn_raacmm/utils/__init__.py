@@ -55,7 +55,7 @@ from sklearn_raacmm.utils._groups import (
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._rigid import align, nearest_rotation
-from sklearn_raacmm.utils._robust import TUKEY_CUT, robust_scale, tukey_weights
+from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
@@ -120,6 +120,7 @@ __all__ = [
     "invert_triangle",
     "is_plain",
     "listed",
+    "many_without_weight",
     "nearest_rotation",
     "one_blas_thread",
     "one_warning",

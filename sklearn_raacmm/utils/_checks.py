@@ -9,6 +9,7 @@ from types import NoneType
 
 import numpy as np
 from scipy.sparse import issparse
+from sklearn import get_config
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -28,12 +29,22 @@ def show(value, limit=60):
 
 
 def refuse_disguised(name, value):
-    """Refuse masked values, dates and mappings.
+    """Refuse masked values, dates, mappings, and arrays that are to stay another library's.
 
     NumPy would use the values under a mask and convert dates to numbers of days; scikit-learn would
     take the keys of a mapping for data.
     """
     refuse_masked(name, value)
+    own = getattr(value, "__array_namespace__", None)
+    if (
+        own is not None
+        and not isinstance(value, np.ndarray | np.generic)
+        and get_config()["array_api_dispatch"]
+    ):
+        raise TypeError(
+            f"{name} is an array of {own().__name__}, and array_api_dispatch is on, but this "
+            "package computes with NumPy: convert the array, or switch array_api_dispatch off."
+        )
     if isinstance(value, dict) and not issparse(value):  # SciPy has a sparse one
         raise TypeError(
             f"{name} must be an array, got {type(value).__name__}: of a data set, give its arrays, "
@@ -147,10 +158,12 @@ def check_data(estimator, X, y):
 
 
 def check_weights(sample_weight, X):
-    """Weights (n,) as float64, not negative."""
+    """Weights (n,) as float64, not negative and not all zero."""
     refuse_disguised("sample_weight", sample_weight)
     weights = check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
     refuse_huge("sample_weight", weights)
+    if not weights.any():  # scikit-learn asks since 1.9, in these words
+        raise ValueError("Sample weights must contain at least one non-zero number.")
     return weights
 
 

@@ -109,21 +109,20 @@ def say_findings(findings):
             warn_user(FindingWarning(finding))
 
 
-@contextmanager
-def heard_findings():
+class heard_findings:  # noqa: N801  (a context manager, as those of the standard library)
     """Collect the findings that are said within, instead of warning.
 
-    Yields
-    ------
-    list of Finding
-        Each finding once; notes, too.
+    ``with heard_findings() as heard`` gives a list, with each finding once; notes, too. It is no
+    generator: one that is interrupted and closed later would end the collection of others.
     """
-    heard, before = [], _HEARD.get()
-    try:
-        _HEARD.set(heard)
-        yield heard
-    finally:
-        _HEARD.set(before)
+
+    def __enter__(self):
+        heard = []
+        self._token = _HEARD.set(heard)
+        return heard
+
+    def __exit__(self, *error):
+        _HEARD.reset(self._token)
 
 
 def hear(function, *args, **kwargs):
@@ -139,12 +138,19 @@ def hear(function, *args, **kwargs):
     return copy_context().run(inside)
 
 
-@contextmanager
 def one_warning():
-    """Say each finding once, however many parts of a model look at the same data."""
-    with heard_findings() as heard:
-        yield
-    say_findings(heard)
+    """Make a function that says each finding once, however many of its parts look at the data."""
+
+    def decorator(function):
+        @wraps(function)
+        def wrapper(*args, **kwargs):
+            result, heard = hear(function, *args, **kwargs)
+            say_findings(heard)
+            return result
+
+        return wrapper
+
+    return decorator
 
 
 def with_findings(function):

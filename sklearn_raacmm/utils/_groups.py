@@ -5,7 +5,6 @@
 
 import numpy as np
 from scipy.sparse import csc_array
-from scipy.special import fdtr
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
 from sklearn_raacmm.utils._robust import robust_scale, tukey_weights
@@ -20,6 +19,8 @@ CENTRED = 0.5
 _ROUNDING = 1e-9
 # Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
 _LEAST_OF_SLIPS, _ROUNDS = 4, 5
+# Standard deviations of a slip, in units of those from which on a fit gives rows no weight.
+_SLIP = 2.0
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -156,8 +157,9 @@ def centred(values, codes, weights=None):
 def slip_factors(values, codes, weights=None):
     """Factors of the rows' weights in the means of their groups: slips take no part.
 
-    Groups in which no row is farther than 5.5 standard deviations from the others, by the median of
-    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight.
+    Groups in which no row is farther than 11 standard deviations from the others, by the median of
+    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
+    of an arm have longer tails than normal ones: poses in which it bends most are no slips.
 
     Parameters
     ----------
@@ -181,7 +183,7 @@ def slip_factors(values, codes, weights=None):
     far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
     usual = robust_scale(np.concatenate(far), values.shape[1])
     for of, away in zip(rows, far, strict=True):
-        scale = max(usual, robust_scale(away, values.shape[1]))
+        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
         centre = np.median(values[of], axis=0)
         for _ in range(_ROUNDS):
             left = values[of] - centre
@@ -202,10 +204,8 @@ def share_of_means(y, codes, weights):
 
     Returns
     -------
-    of_all, of_most : float
-        Over all positions, and the median position; infinite where nothing scatters.
-    by_chance : float
-        Probability that independent rows have means as small as these.
+    float
+        The smaller one of means with slips and without them; infinite where nothing scatters.
     """
     shares = [_share_of_means(y, codes, weights)]
     factor = slip_factors(y, codes, weights)
@@ -217,7 +217,7 @@ def share_of_means(y, codes, weights):
 def _share_of_means(y, codes, weights):
     # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
     weights = weights / min(weights[weights > 0].mean(), 1.0)
-    total, q = group_weights(codes, weights), y.shape[1]
+    total = group_weights(codes, weights)
     used = total > 0
     left = centred(y, codes, weights)
     n_free = total.sum() - used.sum()
@@ -225,10 +225,8 @@ def _share_of_means(y, codes, weights):
     between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
     # Positions of one row each: their deviations from themselves are rounding.
     if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
-        return np.inf, np.inf, 1.0
-    share = between.mean() / within
-    by_chance = float(fdtr(q * used.sum(), q * n_free, share))
-    return share, float(np.median(between)) / within, by_chance
+        return np.inf
+    return float(between.mean() / within)
 
 
 def check_groups(groups, n_samples):

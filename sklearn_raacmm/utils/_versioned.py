@@ -6,7 +6,7 @@
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import InconsistentVersionWarning
 
-from sklearn_raacmm._version import __version__
+from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
 from sklearn_raacmm.utils._warn_user import warn_user
 
 _KEY = "_sklearn_raacmm_version"
@@ -26,8 +26,18 @@ class InconsistentPackageVersionWarning(InconsistentVersionWarning):
         )
 
 
+def link_template(documentation):
+    """Address of an estimator's page, which its HTML links to; empty where there are no pages."""
+    if documentation is None:
+        return ""
+    return documentation + "generated/sklearn_raacmm.{estimator_name}.html"
+
+
 class VersionedEstimator(BaseEstimator):
     """BaseEstimator whose pickles carry the package's version, as scikit-learn's carry its own."""
+
+    _doc_link_module = "sklearn_raacmm"
+    _doc_link_template = link_template(documentation_of(REPOSITORY))
 
     def __getstate__(self):
         return {**super().__getstate__(), _KEY: __version__}

@@ -184,7 +184,7 @@ def test_every_kernel_and_tail(build, data, kernel, degree):
         MinMaxScaler((-1, 2)),
         MinMaxScaler(clip=True),
         MaxAbsScaler(),
-        MaxAbsScaler(clip=True),
+        *([MaxAbsScaler(clip=True)] if "clip" in MaxAbsScaler().get_params() else []),  # since 1.9
         RobustScaler(),
         RobustScaler(with_centering=False, with_scaling=False),
         make_pipeline(StandardScaler(), "passthrough", MinMaxScaler()),

@@ -163,7 +163,7 @@ def test_residuals_known_in_full_have_no_constants(regressor):
 
 def test_a_ridge_for_each_target_takes_turns():
     X, y, groups = deviations()
-    told = plain(Ridge([1e-6, 1e-6, 1e6])).fit(X, y, groups=groups).predict(X)
+    told = plain(Ridge(np.array([1e-6, 1e-6, 1e6]))).fit(X, y, groups=groups).predict(X)
     expected = plain(Ridge(1e-6)).fit(X, y, groups=groups).predict(X)
     assert_allclose(told[:, 2], y[:, 2].mean(), atol=1e-3)
     left = [np.abs(centred(p - y, groups))[:, :2].mean() for p in (expected, told)]
