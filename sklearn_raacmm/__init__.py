@@ -10,7 +10,7 @@ from sklearn_raacmm._version import __version__
 
 if TYPE_CHECKING:
     from sklearn_raacmm.arm import Arm
-    from sklearn_raacmm.calibration import CalibrationResult, calibrate
+    from sklearn_raacmm.calibration import CalibrationResult, calibrate, lengths_of_places
     from sklearn_raacmm.correction import (
         CorrectionCheck,
         CorrectionScores,
@@ -65,6 +65,7 @@ __all__ = [
     "cylindrical_to_cartesian",
     "elbow_angle",
     "learn_correction",
+    "lengths_of_places",
     "next_poses",
     "plan_poses",
     "position_residuals",

@@ -28,7 +28,7 @@ from sklearn_raacmm.app._files import (
     open_beside,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import length_of
+from sklearn_raacmm.app._lengths import length_of, read_places
 from sklearn_raacmm.app._life import check_by_causes, say_check
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
@@ -75,6 +75,7 @@ def learn(options):
     )
     _say_notes(table.notes)
     lengths = [length_of(text) for text in options.length or ()]
+    lengths += read_places(options.places, options.length_sd) if options.places else []
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     facts = {"file": Path(options.table).name}
     for name, value in (("serial number", options.serial), ("operator", options.operator)):

@@ -16,6 +16,8 @@ def learn(parser):
     text = "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved"
     parser.add_argument("--length", action="append", metavar="FROM:TO:MM:SD", help=text)
     parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
+    text = "a plate of known points: position, x, y, z, sd in mm"
+    parser.add_argument("--places", metavar="CSV", help=text)
     parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
     parser.add_argument("--serial", help="serial number, for the report")
     parser.add_argument("--operator", help="name, for the report")
@@ -112,8 +114,8 @@ def demo(parser):
     _add_learning(parser, out="raacmm-demo")
     parser.set_defaults(
         angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
-        lengths=None, length=None, length_sd=None, serial="simulated", operator=None,
-        base=None, tip=None,
+        lengths=None, length=None, places=None, length_sd=None, serial="simulated",
+        operator=None, base=None, tip=None,
     )  # fmt: skip
 
 

@@ -103,10 +103,10 @@ class LearnedCorrection:
         points : ndarray of shape (n_samples, 3)
             Corrected points in the arm's base frame, mm.
         std : ndarray of shape (n_samples, 3)
-            Standard deviation of each coordinate of one reading, mm (k = 1). That of a coordinate
-            in the base frame holds the scale of the arm: with P the point, S the shoulder and k
-            ``calibration.scale_sd``, it is the root of the squares of that within a position and
-            of k (P - S).
+            Standard deviation of each coordinate of one reading, mm (k = 1). Beside that within a
+            position, that of a coordinate in the base frame holds the scale, s (P - S) with P the
+            point, S the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a
+            function of the place.
 
         Raises
         ------

@@ -17,7 +17,7 @@ from sklearn_raacmm.error_model._columns import (
 )
 from sklearn_raacmm.error_model._extra import force_on_probe
 from sklearn_raacmm.error_model._fading import Fading
-from sklearn_raacmm.error_model._gauge import constrained
+from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
 from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import lever_mm
@@ -46,4 +46,5 @@ __all__ = [
     "order_price",
     "smooth_shares",
     "term_columns",
+    "unseen_variance",
 ]

@@ -12,6 +12,8 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_check_records
 from sklearn_raacmm.app import _commands, _files, main
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._lengths import length_of, read_places
 from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
@@ -208,6 +210,9 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
 def test_export_compiles_and_says_the_same(learned, tmp_path):
     folder, _, readings, _ = learned
     assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
+    header = (tmp_path / "arm_correction.h").read_text()
+    scale_sd = json.loads((folder / "correction.json").read_text(encoding="utf-8"))["scale_sd"]
+    assert f"#define ARM_CORRECTION_SCALE_SD {scale_sd!r}\n" in header
     written = np.deg2rad(np.rad2deg(readings[0]).round(5))  # as the log has it
     values = ", ".join(repr(float(v)) for v in written)
     (tmp_path / "main.c").write_text(
@@ -470,3 +475,19 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
 def test_options_of_an_arm_that_do_not_fit(capsys, arguments, sentence):
     assert main(["arm", *arguments]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_known_lengths_and_places_of_the_command_line(tmp_path):
+    assert length_of("A:B: 500.012:0.005") == ("A", "B", 500.012, 0.005)
+    with pytest.raises(TableError, match="such as A:B"):
+        length_of("A:B:500")
+    path = tmp_path / "plate.csv"
+    path.write_text("ball;x;y;z\nA;0;0;0\nB;300;400;0\nC;0;0;100\n")
+    found = read_places(path, 0.004)
+    assert found[0][:3] == ("A", "B", 500.0)
+    assert len(found) == 3
+    with pytest.raises(TableError, match="row 2 must hold a label, x, y, z and their"):
+        read_places(path)
+    path.write_text("A;0;0;0;0.004\nA;300;400;0;0.004\n")
+    with pytest.raises(TableError, match="two different labels"):
+        read_places(path)
