@@ -97,8 +97,7 @@ def one_row(figure, results):
         ax.bar_label(bars, fmt=" %g", fontsize=9)
     ridge = results["one_row"]["ridge_predict"]
     ax.axvline(ridge, color="0.4", ls="--", lw=1)
-    ax.text(ridge * 1.15, 1.9, "predict of a
-bare Ridge", va="center", fontsize=8, color="0.3")
+    ax.text(ridge * 1.15, 1.9, "predict of a\nbare Ridge", va="center", fontsize=8, color="0.3")
     ax.set_yticks(np.arange(len(ways)), ways)
     ax.set(xscale="log", xlabel="time of one row (µs)", xlim=(0.2, 2000), ylim=(3.6, -0.6))
     ax.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
