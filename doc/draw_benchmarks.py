@@ -28,7 +28,7 @@ def over_the_network(results):
 
 def error(figure, results):
     """Errors of peers over that of the network: generated problems, and tables."""
-    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    left, right = figure.subplots(2, 1, height_ratios=(1.6, 1))
     found = results["problems"]
     names = list(found["over_gaussian_process"]["of"])
     place = np.arange(len(names))[::-1]
@@ -40,9 +40,8 @@ def error(figure, results):
         left.plot(values, place, "sD^v"[i], color=colour, label=name, mfc="none")
     left.set_yticks(place, names)
     left.set_title("Ten generated problems, 300 rows", fontsize=10)
-    figure.legend(
-        *left.get_legend_handles_labels(), fontsize=9, ncols=5, loc="outside lower center"
-    )
+    names_of = left.get_legend_handles_labels()
+    figure.legend(*names_of, fontsize=8, ncols=3, loc="outside upper center")
     for i, ratio in enumerate(over_the_network(results).values()):
         right.plot(
             np.clip(ratio, 0.3, 20), np.full(len(ratio), -i), "o", color="0.6", ms=4, mfc="none"
@@ -98,7 +97,7 @@ def one_row(figure, results):
         ax.bar_label(bars, fmt=" %g", fontsize=9)
     ridge = results["one_row"]["ridge_predict"]
     ax.axvline(ridge, color="0.4", ls="--", lw=1)
-    ax.text(ridge * 0.95, 3.45, "predict of a bare Ridge", ha="right", fontsize=8, color="0.3")
+    ax.text(ridge * 1.15, 1.9, "predict of a\nbare Ridge", va="center", fontsize=8, color="0.3")
     ax.set_yticks(np.arange(len(ways)), ways)
     ax.set(xscale="log", xlabel="time of one row (µs)", xlim=(0.2, 2000), ylim=(3.6, -0.6))
     ax.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
@@ -117,13 +116,13 @@ def ideas(figure, results):
     ax.set_xticks(range(len(found["steps"])), found["steps"])
     ax.set(ylabel="deviation that is left (%)", ylim=(0, 105))
     ax.grid(axis="y", alpha=0.3)
-    ax.legend(fontsize=9, ncols=2, loc="lower left")
+    ax.legend(fontsize=8, ncols=2, loc="lower left")
 
 
 def _bars(ax, data, results, titles):
     """Mean deviation of some data sets by model, with the interval of what each model gained."""
     models = {UNCORRECTED: "0.75", THREE: COLOURS[2], ALL: PROCESS, LINEAR: OURS}
-    labels = ("calibrated only", "network, three inputs (the paper's)", "network, all joints",
+    labels = ("calibrated only", "network, the paper's inputs", "network, all joints",
               "ArmResidualRegressor")  # fmt: skip
     for i, ((model, colour), label) in enumerate(zip(models.items(), labels, strict=True)):
         found = [results.of(name, model) for name in data]
@@ -138,6 +137,7 @@ def _bars(ax, data, results, titles):
             ax.plot([i - 0.42, i + 0.42], [floor, floor], "k--", lw=1, label=label)
     ax.set_xticks(range(len(data)), titles)
     ax.set(ylabel="mean deviation (mm)")
+    ax.legend(fontsize=8, loc="upper left", ncols=2)
     ax.grid(axis="y", alpha=0.3)
     ax.set_axisbelow(True)
 
@@ -147,27 +147,25 @@ def real_arms(figure, _):
     ax = figure.subplots()
     _bars(ax, REAL, read(), ["Franka Panda 3", "Franka Panda 2", "UR10"])
     ax.set_title("Three real robots, at places that no stage had seen", fontsize=10)
-    ax.legend(fontsize=9, loc="upper left", ncols=2)
     ax.set_ylim(top=0.52)
 
 
 def simulated_arms(figure, _):
     """The same of three simulated measuring arms."""
     ax = figure.subplots()
-    titles = ["gravity dominates", "both", "eccentric encoders dominate"]
+    titles = ["gravity dominates", "both", "bad encoders dominate"]
     _bars(ax, [simulated(mix) for mix in MIXES], read(), titles)
     ax.set_title("Three simulated measuring arms", fontsize=10)
-    ax.legend(fontsize=9, loc="upper right", ncols=2)
     ax.set_ylim(top=0.05)
 
 
-FIGURES = {
-    "error": (error, (9.5, 4.4)),
-    "rows": (rows, (7.5, 4.2)),
-    "one_row": (one_row, (7.5, 3)),
-    "ideas": (ideas, (7.5, 3.6)),
-    "real_arms": (real_arms, (7.5, 3.6)),
-    "simulated_arms": (simulated_arms, (7.5, 3.6)),
+FIGURES = {  # narrow enough to be read on a telephone
+    "error": (error, (6, 6)),
+    "rows": (rows, (5.6, 4)),
+    "one_row": (one_row, (5.6, 3)),
+    "ideas": (ideas, (5.6, 4)),
+    "real_arms": (real_arms, (5.6, 3.6)),
+    "simulated_arms": (simulated_arms, (5.6, 3.6)),
 }
 
 

@@ -3,7 +3,7 @@ After the tracker has moved and a joint was knocked
 ===================================================
 
 A correction was fitted in the laboratory. Weeks later joint 2 was knocked, and the tracker stands
-elsewhere. This example checks every week with 40 poses whether the correction still holds, names
+elsewhere. This example checks every week with 40 poses whether the correction still holds. It names
 the joint, brings the correction up to date, and compares the ways of doing so.
 
 The data are simulated: an arm whose encoders 1, 2 and 4 are eccentric, and a tracker with a noise
@@ -48,8 +48,8 @@ model = ArmResidualRegressor(first.arm, orders=10).fit(angles, first.residuals_m
 # Check it every week
 # -------------------
 #
-# For six weeks nothing happens but that the tracker is set up anew: base and probe are fitted
-# *through* the correction, and :func:`~sklearn_raacmm.check_correction` is told so. Then joint 2 is
+# For six weeks only the tracker is set up anew. Base and probe are fitted *through* the correction,
+# and :func:`~sklearn_raacmm.check_correction` is told so. Then joint 2 is
 # knocked. The check names it, and :func:`~sklearn_raacmm.update_correction` brings the correction
 # up to date with the same 40 poses. From then on the new one is used and checked. The chart shows
 # mean and range of what the correction leaves, with the limits between which each stays if it

@@ -3,9 +3,9 @@ Coming from MATLAB's newrb
 ==========================
 
 ``net = newrb(P, T, goal, spread, MN)`` adds radial neurons until the mean squared error is down to
-``goal``. Its code is orthogonal least squares with three particularities: the targets are not
-centred, several outputs count by the sum of their squared error-reduction ratios, and the bias
-joins in the last fit only. Here it is in a few lines, beside ``RBFNetRegressor``, which finds goal
+``goal``. Its code is orthogonal least squares with three particularities. The targets are not
+centred. Several outputs count by the sum of their squared error-reduction ratios. The bias joins in
+the last fit only. Here it is in a few lines, beside ``RBFNetRegressor``, which finds goal
 and spread by itself. How the arguments translate:
 
 =========  ==================================================================================
@@ -20,8 +20,8 @@ DF         no display; ``criterion_path_`` has the share left after 1, 2, ... ce
 =========  ==================================================================================
 
 About the width: a neuron of ``newrb`` gives ``radbas(b * d)`` with ``radbas(n) = exp(-n^2)`` and
-``b = sqrt(log(2)) / spread = 0.8326 / spread``, hence :math:`e^{-\ln 2\,(d / spread)^2}`, one half
-at distance ``spread``. A Gaussian :math:`e^{-d^2 / (2 \sigma^2)}` is the same with
+``b = sqrt(log(2)) / spread``. That is :math:`e^{-\ln 2\,(d / spread)^2}`, one half at distance
+``spread``. A Gaussian :math:`e^{-d^2 / (2 \sigma^2)}` is the same with
 :math:`\sigma = spread / \sqrt{2 \ln 2} = 0.8493\,spread`.
 """
 

@@ -4,8 +4,8 @@ How many centres: the path and where it stops
 
 Orthogonal least squares adds the centre that lowers the objective most, and then the next one. Each
 further centre lowers it by less, and from some size on it only follows the noise. This page shows
-the path on the radial residual of a simulated arm (16 positions, 40 poses each), the error at
-positions that the network has not seen, and where each criterion stops. It takes a few seconds.
+the path on the radial residual of a simulated arm (16 positions, 40 poses each). It also shows the
+error at positions that the network has not seen, and where each criterion stops.
 """
 
 import matplotlib.pyplot as plt
@@ -44,8 +44,8 @@ longest = RBFNetRegressor(n_most, alpha=found.alpha_, **settings).fit(pose[train
 # %%
 # Where the network stops
 # -----------------------
-# By itself as soon as further centres would gain next to nothing beside the noise; with a float for
-# `n_centers` when so much of the variance is left unexplained.
+# The network stops when further centres would gain next to nothing beside the noise. With a float
+# for `n_centers` it stops when so much of the variance is left unexplained.
 
 stops = {}
 for n_centers in ("auto", 0.2):

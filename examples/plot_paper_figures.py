@@ -2,10 +2,10 @@
 The paper's three figures, redrawn
 ==================================
 
-Gao et al. (2020) show the single-point repeatability at ten positions, the lengths of 300 mm and
-500 mm gauges, each before and after the correction, and the residuals against the three angles of
-the pose. Here are the same figures from a simulated arm, with the paper's three inputs. The model
-never saw the position that it corrects, nor any gauge.
+Gao et al. (2020) show the single-point repeatability at ten positions and the lengths of 300 mm and
+500 mm gauges, before and after the correction. A third figure has the residuals against the three
+angles of the pose. Here are the same figures from a simulated arm, with the paper's three inputs.
+The model never saw the position that it corrects, nor any gauge.
 
 The data are simulated: an arm whose errors come from gravity above all, 10 positions with 60 poses
 each. The script takes about half a minute.

@@ -2,8 +2,8 @@
 A real arm against itself
 =========================
 
-A Franka Panda held a ball in sockets and moved through many poses: the single-point test of a
-measuring arm, done with a real arm by the authors of MUKCa. Each of the six placements of the
+A Franka Panda held a ball in sockets and moved through many poses. The authors of MUKCa did this
+single-point test with a real arm. Each of the six placements of the
 sockets is left out once. The arm is calibrated and the models are fitted on the other five. Their
 predictions are subtracted at the placement left out.
 
@@ -72,8 +72,8 @@ for name in names:
 # %%
 # At the placements left out
 # --------------------------
-# The mean distance of a point from the mean of its socket, and the repeatability 2S with its 95 %
-# interval: what another choice of poses in the same sockets would change.
+# The mean distance of a point from the mean of its socket, and the repeatability 2S. Its 95 %
+# interval says what another choice of poses in the same sockets would change.
 
 rows = {}
 for name, points in corrected.items():

@@ -2,8 +2,8 @@
 A real robot against a laser tracker
 ====================================
 
-A UR10 went to 619 goal positions in up to 24 orientations each while a laser tracker measured where
-it really was: 11 911 poses, published by the authors of "A Hybrid Neural Network Approach for
+A UR10 went to 619 goal positions in up to 24 orientations each, while a laser tracker measured
+where it really was. The 11 911 poses are published with "A Hybrid Neural Network Approach for
 Increasing the Absolute Accuracy of Industrial Robots" (IEEE CASE 2021). Here the residual is known
 in full, not only up to one constant per position.
 

@@ -10,7 +10,7 @@ from sklearn_raacmm._version import __version__
 
 if TYPE_CHECKING:
     from sklearn_raacmm.arm import Arm
-    from sklearn_raacmm.calibration import CalibrationResult, calibrate
+    from sklearn_raacmm.calibration import CalibrationResult, calibrate, lengths_of_places
     from sklearn_raacmm.correction import (
         CorrectionCheck,
         CorrectionScores,
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
+    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -47,6 +48,9 @@ __all__ = [
     "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
+    "Finding",
+    "FindingError",
+    "FindingWarning",
     "LearnedCorrection",
     "PoseFeatures",
     "PosePlan",
@@ -61,6 +65,7 @@ __all__ = [
     "cylindrical_to_cartesian",
     "elbow_angle",
     "learn_correction",
+    "lengths_of_places",
     "next_poses",
     "plan_poses",
     "position_residuals",

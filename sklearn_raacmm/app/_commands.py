@@ -16,6 +16,7 @@ from scipy import stats
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
 from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
     columns_of,
@@ -23,10 +24,11 @@ from sklearn_raacmm.app._files import (
     in_rad,
     load_arm,
     load_correction,
+    number_of,
     open_beside,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import length_of
+from sklearn_raacmm.app._lengths import length_of, read_places
 from sklearn_raacmm.app._life import check_by_causes, say_check
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
@@ -37,7 +39,7 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, write_whole
+from sklearn_raacmm.utils import check_places, natural_order, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
@@ -52,6 +54,8 @@ _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
+    if options.folds is not None and options.folds < 2:
+        raise TableError(f"--folds must be 2 or more, got {options.folds}.")
     missing = [name for name in ("jinja2", "matplotlib", "skops") if not _is_there(name)]
     if missing:  # said now, not after minutes of learning
         raise TableError(
@@ -71,6 +75,7 @@ def learn(options):
     )
     _say_notes(table.notes)
     lengths = [length_of(text) for text in options.length or ()]
+    lengths += read_places(options.places, options.length_sd) if options.places else []
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     facts = {"file": Path(options.table).name}
     for name, value in (("serial number", options.serial), ("operator", options.operator)):
@@ -170,8 +175,9 @@ def check(options):
         single_point_repeatability(points, table.positions, aggregate=None)
         for points in (measured, corrected)
     )
-    for label, one, other in zip(np.unique(table.positions), before, after, strict=True):
-        print(f"{label}: 2S {one:.4f} -> {other:.4f} mm")
+    labels = np.unique(table.positions)
+    for i in natural_order(labels):
+        print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
     has_causes = _has_causes(saved.model, options)
     rate = _FALSE_ALARM / (1 + has_causes)
     changed = has_causes and _name_the_suspect(saved, measured, table, options, rate)
@@ -273,17 +279,36 @@ def export(options):
 
 def arm(options):
     """Show an arm, and write its file."""
-    places = [place for place in (options.out, options.picture) if place and place != "-"]
-    check_places(places, [options.source] if options.source else [])
-    if (options.elbow_offset or options.wrist_offset) and not (
-        options.lengths_222 or options.lengths_223
-    ):
+    given = [options.source, options.dh, options.lengths_222, options.lengths_223]
+    if sum(one is not None for one in given) > 1:
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
         raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
-    if options.lengths_222 or options.lengths_223:
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
+    if options.into and not options.out:
+        raise TableError("--into needs --out, the file to write; it may be the same file.")
+    places = [options.out, options.picture, options.template]
+    check_places(
+        [place for place in places if place and place != "-"],
+        [one for one in (options.source, options.dh) if one],
+    )
+    if options.template:
+        write_template(options.template)
+        print(f"Written to {options.template}")
+        if not any(given):
+            return OK
+    if any(given[2:]):
         layout = "2-2-2" if options.lengths_222 else "2-2-3"
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         shown = Arm.from_lengths(layout, *lengths, **offsets)
+    elif options.dh:
+        probe = [number_of(text) for text in (options.probe or "0,0,0").split(",")]
+        convention = "modified" if options.modified else "standard"
+        shown = read_dh(options.dh, convention, probe)
+    elif options.source and options.into:
+        shown = load_arm(options.source)  # --base and --tip are those of the other file
     elif options.source:
         shown = load_arm(options.source, options.base, options.tip)
     else:
@@ -291,11 +316,14 @@ def arm(options):
             raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
         shown = ask_for_an_arm()
     print(shown)
-    if options.out == "-":
-        options.stdout.write(shown.to_json())
-    elif options.out:
-        shown.to_json(options.out)
-        print(f"Written to {options.out}")
+    if options.out:
+        ends = {"base": options.base, "tip": options.tip}
+        text = shown.update_urdf(options.into, **ends) if options.into else shown.to_json()
+        if options.out == "-":
+            options.stdout.write(text)
+        else:
+            write_whole({options.out: text})
+            print(f"Written to {options.out}")
     if options.picture:
         write_whole({options.picture: picture_of(shown)})
         print(f"Written to {options.picture}")

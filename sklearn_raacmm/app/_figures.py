@@ -12,6 +12,7 @@ import numpy as np
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.display import ControlChartDisplay
 from sklearn_raacmm.metrics import repeatability_interval
+from sklearn_raacmm.utils import natural_order
 
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
@@ -91,7 +92,7 @@ def _positions(figure, scores, limit_mm):
     figure.set_size_inches(7.2, 2.8)
     ax = figure.subplots()
     table, place = scores.table, np.arange(len(scores.table["position"]))
-    order = sorted(place, key=lambda i: _natural(table["position"][i]))
+    order = natural_order(table["position"])
     sides = (("before", _BEFORE, scores.left_before), ("after", _AFTER, scores.left_after))
     for (name, color, left), shift in zip(sides, (-0.2, 0.2), strict=True):
         height = np.asarray(table[name])
@@ -106,14 +107,10 @@ def _positions(figure, scores, limit_mm):
     labels = [str(table["position"][i]) for i in order][::step]
     long = max(map(len, labels)) > 4
     ax.set_xticks(place[::step], labels, rotation=45 * long, ha="right" if long else "center")
+    for label in ax.get_xticklabels():
+        label.set_parse_math(False)  # a dollar sign in a label is one
     ax.set_ylabel(f"{scores.measure}, µm")
     ax.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1))
-
-
-def _natural(label):
-    """Key that sorts cone 2 before cone 10."""
-    parts = re.split(r"(\d+)", str(label))
-    return [int(part) if i % 2 else part for i, part in enumerate(parts)]  # text, number, text...
 
 
 def _intervals(scores, left):

@@ -30,7 +30,7 @@ _NEW_COLUMNS = (
 def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
     path = Path(source)
-    if path.suffix.lower() == ".urdf":
+    if path.suffix.lower() in (".urdf", ".yaml", ".yml"):
         return Arm.from_urdf(path, base=base, tip=tip)
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")

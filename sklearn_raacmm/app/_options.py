@@ -16,6 +16,8 @@ def learn(parser):
     text = "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved"
     parser.add_argument("--length", action="append", metavar="FROM:TO:MM:SD", help=text)
     parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
+    text = "a plate of known points: position, x, y, z, sd in mm"
+    parser.add_argument("--places", metavar="CSV", help=text)
     parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
     parser.add_argument("--serial", help="serial number, for the report")
     parser.add_argument("--operator", help="name, for the report")
@@ -83,7 +85,17 @@ def arm(parser):
     for place in ("elbow", "wrist"):
         text = f"distance in mm at which the axes of the {place} pass each other (0)"
         parser.add_argument(f"--{place}-offset", type=float, default=0.0, metavar="MM", help=text)
-    parser.add_argument("--out", help="JSON file to write; - is the standard output")
+    parser.add_argument("--dh", metavar="TABLE", help="table of a, alpha, d and theta offset")
+    text = "the table of --dh is in the modified convention"
+    parser.add_argument("--modified", action="store_true", help=text)
+    text = "probe centre in the last frame, mm, for --dh"
+    parser.add_argument("--probe", metavar="X,Y,Z", help=text)
+    text = "write the arm's numbers into a copy of the robot's own URDF or UR kinematics"
+    parser.add_argument("--into", metavar="FILE", help=text)
+    text = "write a workbook to fill in: a sheet for --dh and one for poses"
+    parser.add_argument("--template", metavar="XLSX", help=text)
+    text = "file to write, JSON or what --into names; - is the standard output"
+    parser.add_argument("--out", help=text)
     parser.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
 
 
@@ -102,8 +114,8 @@ def demo(parser):
     _add_learning(parser, out="raacmm-demo")
     parser.set_defaults(
         angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
-        lengths=None, length=None, length_sd=None, serial="simulated", operator=None,
-        base=None, tip=None,
+        lengths=None, length=None, places=None, length_sd=None, serial="simulated",
+        operator=None, base=None, tip=None,
     )  # fmt: skip
 
 

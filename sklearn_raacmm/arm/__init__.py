@@ -17,6 +17,7 @@ from sklearn_raacmm.arm._kinematics import (
     probe_points,
     reach_mm,
 )
+from sklearn_raacmm.arm._layouts import usual_pose
 from sklearn_raacmm.utils import one_warning
 
 __all__ = [
@@ -37,4 +38,5 @@ __all__ = [
     "points_of",
     "probe_points",
     "reach_mm",
+    "usual_pose",
 ]

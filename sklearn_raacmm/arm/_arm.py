@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sklearn_raacmm.arm._built_in import BUILT_IN
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -22,7 +23,6 @@ from sklearn_raacmm.arm._checks import (
     pair_of,
     show,
 )
-from sklearn_raacmm.arm._files import BUILT_IN
 from sklearn_raacmm.arm._formats import Formats
 from sklearn_raacmm.arm._kinematics import CHUNK_ROWS, cross, dh_theta, frame_columns, points_of
 from sklearn_raacmm.arm._layouts import from_lengths
@@ -295,18 +295,21 @@ class Arm(Formats):
 
         Parameters
         ----------
-        name : {"aacmm6", "panda", "ur10"}
+        name : str
             - "aacmm6": a six-joint arm CMM of about 1.35 m reach with its identified parameters,
               Table 2 of "A Novel Kinematic Parameters Identification Method for AACMM Using
               Repeatability and Scaling Factor", Mathematical Problems in Engineering 2018,
               article 1760190;
-            - "panda": the Franka Panda, nominal, seven joints, modified convention; the probe is
-              the centre of the flange, (0, 0, 107) mm;
-            - "ur10": the Universal Robots UR10, nominal, six joints; the probe is the centre of
-              the flange. Its shoulder, elbow and first wrist axes are parallel, so there is no
-              swivel between shoulder and elbow: its pose is joint 4 and joint 3, which, with the
+            - "panda", "iiwa7", "iiwa14": the Franka Panda and the KUKA LBR iiwa, nominal, seven
+              joints, modified convention;
+            - "ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e", "ur16e": Universal Robots, nominal,
+              six joints. Shoulder, elbow and first wrist axes are parallel, so there is no swivel
+              between shoulder and elbow: the pose is joint 4 and joint 3, which, with the
               elevation of the line from shoulder to wrist, make the whole shape of the arm in its
-              vertical plane; joints 2 and 3 say alone what that elevation is.
+              vertical plane;
+            - "irb120": the ABB IRB 120, nominal, six joints.
+
+            The probe of the robots is the centre of their flange.
         **changes : dict
             Parameters of `Arm` to change, such as ``probe`` or ``name``.
 

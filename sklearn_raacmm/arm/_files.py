@@ -1,4 +1,4 @@
-"""The built-in arms, and the arm as JSON."""
+"""The arm as JSON."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -30,38 +30,6 @@ _JSON_KEYS = {
 }
 # These may be missing.
 _OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad"}
-
-# -- built-in arms, mm and deg ------------------------------------------------------------------
-
-_UR_NAMES = (
-    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
-    "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
-)  # fmt: skip
-BUILT_IN: dict = {
-    "aacmm6": {
-        "a": [-0.0226, 62.1163, -0.0061, 62.1025, 0.0049, 0.0],
-        "alpha": [-89.9683, -90.0312, 90.0071, -90.0338, 90.0373, -90.0],
-        "d": [376.5, -0.0525, 750.7422, 0.0597, 500.5566, 15.0695],
-        "theta_offset": [0.0, 0.0040, 0.0466, -0.0374, 0.0127, -0.0060],
-        "probe": (0.0, 0.0, 97.8110),
-    },
-    "panda": {
-        "a": [0.0, 0.0, 0.0, 82.5, -82.5, 0.0, 88.0],
-        "alpha": [0.0, -90.0, 90.0, 90.0, -90.0, 90.0, 90.0],
-        "d": [333.0, 0.0, 316.0, 0.0, 384.0, 0.0, 0.0],
-        "probe": (0.0, 0.0, 107.0),
-        "convention": "modified",
-        "names": tuple(f"panda_joint{i}" for i in range(1, 8)),
-    },
-    "ur10": {
-        "a": [0.0, -612.0, -572.3, 0.0, 0.0, 0.0],
-        "alpha": [90.0, 0.0, 0.0, 90.0, -90.0, 0.0],
-        "d": [127.3, 0.0, 0.0, 163.941, 115.7, 92.2],
-        "pose_joints": (4, 3),
-        "pose_frames": (1, 3),
-        "names": _UR_NAMES,
-    },
-}
 
 
 def read_json(cls, source):

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from sklearn_raacmm.arm._chain import edited, read_chain
+from sklearn_raacmm.arm._layouts import usual_pose
 from sklearn_raacmm.utils import check_places, warn_user, write_whole
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -106,12 +107,8 @@ def _arm_of(cls, joints, name, where):
     directions, points, tip_point = _straighten(directions, points, tip_point)
     table, probe, placed = _table(directions, points, tip_point)
     n = len(directions)
-    pose = {"pose_joints": (1, 2), "pose_frames": (0, n)}
-    if n >= 5:
-        pose = {"pose_joints": (3, 4), "pose_frames": (2, 5)}
-        if np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL:
-            # No swivel between shoulder and elbow, as on a UR10: see Arm.from_name.
-            pose = {"pose_joints": (4, 3), "pose_frames": (2, 4)}
+    parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
+    pose = usual_pose(n, parallel, "modified")
     limits = np.array([joint.limits for _, joint in moving])
     own = {
         "names": tuple(joint.name for _, joint in moving),

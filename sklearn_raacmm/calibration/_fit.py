@@ -400,17 +400,23 @@ class Fit:
     def covariance(self, mask):
         """Posterior covariance of the free parameters; infinite where nothing is known.
 
-        What the table does not explain is much the same in all poses of one position. The ends of a
-        known length are therefore no better known than one of their points, however many there are.
+        What the table does not explain is much the same in all poses of one position. A position at
+        the end of known lengths is therefore no better known than one of its points.
         """
         jac = self._residuals_and_jacobian(self.x, mask)[1]
         covariance = covariance_of(jac)
         if self.problem.lengths:
             first = len(jac) - mask[: len(self.nominal)].sum() - len(self.problem.lengths)
             sd = np.array([entry[3] for entry in self.problem.lengths])
-            of_ends = np.sqrt(2 * self.length_weights) * self.sigma / sd
-            slopes = jac[first : first + len(sd)] * of_ends[:, None]
-            spread = np.where(np.isfinite(covariance), covariance, 0.0) @ slopes.T
+            centres = self.problem.sums(self.points(), self.weights)
+            ends = np.zeros((len(sd), *centres.shape))
+            for k, (i, j, *_) in enumerate(self.problem.lengths):
+                gap = centres[i] - centres[j]
+                ends[k, i] = gap / max(np.linalg.norm(gap), 1e-12)
+                ends[k, j] = -ends[k, i]
+            ends *= (np.sqrt(self.length_weights) * self.sigma / sd)[:, None, None]
+            finite = np.where(np.isfinite(covariance), covariance, 0.0)
+            spread = finite @ jac[first : first + len(sd)].T @ ends.reshape(len(sd), -1)
             covariance = covariance + spread @ spread.T
         return covariance
 

@@ -1,8 +1,9 @@
 """Standard deviations of corrected points: within a position, of a coordinate, of a distance.
 
 Cones do not show the common scale k of all lengths, which moves every point by k times its distance
-from the shoulder S, and every distance L by k L. The base frame is the arm's own: z along the first
-axis, x where its encoder says, the origin below S by what the table says.
+from the shoulder S, and every distance L by k L; nor how the arm gives way as a function of the
+place. The base frame is the arm's own: z along the first axis, x where its encoder says, the origin
+below S by what the table says.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -14,6 +15,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._one_fit import predict_with_std
+from sklearn_raacmm.error_model import unseen_variance
 from sklearn_raacmm.utils import Finding
 
 #: What a standard deviation of a corrected point may be of.
@@ -47,7 +49,7 @@ def corrected_points(
     points, within = arm.forward(angles) - correction, facts["std_factor"] * std
     if std_of == "position":
         return points, within
-    return points, _of_coordinate(arm, points, within, facts)
+    return points, _of_coordinate(arm, model, angles, points, within, facts)
 
 
 def distances(first, second, scale_sd):
@@ -80,12 +82,16 @@ def corrected_columns(arm: Arm, model: Any, facts: Any, angles: np.ndarray) -> n
     """
     points, within = corrected_points(arm, model, angles, facts, "position")
     of_metre = np.sqrt(2 * np.mean(within**2, axis=1) + (1000 * facts["scale_sd"]) ** 2)
-    of_coordinate = _of_coordinate(arm, points, within, facts)
+    of_coordinate = _of_coordinate(arm, model, angles, points, within, facts)
     return np.column_stack([points, of_coordinate, within, of_metre])
 
 
-def _of_coordinate(arm, points, within, facts):
-    return np.hypot(within, facts["scale_sd"] * (points - _shoulder(arm)))
+def _of_coordinate(arm, model, angles, points, within, facts):
+    variance = within**2 + (facts["scale_sd"] * (points - _shoulder(arm))) ** 2
+    linear = getattr(model, "linear_model_", None)
+    if linear is not None and model.helps_:
+        variance += unseen_variance(linear, angles)
+    return np.sqrt(variance)
 
 
 def _shoulder(arm):

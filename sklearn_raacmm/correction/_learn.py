@@ -26,7 +26,7 @@ from sklearn_raacmm.correction._scores import (
     with_verdict,
 )
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.utils import Finding, check_option, heard_findings, say_findings
+from sklearn_raacmm.utils import Finding, check_option, hear, say_findings
 
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
@@ -108,10 +108,10 @@ class LearnedCorrection:
         points : ndarray of shape (n_samples, 3)
             Corrected points in the arm's base frame, mm.
         std : ndarray of shape (n_samples, 3)
-            Standard deviation of each coordinate of one reading, mm (k = 1). That of a coordinate
-            in the base frame holds the scale of the arm: with P the point, S the shoulder and k
-            ``calibration.scale_sd``, it is the root of the squares of that within a position and
-            of k (P - S).
+            Standard deviation of each coordinate of one reading, mm (k = 1). Beside that within a
+            position, that of a coordinate in the base frame holds the scale, s (P - S) with P the
+            point, S the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a
+            function of the place.
 
         Raises
         ------
@@ -359,10 +359,14 @@ def learn_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    with heard_findings() as heard:
+
+    def inside():
         data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
         calibration = _calibrated(data, angles, angle_unit)
-        scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+        fits = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+        return data, calibration, *fits
+
+    (data, calibration, scores, fitted, noise), heard = hear(inside)
     say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,

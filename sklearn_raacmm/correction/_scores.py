@@ -26,8 +26,9 @@ from sklearn_raacmm.utils import (
     centred,
     encode_groups,
     group_means,
-    heard_findings,
+    hear,
     listed,
+    natural_order,
     say_findings,
     show,
     unheard,
@@ -129,7 +130,8 @@ class CorrectionScores:
             f"{'position':<{width}}{'points':>8}{self.measure + ' before':>24}{'after, mm':>12}"
             f"{'maximum before':>17}{'after, mm':>12}",
         ]
-        for row in zip(*self.table.values(), strict=True):
+        rows = list(zip(*self.table.values(), strict=True))
+        for row in (rows[i] for i in natural_order(self.table["position"])):
             lines.append(
                 f"{row[0]!s:<{width}}{row[1]:8d}{row[2]:24.4f}{row[3]:12.4f}{row[4]:17.4f}"
                 f"{row[5]:12.4f}"
@@ -140,9 +142,8 @@ class CorrectionScores:
         lines = []
         for name in ("before", "after"):
             mean, low, high = self.summary[name]
-            lines.append(
-                f"mean {self.measure} {name}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})"
-            )
+            measure = f"mean {self.measure.removeprefix('mean ')}"
+            lines.append(f"{measure} {name}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})")
         lines += self._length_lines()
         lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
         if len(self.outliers):
@@ -256,9 +257,12 @@ def cross_validate_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    with heard_findings() as heard:
+
+    def inside():
         data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-        scores, *_ = scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
+        return scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
+
+    (scores, *_), heard = hear(inside)
     say_findings(heard)
     return with_verdict(scores, heard)
 

@@ -32,6 +32,9 @@ from sklearn_raacmm.utils import Finding, centred, listed, one_blas_thread, say_
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
 # benchmarks/bench_transfer.py judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
+# Nats of evidence for the earlier arms from which on they are believed: one draw of a Panda lost a
+# third at 0.5, the sixteen draws with at least 5 gained (``benchmarks/bench_transfer.py --panda``).
+LEAST_GAIN_NATS = 4.0
 # The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
 # may be better, too.
 _LOG_NOISE = (-4.0, 4.0)
@@ -94,7 +97,7 @@ def transfer_correction(
         With the options of the first model. Without poses it is the mean of the earlier arms, with
         their spread as standard deviation. ``updates_`` holds one dictionary: `date`, `n_poses`,
         `tau` and `noise_sd_mm` as of :func:`update_correction`, `n_arms`, and `gain_nats`, the
-        evidence for the earlier arms; where that is not positive, the model is the one that was
+        evidence for the earlier arms; where that is less than 4, the model is the one that was
         fitted to the new poses alone, and `tau` is empty.
 
     Raises
@@ -152,7 +155,7 @@ def transfer_correction(
     True
     """
     models = [models] if isinstance(models, BaseEstimator) else listed("models", models)
-    linears = _checked(models, arm)
+    linears = _without_copies(_checked(models, arm))
     prior = _pooled(linears, arm)
     template = clone(models[0]).set_params(arm=arm)
     if X is None and y is None:
@@ -171,12 +174,10 @@ def transfer_correction(
     poses = poses._replace(weights=poses.weights * changed.pose_weight * own.pose_weight_)
     gain = _evidence_of_change(prior, changed, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
-    if gain > 0:
+    if gain >= LEAST_GAIN_NATS:
         new.linear_model_ = replace(changed.model, offsets=poses.codes is not None)
         new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
         new.pose_weight_ = changed.pose_weight
-        # Where the new poses say nothing, the mean of the make stands.
-        new.fading_ = replace(own.fading_, factor=0.0)
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
     new.updates_ = (entry | {"n_arms": len(linears), "gain_nats": float(gain)},)
@@ -208,6 +209,19 @@ def _checked(models, arm):
                 "causes and extra columns, with orientations or without."
             )
     return linears
+
+
+def _without_copies(linears):
+    """Each linear model once: two copies of an arm are no two arms."""
+    kept = []
+    for linear in linears:
+        known = (one for one in kept if one.coef.shape == linear.coef.shape)
+        if not any(np.array_equal(one.coef, linear.coef) for one in known):
+            kept.append(linear)
+    if len(kept) < len(linears):
+        said = f"Of {len(linears)} models {len(linears) - len(kept)} are copies: they count once."
+        say_findings([Finding("copied-models", said)])
+    return kept
 
 
 def _families(terms):
@@ -268,11 +282,13 @@ def _pooled(linears, arm):
             np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r")
         ).T
 
+    gauge_free = pooled_root([one.gauge_free_half for one in aligned])
     return replace(
         model,
         coef=trust * mean,
         half=pooled_root([one.half for one in aligned]),
-        gauge_free_half=pooled_root([one.gauge_free_half for one in aligned]),
+        gauge_free_half=gauge_free,
+        fading_half=gauge_free,
     )
 
 

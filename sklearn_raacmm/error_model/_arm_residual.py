@@ -19,16 +19,19 @@ from sklearn_raacmm.error_model._checks import (
     check_fit,
     check_poses,
     check_turns,
-    many_without_weight,
     poses_of,
 )
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
 from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit import fit_linear_model
 from sklearn_raacmm.error_model._in_use import ModelInUseMixin
-from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._left_out import (
+    judge,
+    leave_out,
+    too_few_positions,
+    with_honest_intervals,
+)
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
@@ -44,6 +47,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     fit_context,
     heard_findings,
+    many_without_weight,
     one_blas_thread,
     say_findings,
     whole_fit,
@@ -98,25 +102,25 @@ class ArmResidualRegressor(
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. The higher an order, the more it has to explain to be taken. A
-        joint is offered no more orders than it shows different angles. 0 offers none. A list offers
-        these orders only, for all joints or for each.
+        joint is offered no more orders than it shows different angles, and those above 72 where its
+        angles are scattered. 0 offers none. A list offers these orders only, for all joints or for
+        each.
 
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
 
     offsets : bool or "auto", default="auto"
-        Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
-        are deviations from the position's own mean, as in a single-point test; it has not where
-        `y` was measured against a tracker. "auto" finds out: the positions' mean residuals are
-        zero, or not.
+        Whether each position (`groups` of `fit`) has an unknown constant offset, of any size: it
+        has where `y` are deviations from the position's own mean. "auto": where the positions'
+        means are zero; else the evidence finds how large the constants of their references are.
+        False: there are none.
 
     fade : float or "auto", default="auto"
-        Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
-        standard deviation at this pose and r the root mean square of the training residuals, both
-        as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 1, or where positions have offsets half of the factor by which errors at
-        positions left out widen s, up to 1. There t is twice the deviation that 99 % of the
-        training poses stay below; elsewhere 0.
+        Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s its posterior standard
+        deviation at this pose and r the root mean square of the training residuals, both as lengths
+        of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at all. "auto":
+        1, or where four positions or more have offsets 0.6 times the factor by which errors at
+        positions left out widen s, up to 1.
 
     regressor : estimator, default=None
         A second stage: fitted on joint angles in rad to what the linear model leaves, in the
@@ -165,7 +169,7 @@ class ArmResidualRegressor(
         The fitted second stage.
 
     fading_ : Fading
-        How corrections fade: `factor`, `size_mm` (r) and `known_mm` (t).
+        How corrections fade: `factor` and `size_mm` (r).
 
     helps_ : bool
         Whether the linear model helped at positions left out; `predict` returns 0 where it did not.
@@ -181,6 +185,9 @@ class ArmResidualRegressor(
 
     arm_ : Arm
         The arm in use.
+
+    findings_ : tuple of Finding
+        What there is to say about the data.
 
     n_features_in_ : int
         Number of joints, and of extra columns.
@@ -217,8 +224,9 @@ class ArmResidualRegressor(
     The posterior's standard deviations suppose that the model is complete. Of ten blocks of
     neighbouring positions, left out in turn, the errors show how much larger they have to be. The
     same errors say whether the correction helps: if their mean over positions is less than without
-    correction by more than the standard error of the difference. With fewer than four positions
-    intervals stay as they are, and the correction has to help at each of them.
+    correction by more than the standard error of the difference. With P < 4 positions that have
+    offsets, intervals are 1 + 2 / P times as wide, and the correction has to help at each of them.
+    Where it is not used, intervals are at least as wide as the residuals ask for.
 
     The harmonic form is that of encoder eccentricity; the composition of the model is our own.
 
@@ -342,13 +350,10 @@ class ArmResidualRegressor(
 
         Warns
         -----
-        UserWarning
-            If the angles are most likely in the other unit: larger than two turns in rad, or all
-            within one turn of radians in degrees; if positions have offsets but neither kinematics
-            nor `lengths` are given; if ``offsets="auto"`` finds none although the positions' means
-            are smaller than chance makes them; if the weights add up to less than a tenth or more
-            than a hundred times the number of rows; if nearly all of `y` is one motion of the base:
-            the reference is then most likely in another frame.
+        FindingWarning
+            Of what is found in the data, such as a wrong sign or unit of `y`, an arm that is not
+            calibrated, a reference in another frame, or an extra column without variation; see
+            `findings_`. Rows in which the arm stood still are merged to one pose.
         """
         rows = check_fit(self, X, y, sample_weight, groups, lengths)
         arm, used = rows.arm, rows.weights > 0
@@ -359,20 +364,20 @@ class ArmResidualRegressor(
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        terms = Terms._make([offered, *(name in self.causes for name in CAUSES), extra])
+        gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
+        terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
-        if groups is None or rows.codes is not None or turns is not None or self.offsets is False:
-            fitted = fit_linear_model(rows, terms, with_field, turns)
-        else:
-            fitted = fit_with_constants(rows, positions, terms, with_field)
-            rows = fitted.rows
+        known = groups is None or self.offsets is False  # or nobody says which rows are of one
+        of_constants = None if known else positions
+        fitted = fit_with_constants(rows, of_constants, terms, with_field, turns)
+        rows = fitted.rows if turns is None else rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         model = replace(model, n_positions=float(positions.max() + 1))
-        mean, std = model.predict(rows.X, return_std=True)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        self.fading_: Any = find_fading(rows.y, std, *rest, self.fade, model.std_scale)
+        widening = None if too_few_positions(left_out, positions) else model.std_scale
+        self.fading_: Any = find_fading(rows.y, *rest, self.fade, widening)
         self.judgement_: Any = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
@@ -383,7 +388,7 @@ class ArmResidualRegressor(
         say_findings(many_without_weight(fitted.pose_weight))
         self.regressor_: Any = None
         if self.regressor is not None:
-            left = centred(rows.y - mean * self.helps_, rows.codes, robust)
+            left = centred(rows.y - model.predict(rows.X)[0] * self.helps_, rows.codes, robust)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
         return self
 
@@ -513,19 +518,24 @@ class ArmResidualRegressor(
         if return_std and return_cov:
             raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
         X = check_poses(self, X)
-        fades = self.fading_.factor > 0
-        # What is known does not fade, however well it is known.
-        enough = 0.0 if return_std else self.fading_.known_mm
-        mean, std = self.linear_model_.predict(X, return_std or fades, enough)
+        model, fading = self.linear_model_, self.fading_
+        if fading.factor > 0:
+            mean, std, doubt = model.predict_with_doubt(X, return_std)
+        else:
+            (mean, std), doubt = model.predict(X, return_std), None
         mean = mean * self.helps_ + self.second_stage(X)
-        if fades:
-            share = self.fading_.share(std)
+        if doubt is not None:
+            share = fading.share(doubt)
             if self.helps_:
                 warn_where_unknown(share)
             mean = share[:, None] * mean
         if return_cov:
-            return mean, self.linear_model_.joint_covariance(X, with_noise, with_unseen)
-        return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+            return mean, model.joint_covariance(X, with_noise, with_unseen)
+        if not return_std:
+            return mean
+        std = model.widened(std, with_noise)
+        # Without a correction the errors are at least those that the residuals had.
+        return mean, std if self.helps_ else np.maximum(std, fading.size_mm / np.sqrt(3))
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""

@@ -12,7 +12,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
-from sklearn_raacmm.error_model._extra import check_extra, check_tools, warn_of_constants
+from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
@@ -33,8 +33,6 @@ from sklearn_raacmm.utils import (
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
 # those of weights that add up to 1 are too few, those of inverse variances too many.
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
-# Share of poses without weight that slips do not come to. A choice.
-_MOST_WITHOUT = 0.1
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
@@ -145,18 +143,6 @@ def _check_offsets(offsets, y, weights, groups):
     return codes if offsets else None
 
 
-def many_without_weight(pose_weight):
-    """More rows without weight than slips can be."""
-    none = np.flatnonzero(pose_weight == 0)
-    if len(none) > _MOST_WITHOUT * len(pose_weight):
-        yield Finding(
-            "many-without-weight",
-            f"{len(none)} of {len(pose_weight)} poses lie so far off that they have no weight.",
-            "That are more than slips are: look at the labels, the references and the set-up.",
-            rows=tuple(none.tolist()),
-        )
-
-
 def poses_of(rows, extra, *others):
     """Rows in which the arm stood still as one pose each.
 
@@ -250,7 +236,7 @@ def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
         )
     X = check_features(model, X, dtype=np.float64, reset=False)
     n_joints = linear.arm.n_joints
-    check_tools(linear.terms.extra, X[:, n_joints:])
+    check_values(linear.terms.extra, X[:, n_joints:])
     return _in_rad(X, n_joints, model.angle_unit)
 
 

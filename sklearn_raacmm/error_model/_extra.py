@@ -22,6 +22,8 @@ _FORMS = (
     '"force x", "force y", "force z", "tool"'
 )
 
+# Part of the range of a column in the fit by which values may lie beyond it without a word.
+_BEYOND = 0.5
 # For names that are read before the arm is known.
 _MOST_JOINTS = 10**6
 
@@ -72,19 +74,17 @@ def with_references(extra, values, weights):
     Returns
     -------
     tuple of (str, tuple of float)
-        The numbers are the weighted mean, from which the model counts; of a tool, the numbers of
-        all tools. Rows of weight 0 do not count.
+        The numbers are the weighted mean, from which the model counts, the least and the largest
+        value; of a tool, the numbers of all tools. Rows of weight 0 do not count.
     """
-    used = weights > 0
-    return tuple(
-        (
-            name,
-            tuple(np.unique(column[used]).tolist())
-            if name == "tool"
-            else (float(np.average(column[used], weights=weights[used])),),
-        )
-        for name, column in zip(extra, values.T, strict=True)
-    )
+    used, found = weights > 0, []
+    for name, column in zip(extra, values[used].T, strict=True):
+        if name == "tool":
+            numbers = np.unique(column).tolist()
+        else:
+            numbers = np.average(column, weights=weights[used]), column.min(), column.max()
+        found.append((name, tuple(map(float, numbers))))
+    return tuple(found)
 
 
 def warn_of_constants(extra, values, weights):
@@ -98,8 +98,8 @@ def warn_of_constants(extra, values, weights):
             say_findings([Finding("constant-column", said, "Is the sensor alive?")])
 
 
-def check_tools(extra, values):
-    """Refuse tools that the training data did not have.
+def check_values(extra, values):
+    """Refuse tools that the training data did not have, and name values far beyond the others.
 
     Parameters
     ----------
@@ -108,12 +108,28 @@ def check_tools(extra, values):
     values : ndarray of shape (n, n_extra)
     """
     for (name, known), column in zip(extra, values.T, strict=True):
+        if name != "tool" and len(known) == 3 and len(column):  # not so for the mean of many arms
+            say_findings(_beyond(name, known, column))
         new = np.setdiff1d(column, known) if name == "tool" else column[:0]
         if len(new):
             raise ValueError(
                 f"X has tool {new[0]:g}, of which the model knows nothing: it was fitted with "
                 f"{', '.join(f'{tool:g}' for tool in known)}."
             )
+
+
+def _beyond(name, known, column):
+    """Values that lie far beyond those of the fit."""
+    _, low, high = known
+    room = _BEYOND * (high - low)
+    far = np.flatnonzero((column < low - room) | (column > high + room))
+    if room > 0 and len(far):
+        said = (
+            f"The column {name!r} is {column[far[0]]:g} in row {far[0]}, and in the fit it was "
+            f"from {low:g} to {high:g}."
+        )
+        advice = "Is the sensor alive, and the unit that of the fit?"
+        yield Finding("column-out-of-range", said, advice, rows=tuple(far.tolist()))
 
 
 def force_on_probe(extra: Any, values: np.ndarray) -> Any:

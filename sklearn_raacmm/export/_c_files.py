@@ -21,7 +21,7 @@ _FADED_BELOW = 0.5
 _DEVIATIONS = """ It is of a coordinate within a
    position. Where {upper}_SCALE_SD is defined, one reading has, in mm:
    within a position w = {upper}_STD_FACTOR * hypot(std_mm, {upper}_NOISE_MM);
-   of a coordinate in the base frame hypot(w, {upper}_SCALE_SD * (P - S)),
+   of a coordinate in the base frame at least hypot(w, {upper}_SCALE_SD * (P - S)),
    P the point and S the shoulder;
    of a distance L the root of w^2 of both ends along it and ({upper}_SCALE_SD * L)^2."""
 

@@ -12,8 +12,10 @@ from sklearn_raacmm.utils import Finding, group_means
 # A row joins the run while every joint is within this of the run's running mean, in rad, and runs
 # of so many rows are one pose. With 20 and 100 samples a pose and 5e-6 to 1e-4 rad of jitter what
 # is learnt is that of one row a pose; of 20 143 rows of real series none are merged
-# (benchmarks/bench_dwells.py).
+# (``benchmarks/bench_gate.py dwells``).
 _STILL_RAD, _LEAST = 1e-3, 3
+# No encoder has such digits: rows that are closer are copies.
+_COPY_RAD = 1e-12
 
 
 class Dwells(NamedTuple):
@@ -73,8 +75,7 @@ def find_dwells(
     codes : ndarray of shape (n,), default=None
         Rows of different labels are different poses.
     copies_count : bool, default=False
-        Runs whose rows are equal to the bit stay as they are: a row that is repeated has the weight
-        of its repeats.
+        Runs of equal rows stay as they are: a row that is repeated has the weight of its repeats.
 
     Returns
     -------
@@ -93,7 +94,7 @@ def find_dwells(
         for first, end in zip(runs, [*runs[1:], high - low], strict=True):
             rows = slice(low + first, low + end)
             of_run = angles[rows]
-            is_copy = copies_count and not np.ptp(of_run, axis=0).any()
+            is_copy = copies_count and np.ptp(of_run, axis=0).max() < _COPY_RAD
             if end - first >= _LEAST and not is_copy:
                 new[rows.start + 1 : rows.stop] = False
     return Dwells(np.cumsum(new) - 1, np.flatnonzero(new))

@@ -11,8 +11,10 @@ import numpy as np
 from sklearn_raacmm.utils import Finding
 
 # A set-up of its own behind a row has to take away this share of the squares, beside what chance
-# does (benchmarks/bench_gate.py has those of clean data and of real arms); rows on either side.
+# does (``benchmarks/bench_gate.py set-ups``); rows on either side.
 _SHARE, _LEAST_ROWS = 0.25, 8
+# No move is smaller: rounding is none.
+_LEAST_MM = 0.005
 # Part of the squares of a move that is added: rows at one place cannot show a turn.
 _RIDGE = 1e-4
 
@@ -71,6 +73,8 @@ def moved_set_up(
     if share < _SHARE + usual:
         return
     size = np.linalg.norm((base if what == "stations" else turns)[row:] @ move, axis=1).mean()
+    if size < _LEAST_MM:
+        return
     numbers = np.arange(n) if numbers is None else numbers
     moved = "the tracker or the arm's base" if what == "stations" else "the probe or target"
     yield Finding(

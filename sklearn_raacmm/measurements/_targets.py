@@ -27,8 +27,10 @@ _LEAST_ROWS, _ROWS_OF_FACTORS, _COORDINATES_OF_TABLES = 4, 10, 3
 _LEFT_OF_FACTOR, _FACTOR, _ONE_SEAT = 0.05, 0.05, 0.01
 # A table explains what is left by less than this share, and is larger than this, mm: a calibrated
 # arm leaves nothing that its table explains.
-_LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.3
+_LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.5
 _WIDE = 0.1  # spread of the points, as a share of the reach
+# What a table and a probe are off by as a rule.
+_TABLE_MM, _TABLE_RAD, _PROBE_MM = 2.0, 3e-3, 20.0
 _UNITS = {1 / 25.4: "inches", 0.1: "centimetres", 1e-3: "metres", 1e3: "micrometres"}
 HOW_TO = (
     "Give arm.forward(angles) minus the reference in the arm's base frame: "
@@ -176,6 +178,7 @@ def are_of_positions_unnamed(targets, points):
             f"y are deviations from the means of {len(labels)} positions, and the fit does not "
             "know of these.",
             "Give groups, the label of the position of each row.",
+            "note",
         )
 
 
@@ -189,22 +192,25 @@ def are_what_calibration_takes(targets, points):
         or _rms(points - points.mean(axis=0)) < _WIDE * (targets.reach)
     ):
         return
-    jac = parameter_jacobian(arm, targets.angles)[1]
+    jac, n = parameter_jacobian(arm, targets.angles)[1], arm.n_joints
+    # An arm without lengths has no deviations at all, but tables change by millimetres only.
+    sizes = np.repeat([_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM], [n] * 4 + [3])
+    jac = jac * sizes
     if not targets.offsets:
         turns = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
         base = np.broadcast_to(np.eye(3), (len(y), 3, 3))
-        jac = np.concatenate([jac, base, turns / targets.reach], axis=2)
+        jac = np.concatenate([jac, 1e3 * base, turns], axis=2)
     else:
         y, jac = (centred(v, targets.codes, targets.weights) for v in (y, jac))
     n_columns = jac.shape[2]
-    jac = jac / np.maximum(np.sqrt(np.square(jac).mean(axis=(0, 1))), 1e-12)
     # Every second position by the others: those at hand could be imitated.
     fold = (np.arange(len(y)) if targets.codes is None else targets.codes) % 2 == 0
     if min(fold.sum(), (~fold).sum()) * 3 < _COORDINATES_OF_TABLES * n_columns:
         return
-    off = np.empty_like(y)
+    off, ridge = np.empty_like(y), _LEFT_OF_TABLE / 3 * _rms(y) * np.eye(n_columns)
     for rows in (fold, ~fold):
-        coef = np.linalg.lstsq(jac[~rows].reshape(-1, n_columns), y[~rows].ravel(), rcond=1e-6)[0]
+        columns = np.concatenate([jac[~rows].reshape(-1, n_columns), ridge])
+        coef = np.linalg.lstsq(columns, np.r_[y[~rows].ravel(), np.zeros(n_columns)])[0]
         off[rows] = y[rows] - jac[rows] @ coef
     left = _rms(off)
     if left < _LEFT_OF_TABLE * _rms(y):

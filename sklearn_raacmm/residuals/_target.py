@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import issparse
 from sklearn import get_config
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
@@ -440,13 +441,14 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
 def _poses(X, y, groups, codes, fit_params) -> Any:
     """The same with each pose once at which a logger wrote many rows."""
-    try:
-        rows = np.asarray(X, dtype=float)
-    except (TypeError, ValueError):  # sparse, or columns that are no numbers
-        return X, y, groups, codes, fit_params
-    dwells = find_dwells(rows, codes, copies_count=True) if rows.ndim == 2 else None
-    if dwells is None or not dwells.merges:
-        return X, y, groups, codes, fit_params
+    given = X, y, groups, codes, fit_params
+    rows = None if issparse(X) else np.asarray(X)
+    # What is no table of numbers is left to the regressor.
+    if rows is None or rows.ndim != 2 or rows.dtype.kind != "f" or not np.isfinite(rows).all():
+        return given
+    dwells = find_dwells(rows, codes, copies_count=True)
+    if not dwells.merges:
+        return given
     say_findings(dwells.findings())
     merged = {
         name: dwells.mean(np.asarray(value))

@@ -49,13 +49,14 @@ from sklearn_raacmm.utils._groups import (
     group_means,
     group_sums,
     group_weights,
+    natural_order,
     share_of_means,
     slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._rigid import align, nearest_rotation
-from sklearn_raacmm.utils._robust import TUKEY_CUT, robust_scale, tukey_weights
+from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
@@ -128,6 +129,8 @@ __all__ = [
     "invert_triangle",
     "is_plain",
     "listed",
+    "many_without_weight",
+    "natural_order",
     "nearest_rotation",
     "one_blas_thread",
     "one_warning",

@@ -136,7 +136,12 @@ def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, 
 
     def inside():
         with heard_findings() as heard:
-            return function(*args, **kwargs), heard
+            try:
+                return function(*args, **kwargs), heard
+            except ValueError as error:
+                refusal = error
+        say_findings(heard)  # it may be why
+        raise refusal
 
     return copy_context().run(inside)
 

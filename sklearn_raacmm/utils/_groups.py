@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import re
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -265,3 +267,20 @@ def deviations_by_group(
             f"{labels[counts < 2][0]!s}); a scatter needs at least 2."
         )
     return centred(points, codes), codes, counts, labels
+
+
+def natural_order(labels: Iterable[Any]) -> list[int]:
+    """Order of labels in which cone 2 comes before cone 10.
+
+    Parameters
+    ----------
+    labels : iterable
+
+    Returns
+    -------
+    list of int
+        Indices.
+    """
+    parts = [re.split(r"(\d+)", str(label)) for label in labels]
+    keys = [[int(part) if i % 2 else part for i, part in enumerate(each)] for each in parts]
+    return sorted(range(len(keys)), key=keys.__getitem__)

@@ -9,13 +9,19 @@ References
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.special import chdtri
+
+from sklearn_raacmm.utils._findings import Finding
 
 # Standard deviations of a coordinate from which a row has no weight; while none is as far off, all
 # have theirs in full. Of normal errors in space one in 800 000 is, of those of one coordinate one
 # in 26 million.
 TUKEY_CUT = 5.5
+# Share of rows without weight that slips do not come to. A choice.
+_MOST_WITHOUT = 0.1
 
 
 def robust_scale(
@@ -86,3 +92,25 @@ def tukey_weights(
         return np.ones(len(distances))
     # Cut off before it is squared: of next to nothing, no overflow.
     return np.square(1 - np.square(np.minimum(distances, cut) / cut))
+
+
+def many_without_weight(factor: np.ndarray) -> Iterator[Finding]:
+    """More rows without weight than slips can be.
+
+    Parameters
+    ----------
+    factor : ndarray of shape (n,)
+        What robust weights have left of each row.
+
+    Yields
+    ------
+    Finding
+    """
+    none = np.flatnonzero(factor == 0)
+    if len(none) > _MOST_WITHOUT * len(factor):
+        yield Finding(
+            "many-without-weight",
+            f"{len(none)} of {len(factor)} poses lie so far off that they have no weight.",
+            "These are more than slips are: look at labels, references and set-up.",
+            rows=tuple(none.tolist()),
+        )

@@ -5,6 +5,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from sklearn.linear_model import Ridge
 
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import judge_limit, write_report
@@ -143,8 +144,6 @@ def test_no_network_and_no_names_twice(page):
 
 
 def test_a_tracker_and_a_model_without_harmonics(tmp_path):
-    from sklearn.linear_model import Ridge
-
     data = make_single_point(5, 10, random_state=2)
     tracker = data.simulation.true_points[:, [1, 2, 0]]
     result = learn_correction(
@@ -199,3 +198,11 @@ def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
         assert np.mean((low < table[name]) & (table[name] < high)) > 0.9
     bars = [bar.get_height() for bar in ax.patches[len(shown) :]]
     np.testing.assert_allclose(bars, [1000 * after[label] for label in shown])
+
+
+def test_labels_are_text_and_no_formulae(tmp_path):
+    """A label that begins a formula ended the work after the model had been written."""
+    data = make_single_point(5, 10, random_state=2)
+    labels = np.array([f"$x^{{${i}" for i in range(5)])[data.groups]
+    result = learn_correction(data.nominal_arm, data.data, labels, model=Ridge(), cv=3)
+    assert "$x^{$3" in write_report(result, tmp_path / "report.html")

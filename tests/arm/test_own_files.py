@@ -212,11 +212,7 @@ def test_kinematics_of_a_ur(angles, tmp_path):
     (tmp_path / "ur.yaml").write_text(UR5E)
     arm = Arm.from_urdf(tmp_path / "ur.yaml")
     assert arm.names == Arm.from_name("ur10").names
-    # The same lengths in the maker's standard table, of the controller's base.
-    table = Arm.from_degrees(
-        a=[0, -425, -392.2, 0, 0, 0], alpha=[90, 0, 0, 90, -90, 0],
-        d=[162.5, 0, 0, 133.3, 99.7, 99.6],
-    )  # fmt: skip
+    table = Arm.from_name("ur5e")  # the maker's standard table, of the controller's base
     np.testing.assert_allclose(arm.forward(angles), table.forward(angles), rtol=0, atol=1e-9)
     other = calibrated(arm)
     other = other.replace(probe=(0, 0, other.probe[2]))  # a tool is no part of these files
@@ -243,3 +239,54 @@ def test_only_an_arm_of_the_file_is_written_back():
     wrist = Arm.from_urdf(ROBOT, **short)
     with pytest.raises(ValueError, match=r"probe is 1 mm beside the last axis, and no fixed joint"):
         wrist.replace(probe=wrist.probe + np.eye(3)[0]).update_urdf(ROBOT, **short)
+
+
+# Axes and points on them at zero, m: of the packages abb_irb120_support and of the joint tables of
+# explicit-robotics (iiwa); the flange last.
+AXES = {
+    "irb120": (
+        [("z", 0, 0), ("y", 0, 0.29), ("y", 0, 0.56), ("x", 0, 0.63), ("y", 0.302, 0.63),
+         ("x", 0, 0.63)],
+        (0.374, 0, 0.63),
+    ),
+    "iiwa7": (
+        [("z", 0, 0), ("y", 0, 0.34), ("z", 0, 0), ("-y", 0, 0.74), ("z", 0, 0), ("y", 0, 1.14),
+         ("z", 0, 0)],
+        (0, 0, 1.266),
+    ),
+    "iiwa14": (
+        [("z", 0, 0), ("y", 0, 0.36), ("z", 0, 0), ("-y", 0, 0.78), ("z", 0, 0), ("y", 0, 1.18),
+         ("z", 0, 0)],
+        (0, 0, 1.306),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", AXES)
+def test_built_in_arms_turn_about_the_makers_axes(name):
+    """A product of rotations about the axes, from the last to the first, in place of a table."""
+    axes, flange = AXES[name]
+    arm = Arm.from_name(name)
+    rows = np.random.default_rng(1).uniform(-2, 2, (20, len(axes)))
+    points = []
+    for row in rows:
+        point = np.array(flange, float)
+        for (axis, x, z), angle in reversed(list(zip(axes, row, strict=True))):
+            unit = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
+            through = np.array([x, 0, z])
+            point = through + Rotation.from_rotvec(angle * unit).apply(point - through)
+        points.append(1000 * point)
+    np.testing.assert_allclose(arm.forward(rows), points, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "reach"),
+    [("ur3", 500), ("ur5", 850), ("ur10", 1300), ("ur3e", 500), ("ur5e", 850), ("ur10e", 1300),
+     ("ur16e", 900)],
+)  # fmt: skip
+def test_ur_arms_reach_what_their_maker_says(name, reach):
+    """The data sheet's reach is beyond the stretched arm's first wrist, and within d5 of it."""
+    arm = Arm.from_name(name)
+    stretched = -arm.a.sum()
+    assert stretched < reach < np.hypot(stretched + arm.d[4], arm.d[3])
+    assert arm.names == Arm.from_name("ur10").names
