@@ -14,23 +14,24 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
-    columns_of,
     files_of,
     in_rad,
     load_arm,
     load_correction,
-    number_of,
     open_beside,
+    table_options,
     write_corrected,
 )
+from sklearn_raacmm.app._lengths import length_of
 from sklearn_raacmm.app._life import check_by_causes, say_check
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import check_correction, learn_correction
+from sklearn_raacmm.correction import SavedCorrection, check_correction, learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -66,10 +67,11 @@ def learn(options):
         raise TableError(f"{out} holds a correction; --force replaces it.")
     arm = load_arm(options.arm, options.base, options.tip)
     table = read_table(
-        options.table, arm.n_joints, **columns_of(options, arm, points=options.points)
+        options.table, arm.n_joints, **table_options(options, arm, points=options.points)
     )
     _say_notes(table.notes)
-    lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else ()
+    lengths = [length_of(text) for text in options.length or ()]
+    lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     facts = {"file": Path(options.table).name}
     for name, value in (("serial number", options.serial), ("operator", options.operator)):
         if value:
@@ -95,9 +97,10 @@ def _learn(options, arm, table, lengths, facts):
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
     )  # fmt: skip
     _progress(30, 30, "report")
-    layout = find_layout(options.table, arm.n_joints, **columns_of(options, arm, labelled=False))
+    layout = find_layout(options.table, arm.n_joints, **table_options(options, arm, labelled=False))
     corrected = io.StringIO(newline="")
-    write_corrected(layout, result.correct, corrected)
+    saved = SavedCorrection(result.arm, result.model, None, result.facts())
+    write_corrected(layout, saved, corrected)
     card = describe(result.model, result.angles)
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
@@ -139,7 +142,7 @@ def correct(options):
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
     layout = find_layout(
-        options.table, saved.arm.n_joints, **columns_of(options, saved.arm, labelled=False)
+        options.table, saved.arm.n_joints, **table_options(options, saved.arm, labelled=False)
     )
     _say_notes(layout.notes)
     stream = (
@@ -148,7 +151,7 @@ def correct(options):
         else open_beside(options.out, layout.dialect.encoding)
     )
     with stream as file:
-        n_rows = write_corrected(layout, saved.correct, file)
+        n_rows = write_corrected(layout, saved, file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
@@ -160,7 +163,7 @@ def check(options):
     saved = load_correction(options.model)
     if options.points or options.lengths or saved.facts["measure"] != "2S":
         return check_by_causes(saved, options)
-    table = read_table(options.table, saved.arm.n_joints, **columns_of(options, saved.arm))
+    table = read_table(options.table, saved.arm.n_joints, **table_options(options, saved.arm))
     _say_notes(table.notes)
     angles = in_rad(table)
     measured, corrected = saved.arm.forward(angles), saved.correct(angles)[0]
@@ -251,9 +254,13 @@ def export(options):
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
         source = folder / f"{options.name}.c"
+        card = describe(saved.model)
+        names = ("noise_mm", "std_factor", "scale_sd")
+        card["standard_deviation"] = {name: saved.facts[name] for name in names}
         paths += export_c(
-            saved.model, source, std=options.std, poses="random", any_probe=options.any_probe
-        )
+            saved.model, source, std=options.std, card=card, poses="random",
+            any_probe=options.any_probe,
+        )  # fmt: skip
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)
@@ -277,7 +284,9 @@ def arm(options):
     elif options.source:
         shown = load_arm(options.source, options.base, options.tip)
     else:
-        shown = _ask_for_an_arm()
+        if not sys.stdin.isatty():
+            raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
+        shown = ask_for_an_arm()
     print(shown)
     if options.out == "-":
         options.stdout.write(shown.to_json())
@@ -290,30 +299,25 @@ def arm(options):
     return OK, json.loads(shown.to_json())
 
 
-def _ask_for_an_arm():
-    if not sys.stdin.isatty():
-        raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
-    print("Lengths in mm, as in the drawing of the arms page of the documentation.")
-    layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
-    names = ("height of the shoulder", "shoulder to elbow", "elbow to wrist", "wrist to probe")
-    return Arm.from_lengths(layout, *(number_of(input(f"{name}: ")) for name in names))
-
-
 def demo(options):
     """Run the main job on a simulated arm, from the table on."""
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    test = make_single_point(n_positions=10, n_poses=25, random_state=0)
+    test = make_single_point(n_positions=10, n_poses=25, bars=[500], random_state=0)
+    ((first, second, length, sd),) = test.lengths
+    names = [f"cone {i + 1}" for i in range(first)] + ["bar, left", "bar, right"]
     lines = ["simulated arm;no real measurement", "position;" + ";".join(
         f"q{i} [deg]" for i in range(1, 7))]  # fmt: skip
     for label, angles in zip(test.groups, np.rad2deg(test.data), strict=True):
         cells = (f"{angle:.6f}".replace(".", ",") for angle in angles)
-        lines.append(f"cone {label + 1};" + ";".join(cells))
+        lines.append(f"{names[label]};" + ";".join(cells))
+    options.length = [f"{names[first]}:{names[second]}:{length:.3f}:{sd}"]
     options.table, options.arm = out / "cone_test.csv", out / "nominal_arm.json"
     write_whole({options.table: "\r\n".join(lines) + "\r\n"})
     test.nominal_arm.to_json(options.arm)
     print(f"A simulated single-point test: {options.table}")
-    print(f"raacmm learn {options.table} --arm {options.arm} --out {out}")
+    known = options.length[0]
+    print(f'raacmm learn {options.table} --arm {options.arm} --length "{known}" --out {out}')
     return learn(options)
 
 

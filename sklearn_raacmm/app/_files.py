@@ -12,11 +12,18 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import SavedCorrection
+from sklearn_raacmm.correction import SavedCorrection, columns_of
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
-_NEW_COLUMNS = ("x [mm]", "y [mm]", "z [mm]", "sd x [mm]", "sd y [mm]", "sd z [mm]")
+# Standard deviations of coordinates in the base frame, of the deviation within a position, and of a
+# distance of 1 m from here.
+_NEW_COLUMNS = (
+    *(f"{axis} [mm]" for axis in "xyz"),
+    *(f"sd {axis} [mm]" for axis in "xyz"),
+    *(f"sd {axis} within position [mm]" for axis in "xyz"),
+    "sd of 1 m [mm]",
+)
 
 
 def load_arm(source, base=None, tip=None):
@@ -57,15 +64,14 @@ def files_of(source):
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
-def write_corrected(layout, correct, file):
+def write_corrected(layout, correction, file):
     """Copy a table with the corrected points beside its columns, block by block.
 
     Parameters
     ----------
     layout : Layout
         Of the table.
-    correct : callable
-        Takes angles in rad, returns points and standard deviations (n, 3).
+    correction : SavedCorrection
     file : text stream
         Written to, with the line ends that the stream makes.
 
@@ -78,7 +84,7 @@ def write_corrected(layout, correct, file):
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        numbers = np.hstack(correct(in_rad(block)))
+        numbers = columns_of(correction.arm, correction.model, correction.facts, in_rad(block))
         for row, values in zip(cells, numbers.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
@@ -104,7 +110,7 @@ def in_rad(table):
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
 
 
-def columns_of(options, arm, points=None, labelled=True):
+def table_options(options, arm, points=None, labelled=True):
     """Options of `read_table` as the command line has them."""
     if points and not Path(points).is_file():
         points = points.split(",")

@@ -13,6 +13,8 @@ def learn(parser):
     _add_columns(parser)
     text = "columns of a tracker's points, or a file of points"
     parser.add_argument("--points", metavar="X,Y,Z", help=text)
+    text = "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved"
+    parser.add_argument("--length", action="append", metavar="FROM:TO:MM:SD", help=text)
     parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
     parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
     parser.add_argument("--serial", help="serial number, for the report")
@@ -100,7 +102,8 @@ def demo(parser):
     _add_learning(parser, out="raacmm-demo")
     parser.set_defaults(
         angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
-        lengths=None, length_sd=None, serial="simulated", operator=None, base=None, tip=None,
+        lengths=None, length=None, length_sd=None, serial="simulated", operator=None, base=None,
+        tip=None,
     )  # fmt: skip
 
 

@@ -14,9 +14,10 @@ import sklearn
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._figures import figures_of
+from sklearn_raacmm.correction import columns_of
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
-from sklearn_raacmm.metrics import articulated_location_error, length_error
+from sklearn_raacmm.metrics import length_error
 from sklearn_raacmm.utils import show, write_whole
 
 # Rows shown of tables that may be long.
@@ -92,6 +93,7 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
         facts=_facts(result) | (facts or {}),
         positions=_positions(result.scores),
         sheet=_sheet(result.scores),
+        deviations=_deviations(result),
         parameters=_parameters(result.calibration),
         harmonics=_harmonics(result.model),
         outliers=_outliers(result.outliers, row_numbers),
@@ -182,25 +184,25 @@ def _sheet(scores):
             rows.append((f"2S, {name}", "single-point articulation, ASME B89.4.22", *values))
         values = [float(scores.table[f"{when}_max"].max()) for when in ("before", "after")]
         rows.append(("largest deviation", "single-point articulation, ASME B89.4.22", *values))
-        values = [_largest_location_error(scores, when) for when in ("before", "after")]
-        name = "articulated location error, worst position"
-        rows.append((name, "diameter L_Dia, ISO 10360-12", *values))
     if scores.lengths:
         errors = scores.length_errors_before, scores.length_errors_after
         nominal = np.array([entry[2] for entry in scores.lengths])
-        for name, standard, statistic in (
-            ("length error, largest", "E_Uni, ISO 10360-12", "max"),
-            ("length error, range", "volumetric performance, ASME B89.4.22", "range"),
-            ("length error, 2 rms", "volumetric performance, ASME B89.4.22", "2rms"),
-        ):
+        # The ends are means of many readings: no quantity of a standard, which take single ones.
+        for name, statistic in (("largest", "max"), ("range", "range"), ("2 rms", "2rms")):
             values = [length_error(nominal + e, nominal, statistic=statistic) for e in errors]
-            rows.append((name, standard, *values))
+            rows.append((f"error of known lengths, {name}", "between mean points", *values))
     return rows
 
 
-def _largest_location_error(scores, when):
-    left = scores.left_before if when == "before" else scores.left_after
-    return max(articulated_location_error(left[rows]) for rows in scores.rows_by_position)
+def _deviations(result):
+    """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
+    columns = columns_of(result.arm, result.model, result.facts(), result.angles)
+    names = (
+        ("of a coordinate within a position", columns[:, 6:9]),
+        ("of a coordinate in the base frame", columns[:, 3:6]),
+        ("of a distance of 1 m", columns[:, 9]),
+    )
+    return [(name, float(np.sqrt(np.mean(values**2)))) for name, values in names]
 
 
 def _outliers(outliers, row_numbers):

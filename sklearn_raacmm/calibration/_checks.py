@@ -29,10 +29,15 @@ _LEAST_SD_MM = 1e-9
 # Standard errors by which a correction has to enlarge the scatter: of corrections that change
 # nothing on the average one in forty does by chance.
 _HARM = 2.0
-# What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
-# part of the reach.
-_FAR = 10.0
+# What no calibration of an arm comes to: a scatter, as a part of the reach.
 SHARE_OF_REACH = 0.02
+_MOST_NAMED = 4
+_MEANING = {
+    "a": "the length of link",
+    "d": "the offset of joint",
+    "alpha": "the twist of link",
+    "theta_offset": "the zero of joint",
+}
 
 
 def check_problem(angles, groups, points, lengths, tools, stations, orientations):
@@ -212,19 +217,10 @@ def warn_of_few_rows(seen, names, problem):
     say_findings([Finding("few-rows", said, advice)])
 
 
-def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after):
-    """Say that a fit which has settled makes no sense: wrong input can be fitted, too."""
+def warn_of_what_no_arm_is(arm, before, after):
+    """Say that a fit which has settled makes no sense; returns whether it was said."""
     signs = []
     reach = reach_mm(arm)
-    departure = np.abs(values - nominal) / prior_sd
-    worst = int(np.argmax(departure))
-    if departure[worst] > _FAR:
-        unit = "rad" if is_angle(names[worst]) else "mm"
-        signs.append(
-            f"{names[worst]} is {values[worst]:.6g} {unit}, nominally {nominal[worst]:.6g} {unit}, "
-            f"{departure[worst]:.3g} times the prior standard deviation away: look at the known "
-            "lengths, their unit, and the nominal table."
-        )
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
         signs.append(
             f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
@@ -233,6 +229,49 @@ def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after)
         )
     if signs:
         say_findings([Finding("no-such-arm", " ".join(signs), weight="repair", size_mm=after)])
+    return bool(signs)
+
+
+def table_findings(names, nominal, values, sd, far, lengths):
+    """Findings on a table that the data contradict: an offset forgotten, a link mistyped.
+
+    Parameters
+    ----------
+    names : list of str
+    nominal, values, sd, far : ndarray of shape (n_parameters,)
+        Before, after and its standard deviation, and how far apart they may be, mm and rad.
+    lengths : sequence
+        Known lengths: where there are any, they may be what is wrong.
+
+    Returns
+    -------
+    list of Finding
+    """
+    departure = np.abs(values - nominal)
+    # Parameters that only others determine wander: an offset along the last axis and the probe.
+    is_wrong = (departure > far) & ~(departure < _LENGTH_OUTLIER * sd)
+    wrong = [i for i in np.argsort(-departure / far) if is_wrong[i]]
+    if not wrong:
+        return []
+    said, joints = [], []
+    for i in wrong:
+        field = names[i].rstrip("0123456789")
+        joints.append(int(names[i].removeprefix(field)))
+        factor, unit = (180 / np.pi, "°") if is_angle(names[i]) else (1.0, " mm")
+        said.append(
+            f"{_MEANING[field]} {joints[-1]} ({names[i]}) is {factor * values[i]:.1f}{unit}, "
+            f"the table says {factor * nominal[i]:.6g}{unit}"
+        )
+    return [
+        Finding(
+            "table-off",
+            f"The arm is not that of the table: {'; '.join(said[:_MOST_NAMED])}.",
+            "If it is built so, take the calibrated arm as the new table (arm.json)"
+            + ("; if not, look at the known lengths and their unit." if lengths else "."),
+            joints=tuple(sorted(set(joints))),
+            size_mm=float(max((departure[i] for i in wrong if not is_angle(names[i])), default=0)),
+        )
+    ]
 
 
 def warn_of_harm(corrected, bare):

@@ -42,7 +42,8 @@ class CalibrationResult:
         The sums of parameters that the data leave open, such as ``"d2 - d3"``: every parameter
         may be known only together with others. mm and rad.
     prior_sd : dict
-        Prior standard deviations that were used: ``"length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
+        Prior standard deviations that were used: ``"length_mm"`` of the long lengths,
+        ``"short_length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
     rank, n_free, n_coordinates : int
         How many combinations of the free parameters the data can show at all, how many parameters
         were free (bases included), and how many coordinates there are, less three for each unknown

@@ -3,10 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.correction._deviations import columns_of, corrected_points
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._records import read_check_records
@@ -25,11 +25,12 @@ __all__ = [
     "SavedCorrection",
     "TableChange",
     "check_correction",
+    "columns_of",
+    "corrected_points",
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
     "plan_poses",
-    "predict_with_std",
     "read_check_records",
     "read_correction",
     "search_table",

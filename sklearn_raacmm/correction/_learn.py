@@ -12,8 +12,9 @@ from sklearn.base import BaseEstimator
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
+from sklearn_raacmm.correction._deviations import STD_OF, corrected_points, distances
 from sklearn_raacmm.correction._loaded import SavedCorrection, base_as_facts
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._one_fit import Data
 from sklearn_raacmm.correction._saved import write_correction
 from sklearn_raacmm.correction._scores import (
     CorrectionScores,
@@ -22,7 +23,7 @@ from sklearn_raacmm.correction._scores import (
     with_verdict,
 )
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.utils import Finding, heard_findings, say_findings
+from sklearn_raacmm.utils import Finding, check_option, heard_findings, say_findings
 
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
@@ -83,7 +84,7 @@ class LearnedCorrection:
         """The same in one sentence."""
         return self.scores.verdict
 
-    def correct(self, angles, *, angle_unit="rad"):
+    def correct(self, angles, *, angle_unit="rad", std_of="coordinate"):
         """Corrected points, and how far to trust them.
 
         Parameters
@@ -92,24 +93,66 @@ class LearnedCorrection:
             Joint angles.
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `angles`.
+        std_of : {"coordinate", "position"}, default="coordinate"
+            What the standard deviations are of: a coordinate of one reading in the arm's base
+            frame; or its deviation within a position, which is all that cones show: 95 % of the
+            coordinates left out lay within 1.96 of them.
 
         Returns
         -------
         points : ndarray of shape (n_samples, 3)
             Corrected points in the arm's base frame, mm.
         std : ndarray of shape (n_samples, 3)
-            Standard deviation of each coordinate of one reading, mm, such that 95 % of the
-            coordinates left out lay within 1.96 of them. In a single-point test that is the
-            deviation within a position; a constant error at a position cannot be seen.
+            Standard deviation of each coordinate of one reading, mm (k = 1). That of a coordinate
+            in the base frame holds the scale of the arm: with P the point, S the shoulder and k
+            ``calibration.scale_sd``, it is the root of the squares of that within a position and
+            of k (P - S).
 
         Raises
         ------
         ValueError
             If `angles` do not fit the arm.
+
+        See Also
+        --------
+        distances : Distances, whose standard deviations are others.
         """
+        check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        correction, std = predict_with_std(self.model, angles, self.noise)
-        return self.arm.forward(angles) - correction, self.scores.std_factor * std
+        facts = {
+            "noise_mm": self.noise,
+            "std_factor": self.scores.std_factor,
+            "scale_sd": self.calibration.scale_sd,
+        }
+        return corrected_points(self.arm, self.model, angles, facts, std_of)
+
+    def distances(self, angles, others, *, angle_unit="rad"):
+        """Distances between pairs of corrected readings, and how far to trust them.
+
+        Parameters
+        ----------
+        angles, others : array-like of shape (n_samples, n_joints)
+            Joint angles at both ends.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of both.
+
+        Returns
+        -------
+        lengths : ndarray of shape (n_samples,)
+            In mm.
+        std : ndarray of shape (n_samples,)
+            Standard deviation of a distance between two readings, mm (k = 1): of its ends along
+            the line, and of the scale of the arm.
+
+        Raises
+        ------
+        ValueError
+            If the angles do not fit the arm or each other.
+        """
+        ends = [self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)]
+        if len(ends[0][0]) != len(ends[1][0]):
+            raise ValueError(f"There are {len(ends[0][0])} angles, but {len(ends[1][0])} others.")
+        return distances(*ends, self.calibration.scale_sd)
 
     def save(self, folder, others=None):
         """Write the arm, the model and the scores into a folder.
@@ -179,6 +222,7 @@ class LearnedCorrection:
             "noise_mm": self.noise,
             "base": base_as_facts((found.base_rotation, found.base_translation)),
             "std_factor": scores.std_factor,
+            "scale_sd": self.calibration.scale_sd,
             "coverage": scores.coverage,
             "n_rows": len(self.angles),
             "n_folds": scores.n_folds,

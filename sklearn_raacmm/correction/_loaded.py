@@ -9,12 +9,12 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.correction._one_fit import predict_with_std
+from sklearn_raacmm.correction._deviations import STD_OF, corrected_points
 from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import Finding
+from sklearn_raacmm.utils import Finding, check_option
 
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
@@ -106,11 +106,11 @@ class SavedCorrection:
         contents = {"arm.json": self.arm.to_json(), "model.skops": skops.io.dumps(self.model)}
         return write_correction(folder, facts, contents | (others or {}))
 
-    def correct(self, angles, *, angle_unit="rad"):
+    def correct(self, angles, *, angle_unit="rad", std_of="coordinate"):
         """Corrected points and standard deviations, see `LearnedCorrection.correct`."""
+        check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        correction, std = predict_with_std(self.model, angles, self.facts["noise_mm"])
-        return self.arm.forward(angles) - correction, self.facts["std_factor"] * std
+        return corrected_points(self.arm, self.model, angles, self.facts, std_of)
 
     def residuals(self, angles, points):
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.

@@ -9,7 +9,6 @@ import pytest
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import judge_limit, write_report
 from sklearn_raacmm.datasets import make_gauge, make_single_point
-from sklearn_raacmm.metrics import articulated_location_error
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
@@ -75,9 +74,11 @@ def numbers_of(result):
     for errors in (scores.length_errors_before, scores.length_errors_after):
         size = np.abs(errors).max(), np.ptp(errors), 2 * np.sqrt(np.mean(errors**2))
         um += [1000 * v for v in size]
-    for left in (scores.left_before, scores.left_after):
-        every = [left[(result.positions == p) & np.isfinite(left[:, 0])] for p in range(12)]
-        um += [1000 * max(articulated_location_error(some) for some in every)]
+    within = result.correct(result.angles, std_of="position")[1]
+    base = result.correct(result.angles)[1]
+    k = result.calibration.scale_sd
+    of_metre = np.sqrt(2 / 3 * np.mean(np.sum(within**2, axis=1)) + (1000 * k) ** 2)
+    um += [1000 * np.sqrt(np.mean(v**2)) for v in (within, base)] + [1000 * of_metre, 1e6 * k, 1]
     um += (1000 * result.outliers["distance"]).tolist()
     um += [1000 * calibration.scatter_before_mm, 1000 * calibration.scatter_after_mm]
     angle = np.array([name.startswith(("alpha", "theta")) for name in calibration.names])
@@ -121,12 +122,13 @@ def test_the_page_says_what_it_is_about(result, page):
         "<17>",
         "serial number",
         "no statement of conformance",
-        "Scale: points of one position say nothing of lengths",
-        "E_Uni",
+        "of a distance of 1 m",
+        "error of known lengths, largest",
         "517 1",
     ):
         assert said in text, said
     assert judge_limit(result.scores, 0.04)[1] in text
+    assert "Scale: points of one position" not in text  # lengths are known
 
 
 def test_no_network_and_no_names_twice(page):

@@ -464,10 +464,10 @@ def known(first, second, factor=1.0):
     [
         ([known(0, 1, 10)], "still scatter by"),
         ([known(0, 1)[:2] + known(0, 9)[2:]], "still scatter by"),  # of another pair
-        ([known(0, 1, 1.1)], "d3 is 8.* mm, nominally 750"),
+        ([known(0, 1, 1.1)], r"offset of joint 3 \(d3\) is 8.* mm, the table says 750"),
         (
             [known(i, i + 1, 0.1) for i in range(3)],
-            "look at the known lengths, their unit",
+            "look at the known lengths and their unit",
         ),  # in cm
     ],
 )
