@@ -6,8 +6,9 @@
 from os import PathLike
 from typing import Any
 
+from sklearn_raacmm.arm._chain import write_urdf
 from sklearn_raacmm.arm._files import read_json, write_json
-from sklearn_raacmm.arm._urdf import read_urdf, write_urdf
+from sklearn_raacmm.arm._urdf import read_urdf, update_urdf
 
 
 class Formats:
@@ -30,7 +31,8 @@ class Formats:
         Parameters
         ----------
         source : str or path-like
-            Path of the file, or the text itself if it starts with "<".
+            Path of the file, or the text itself. Universal Robots' kinematics in YAML, as
+            ur_calibration writes them, are read as well; their base is the controller's.
         base, tip : str, default=None
             Names of the links where the chain begins and ends; `tip` is the probe. None: the only
             ones there are.
@@ -67,6 +69,9 @@ class Formats:
     def to_urdf(self, path=None):
         """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
 
+        Joints have the names and limits of the arm; without limits they are continuous. Where the
+        robot has a file of its own, `update_urdf` keeps what else stands there.
+
         Parameters
         ----------
         path : str or path-like, default=None
@@ -78,6 +83,52 @@ class Formats:
             The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
         """
         return write_urdf(self, path)
+
+    def update_urdf(
+        self,
+        original: str | PathLike[str],
+        out: str | PathLike[str] | None = None,
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+    ) -> str:
+        """Write the calibrated arm back into the robot's own description.
+
+        The origins of the joints from `base` to `tip` get new numbers. Everything else stays as it
+        is in the file: names, limits, meshes, tools and comments.
+
+        Parameters
+        ----------
+        original : str or path-like
+            What `from_urdf` has read: a URDF or UR's kinematics, path or text.
+        out : str or path-like, default=None
+            File to write, which may be the original. None only returns the text.
+        base, tip : str, default=None
+            As for `from_urdf`.
+
+        Returns
+        -------
+        str
+            The text. Its kinematics are those of `forward`. A tool is no part of UR's kinematics:
+            there the probe's distance from the last axis is left out.
+
+        Raises
+        ------
+        ValueError
+            If this arm was not read from the file, or the file has no place for its probe.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> file = Arm.from_name("panda").to_urdf()
+        >>> arm = Arm.from_urdf(file)
+        >>> calibrated = arm.replace(a=arm.a + 0.1)
+        >>> again = Arm.from_urdf(calibrated.update_urdf(file))
+        >>> off = again.forward([[0.1] * 7]) - calibrated.forward([[0.1] * 7])
+        >>> bool(abs(off).max() < 1e-9)
+        True
+        """
+        return update_urdf(self, original, out, base, tip)
 
     @classmethod
     def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> Any:

@@ -30,6 +30,9 @@ from sklearn_raacmm.utils import Finding, centred, listed, one_blas_thread, say_
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
 # benchmarks/bench_transfer.py judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
+# Nats of evidence for the earlier arms from which on they are believed: one draw of a Panda lost a
+# third at 0.5, the sixteen draws with at least 5 gained (``benchmarks/bench_transfer.py --panda``).
+LEAST_GAIN_NATS = 4.0
 # The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
 # may be better, too.
 _LOG_NOISE = (-4.0, 4.0)
@@ -83,7 +86,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
         With the options of the first model. Without poses it is the mean of the earlier arms, with
         their spread as standard deviation. ``updates_`` holds one dictionary: `date`, `n_poses`,
         `tau` and `noise_sd_mm` as of :func:`update_correction`, `n_arms`, and `gain_nats`, the
-        evidence for the earlier arms; where that is not positive, the model is the one that was
+        evidence for the earlier arms; where that is less than 4, the model is the one that was
         fitted to the new poses alone, and `tau` is empty.
 
     Raises
@@ -160,12 +163,10 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     poses = poses._replace(weights=poses.weights * changed.pose_weight * own.pose_weight_)
     gain = _evidence_of_change(prior, changed, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
-    if gain > 0:
+    if gain >= LEAST_GAIN_NATS:
         new.linear_model_ = replace(changed.model, offsets=poses.codes is not None)
         new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
         new.pose_weight_ = changed.pose_weight
-        # Where the new poses say nothing, the mean of the make stands.
-        new.fading_ = replace(own.fading_, factor=0.0)
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
     new.updates_ = (entry | {"n_arms": len(linears), "gain_nats": float(gain)},)
@@ -255,11 +256,13 @@ def _pooled(linears, arm):
     def pooled_root(roots):
         return np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r").T
 
+    gauge_free = pooled_root([one.gauge_free_half for one in aligned])
     return replace(
         model,
         coef=trust * mean,
         half=pooled_root([one.half for one in aligned]),
-        gauge_free_half=pooled_root([one.gauge_free_half for one in aligned]),
+        gauge_free_half=gauge_free,
+        fading_half=gauge_free,
     )
 
 

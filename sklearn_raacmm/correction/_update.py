@@ -4,13 +4,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from copy import deepcopy
-from dataclasses import replace
 from datetime import date as calendar
 
-import numpy as np
-
 from sklearn_raacmm.arm import Arm, one_warning
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, poses_in_range
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.utils import Finding, one_blas_thread, say_findings, validate_params
@@ -163,7 +160,6 @@ def update_correction(
     updated = deepcopy(model)
     updated.findings_ = tuple(found)
     updated.linear_model_ = changed.model
-    updated.fading_ = _same_fading(model, changed.model, poses.angles[poses.weights > 0])
     before = vars(model).get("updates_", ())
     updated.updates_ = (*before, record_of(changed, len(poses.angles), date))
     return updated
@@ -177,20 +173,3 @@ def record_of(changed, n_poses, date):
         "tau": changed.tau,
         "noise_sd_mm": changed.noise_sd,
     }
-
-
-def _same_fading(model, linear, angles):
-    """Fading that lets the updated correction fade where the old one did.
-
-    What few poses leave open of base, tool and change adds to every standard deviation. The change
-    is shrunk to the old model for that already, so that it is no reason to take the whole
-    correction back. It is measured at poses whose joints stand anywhere in the ranges that the new
-    poses are from.
-    """
-    tried = poses_in_range(angles, linear.arm.n_joints)
-    old, new = (
-        np.square(one.predict(tried, return_std=True)[1]).sum(axis=1)
-        for one in (model.linear_model_, linear)
-    )
-    added = max(np.max(new - old), 0.0)
-    return replace(model.fading_, known_mm=float(np.sqrt(model.fading_.known_mm**2 + added)))

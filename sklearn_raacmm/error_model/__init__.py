@@ -23,7 +23,6 @@ from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import lever_mm
 from sklearn_raacmm.error_model._solve import angles_for, limits_of
 from sklearn_raacmm.error_model._structures import order_price, smooth_shares
-from sklearn_raacmm.error_model._variance_bound import single_root
 
 __all__ = [
     "LOAD",
@@ -45,7 +44,6 @@ __all__ = [
     "limits_of",
     "observed_columns",
     "order_price",
-    "single_root",
     "smooth_shares",
     "term_columns",
 ]

@@ -25,7 +25,12 @@ from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
 from sklearn_raacmm.error_model._in_use import ModelInUseMixin
-from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._left_out import (
+    judge,
+    leave_out,
+    too_few_positions,
+    with_honest_intervals,
+)
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
@@ -92,8 +97,9 @@ class ArmResidualRegressor(
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. The higher an order, the more it has to explain to be taken. A
-        joint is offered no more orders than it shows different angles. 0 offers none. A list offers
-        these orders only, for all joints or for each.
+        joint is offered no more orders than it shows different angles, and those above 72 where its
+        angles are scattered. 0 offers none. A list offers these orders only, for all joints or for
+        each.
 
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
@@ -105,12 +111,11 @@ class ArmResidualRegressor(
         zero, or not.
 
     fade : float or "auto", default="auto"
-        Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
-        standard deviation at this pose and r the root mean square of the training residuals, both
-        as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 1, or where positions have offsets half of the factor by which errors at
-        positions left out widen s, up to 1. There t is twice the deviation that 99 % of the
-        training poses stay below; elsewhere 0.
+        Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s its posterior standard
+        deviation at this pose and r the root mean square of the training residuals, both as lengths
+        of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at all. "auto":
+        1, or where four positions or more have offsets 0.6 times the factor by which errors at
+        positions left out widen s, up to 1.
 
     regressor : estimator, default=None
         A second stage: fitted on joint angles in rad to what the linear model leaves, in the
@@ -159,7 +164,7 @@ class ArmResidualRegressor(
         The fitted second stage.
 
     fading_ : Fading
-        How corrections fade: `factor`, `size_mm` (r) and `known_mm` (t).
+        How corrections fade: `factor` and `size_mm` (r).
 
     helps_ : bool
         Whether the linear model helped at positions left out; `predict` returns 0 where it did not.
@@ -211,8 +216,9 @@ class ArmResidualRegressor(
     The posterior's standard deviations suppose that the model is complete. Of ten blocks of
     neighbouring positions, left out in turn, the errors show how much larger they have to be. The
     same errors say whether the correction helps: if their mean over positions is less than without
-    correction by more than the standard error of the difference. With fewer than four positions
-    intervals stay as they are, and the correction has to help at each of them.
+    correction by more than the standard error of the difference. With P < 4 positions that have
+    offsets, intervals are 1 + 2 / P times as wide, and the correction has to help at each of them.
+    Where it is not used, intervals are at least as wide as the residuals ask for.
 
     The harmonic form is that of encoder eccentricity; the composition of the model is our own.
 
@@ -363,10 +369,10 @@ class ArmResidualRegressor(
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         model = replace(model, n_positions=float(positions.max() + 1))
-        mean, std = model.predict(rows.X, return_std=True)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        self.fading_ = find_fading(rows.y, std, *rest, self.fade, model.std_scale)
+        widening = None if too_few_positions(left_out, positions) else model.std_scale
+        self.fading_ = find_fading(rows.y, *rest, self.fade, widening)
         self.judgement_ = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
@@ -377,7 +383,7 @@ class ArmResidualRegressor(
         say_findings(many_without_weight(fitted.pose_weight))
         self.regressor_ = None
         if self.regressor is not None:
-            left = centred(rows.y - mean * self.helps_, rows.codes, robust)
+            left = centred(rows.y - model.predict(rows.X)[0] * self.helps_, rows.codes, robust)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
 
     def _fitted_second_stage(self, rows, left, weights):
@@ -500,19 +506,24 @@ class ArmResidualRegressor(
         if return_std and return_cov:
             raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
         X = check_poses(self, X)
-        fades = self.fading_.factor > 0
-        # What is known does not fade, however well it is known.
-        enough = 0.0 if return_std else self.fading_.known_mm
-        mean, std = self.linear_model_.predict(X, return_std or fades, enough)
+        model, fading = self.linear_model_, self.fading_
+        if fading.factor > 0:
+            mean, std, doubt = model.predict_with_doubt(X, return_std)
+        else:
+            mean, std = model.predict(X, return_std)
         mean = mean * self.helps_ + self.second_stage(X)
-        if fades:
-            share = self.fading_.share(std)
+        if fading.factor > 0:
+            share = fading.share(doubt)
             if self.helps_:
                 warn_where_unknown(share)
             mean = share[:, None] * mean
         if return_cov:
-            return mean, self.linear_model_.joint_covariance(X, with_noise, with_unseen)
-        return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+            return mean, model.joint_covariance(X, with_noise, with_unseen)
+        if not return_std:
+            return mean
+        std = model.widened(std, with_noise)
+        # Without a correction the errors are at least those that the residuals had.
+        return mean, std if self.helps_ else np.maximum(std, fading.size_mm / np.sqrt(3))
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""

@@ -336,16 +336,6 @@ class FactoredColumns(NamedTuple):
     runs: list  # of (first, last column, vector (n, 3), waves (n, k))
     rest: np.ndarray  # (n, 3, m) the columns after the runs
 
-    def map(self, function):
-        """The same with a function of every number."""
-        runs = [(first, last, function(v), function(w)) for first, last, v, w in self.runs]
-        return FactoredColumns(runs, function(self.rest))
-
-    def at(self, rows):
-        """The same at some of the poses."""
-        runs = [(first, last, v[rows], w[rows]) for first, last, v, w in self.runs]
-        return FactoredColumns(runs, self.rest[rows])
-
     def dot(self, coef):
         """``columns @ coef``, (n, 3)."""
         out = self.rest @ coef[len(coef) - self.rest.shape[2] :]

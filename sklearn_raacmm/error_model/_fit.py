@@ -286,6 +286,7 @@ def model_of(rows, terms, state):
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
         gauge_free_half=half,
+        fading_half=half,
         turn_mm=rows.turn_mm,
     )
     poses = rows.X, rows.weights, rows.codes

@@ -229,7 +229,7 @@ class ModelInUseMixin:
         mean, std = model.predict_turn(X, return_std)
         mean = mean * self.helps_
         if self.fading_.factor > 0:
-            share = self.fading_.share(model.predict(X, return_std=True)[1])
+            share = self.fading_.share(model.predict_with_doubt(X)[2])
             if self.helps_:
                 warn_where_unknown(share)
             mean = share[:, None] * mean
@@ -252,7 +252,7 @@ class ModelInUseMixin:
             1 where nothing is faded, towards 0 where nothing is known.
         """
         X = check_poses(self, X)
-        return self.fading_.share(self.linear_model_.predict(X, return_std=True)[1])
+        return self.fading_.share(self.linear_model_.predict_with_doubt(X)[2])
 
     def distance_std(self, X1, X2):
         """Standard deviation of corrected lengths between two poses each, without noise.

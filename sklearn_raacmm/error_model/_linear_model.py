@@ -17,14 +17,11 @@ from sklearn_raacmm.error_model._columns import (
     term_columns,
     term_names,
 )
-from sklearn_raacmm.error_model._variance_bound import bounded_std, single_root
 from sklearn_raacmm.utils import check_shapes, chunks
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
 # 2^18 with 177 and 769 columns.
 _CHUNK = 2**17
-# Poses from which on a bound of standard deviations pays: of one, calls cost more than products.
-_FEWEST_TO_BOUND = 8
 # A root of which more than this share is not zero is worth being made a triangle.
 _FULL = 0.6
 
@@ -86,6 +83,10 @@ class LinearModel:
         Equal to `half` where positions have no offsets. Standard deviations of predictions are made
         of it; those of lengths are made of `half`.
 
+    fading_half : ndarray of shape (n_columns, r)
+        Root of the covariance by which corrections fade: `gauge_free_half`, and after an update
+        what the new poses leave of it.
+
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out (see :func:`with_honest_intervals`); 1 where that is not known.
@@ -108,6 +109,7 @@ class LinearModel:
     n_determined: float
     log_bayes_factor: np.ndarray
     gauge_free_half: np.ndarray
+    fading_half: np.ndarray
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
@@ -115,7 +117,7 @@ class LinearModel:
 
     def __getstate__(self):
         state = dict(vars(self))
-        for made_of_others in ("_std_root", "_single_root"):
+        for made_of_others in ("_std_root", "_fading_root"):
             state.pop(made_of_others, None)
         return state
 
@@ -124,6 +126,7 @@ class LinearModel:
         pairs = np.asarray(self.terms.harmonics)
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
         shapes["gauge_free_half"] = ("columns", "rank")
+        shapes["fading_half"] = ("columns", "fading")
         check_shapes("LinearModel", {"harmonics": pairs}, {"harmonics": ("pairs", 2)}, {})
         if len(pairs) and not (0 <= pairs[:, 0].min() <= pairs[:, 0].max() < self.arm.n_joints):
             raise ValueError(
@@ -168,7 +171,7 @@ class LinearModel:
         """
         return term_columns(self.arm, angles, self.terms)
 
-    def predict(self, angles, return_std=False, enough=0.0):
+    def predict(self, angles, return_std=False):
         """Posterior of the correction at some poses.
 
         Parameters
@@ -179,10 +182,6 @@ class LinearModel:
         return_std : bool, default=False
             Also return standard deviations.
 
-        enough : float, default=0.0
-            Standard deviations of poses where their length is at most this may be left 0, mm: what
-            fades no correction need not be known exactly, see `_variance_bound`.
-
         Returns
         -------
         mean : ndarray of shape (n, 3)
@@ -192,49 +191,52 @@ class LinearModel:
             That of the posterior, mm, without noise, of what the test can show; None where it is
             not asked for. :meth:`widened` makes intervals of it that hold.
         """
-        return self._posterior(angles, return_std, False, enough)
+        mean, found = self._posterior(angles, [self._std_root] * return_std)
+        return mean, found[0] if return_std else None
+
+    def predict_with_doubt(self, angles, return_std=False):
+        """As `predict`, and what corrections fade by.
+
+        Returns
+        -------
+        mean : ndarray of shape (n, 3)
+        std : ndarray of shape (n, 3) or None
+        doubt : ndarray of shape (n,)
+            Length of the standard deviation by `fading_half`, mm.
+        """
+        roots = [self._fading_root]
+        if return_std and roots[0] is not self._std_root:
+            roots = [self._std_root, *roots]
+        mean, found = self._posterior(angles, roots)
+        return mean, found[0] if return_std else None, np.linalg.norm(found[-1], axis=1)
 
     def predict_turn(self, angles, return_std=False):
         """As `predict`, of the orientation of the last link: rotation vectors in rad."""
-        return self._posterior(angles, return_std, True)
+        mean, found = self._posterior(angles, [self._std_root] * return_std, of_turns=True)
+        return mean, found[0] if return_std else None
 
-    def _posterior(self, angles, return_std, of_turns, enough=0.0):
+    def _posterior(self, angles, roots, of_turns=False):
+        """Mean (n, 3), and standard deviations (n, 3) by each of some roots."""
         mean = np.empty((len(angles), 3))
-        std = np.empty((len(angles), 3)) if return_std else None
-        pays = enough > 0
+        found = [np.empty((len(angles), 3)) for _ in roots]
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = factored_columns(self.arm, angles[rows], self.terms, of_turns)
             mean[rows] = columns.dot(self.coef)
-            if return_std and pays and len(columns.rest) >= _FEWEST_TO_BOUND:
-                part = np.zeros((len(columns.rest), 3))
-                doubtful = bounded_std(columns, self._single_root) > enough
-                part[doubtful] = np.sqrt(columns.at(doubtful).squares(self._std_root))
-                std[rows] = part
-                pays = np.mean(doubtful) < 0.5  # not where most poses are far away
-            elif return_std:
-                std[rows] = np.sqrt(columns.squares(self._std_root))
-        return mean, std
-
-    @cached_property
-    def _single_root(self):
-        """The same root in single precision, for a bound."""
-        return single_root(self._std_root)
+            for std, root in zip(found, roots, strict=True):
+                std[rows] = np.sqrt(columns.squares(root))
+        return mean, found
 
     @cached_property
     def _std_root(self):
-        """Root of the covariance that standard deviations are made of, with many zeros.
+        """Root that standard deviations are made of."""
+        return _triangle(self.gauge_free_half, len(self.terms.harmonics))
 
-        The columns that are multiplied for x, y and z each, those after the harmonics, have the
-        shortest rows of a triangle.
-        """
-        half = self.gauge_free_half
-        if np.count_nonzero(half) <= _FULL * half.size:
-            return half
-        n_waves = 2 * len(self.terms.harmonics)
-        order = np.roll(np.arange(len(half)), -n_waves)
-        root = np.empty((len(half), min(half.shape)))
-        root[order] = np.linalg.qr(half[order].T, mode="r").T
-        return root
+    @cached_property
+    def _fading_root(self):
+        """Root that corrections fade by."""
+        if np.array_equal(self.fading_half, self.gauge_free_half):
+            return self._std_root
+        return _triangle(self.fading_half, len(self.terms.harmonics))
 
     def widened(self, std, with_noise=False):
         """Standard deviations whose intervals hold at positions that were left out of the fit.
@@ -333,3 +335,17 @@ class LinearModel:
         table["name"] = names
         table["value"], table["sd"] = self.coef[n:], self.coef_sd[n:]
         return table
+
+
+def _triangle(half, n_pairs):
+    """Root of the same covariance with many zeros.
+
+    The columns that are multiplied for x, y and z each, those after the harmonics, have the
+    shortest rows of a triangle.
+    """
+    if np.count_nonzero(half) <= _FULL * half.size:
+        return half
+    order = np.roll(np.arange(len(half)), -2 * n_pairs)
+    root = np.empty((len(half), min(half.shape)))
+    root[order] = np.linalg.qr(half[order].T, mode="r").T
+    return root

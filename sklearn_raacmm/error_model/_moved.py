@@ -85,6 +85,7 @@ def moved_model(linear, arm):
         coef=matrix @ linear.coef,
         half=np.hstack([matrix @ linear.half, unknown]),
         gauge_free_half=np.hstack([matrix @ linear.gauge_free_half, unknown]),
+        fading_half=np.hstack([matrix @ linear.fading_half, unknown]),
     )
 
 
@@ -105,7 +106,7 @@ def moved_fading(fading, old, new):
     Fading
     """
     ratio = max(lever_mm(new) / lever_mm(old), 1.0) if lever_mm(old) > 0 else 1.0
-    return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
+    return replace(fading, size_mm=ratio * fading.size_mm)
 
 
 def lever_mm(arm, probe_mm=None):

@@ -336,13 +336,13 @@ def scaler(p, step, x):
 def arm_model(chain, step):
     """Correction and variance (or None) of an `ArmResidualRegressor`: both stages, faded."""
     p, linear, fading = chain.p, step.linear_model_, step.fading_
-    for name in ("size_mm", "factor", "known_mm"):
+    for name in ("size_mm", "factor"):
         value = getattr(fading, name)
         if not 0 <= value < np.inf:
             raise ValueError(
                 f"{name} of Fading must be a finite number of at least 0, got {value}."
             )
-    y, v, doubt = linear_model(chain, linear, fading)
+    y, v, doubt = linear_model(chain, linear, fading.factor > 0)
     if not step.helps_:
         y = p.constant(np.zeros(3))
     if step.regressor_ is not None:
@@ -356,7 +356,10 @@ def arm_model(chain, step):
             share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
         chain.trust, y = share, p("mul", y, share)
     y = _known_tools(chain, linear.terms.extra, y)
-    return y, p("mul", v, linear.std_scale**2) if chain.std else None
+    if not chain.std:
+        return y, None
+    v = p("mul", v, linear.std_scale**2)
+    return y, v if step.helps_ else p("max", v, fading.size_mm**2 / 3)
 
 
 def _known_tools(chain, extra, y):
@@ -373,8 +376,8 @@ def _known_tools(chain, extra, y):
     return y
 
 
-def linear_model(chain, linear, fading):
-    """Correction of a `LinearModel`, variances (or None), and by how much these leave the known."""
+def linear_model(chain, linear, fades):
+    """Correction of a `LinearModel`, variances, and squared doubt; each None where not needed."""
     p, arm = chain.p, linear.arm
     table = column_table(arm, linear.terms)
     m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
@@ -391,17 +394,22 @@ def linear_model(chain, linear, fading):
     matrix[vector, np.arange(m)] = linear.coef[order]
     along = p("affine", sizes, matrix=matrix, shift=np.zeros(2 * n_axes))
     y = p("dots", vectors, along)
-    # Any root gives the same variances; a triangle has half the entries.
-    root = np.linalg.qr(linear.gauge_free_half[order].T, mode="r").T
-    v = p("variances", vectors, sizes, vector=vector, root=root) if chain.std else None
-    if not fading.factor > 0:
+
+    def variances(half):
+        # Any root gives the same variances; a triangle has half the entries.
+        root = np.linalg.qr(half[order].T, mode="r").T
+        return p("variances", vectors, sizes, vector=vector, root=root)
+
+    v = variances(linear.gauge_free_half) if chain.std else None
+    if not fades:
         return y, v, None
-    known = fading.known_mm**2
-    if not chain.any_probe:
-        return y, v, p("doubt", vectors, sizes, vector=vector, root=root, known=known)
-    scale = p("mul", chain.lever_ratio(), chain.lever_ratio())
-    total = p("doubt", vectors, sizes, vector=vector, root=root, known=0.0)
-    return y, v, p("div", p("max", p("sub", total, p("mul", scale, known)), 0.0), scale)
+    same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
+    of_fading = v if same else variances(linear.fading_half)
+    doubt = p("dots", of_fading, p.constant(np.ones(3)))
+    if chain.any_probe:
+        ratio = chain.lever_ratio()
+        doubt = p("div", doubt, p("mul", ratio, ratio))
+    return y, v, doubt
 
 
 def _vectors(chain):

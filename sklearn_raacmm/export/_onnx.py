@@ -208,10 +208,6 @@ class Graph:
         squares = self.row_sum(self("Mul", dots, dots), 2)
         return self("Squeeze", squares, self.whole(2))
 
-    def _doubt(self, given, shapes, vectors, sizes):
-        total = self.row_sum(self._variances(given, shapes, vectors, sizes))
-        return self("Max", self("Sub", total, float(given["known"])), 0.0)
-
 
 def _pose_parts(table, convention):
     """What the turns of all joints are made of: cosine, sine and the rest, (3, n, 4, 4)."""

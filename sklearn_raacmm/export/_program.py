@@ -278,12 +278,6 @@ def _variances(given, vectors, sizes):
     return np.stack(found, axis=1)
 
 
-def _doubt(given, vectors, sizes):
-    """By how much the sum of the variances is above what counts as known, 0 below it."""
-    total = _variances(given, vectors, sizes).sum(axis=1, keepdims=True)
-    return np.maximum(total - given["known"], 0.0)
-
-
 def _of(function):
     return Operation((), lambda given, *values: function(*values))
 
@@ -312,5 +306,4 @@ OPERATIONS = {
     "waves": Operation(("joint", "order"), _waves),
     "radial": Operation(("kernel", "centers", "shift", "inverse_width"), _radial),
     "variances": Operation(("vector", "root"), _variances),
-    "doubt": Operation(("vector", "root", "known"), _doubt),
 }
