@@ -112,7 +112,7 @@ def in_rad(table):
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
 
 
-def columns_of(options, arm, points=None, labelled=True):
+def table_options(options, arm, points=None, labelled=True):
     """Options of `read_table` as the command line has them."""
     if points and not Path(points).is_file():
         points = points.split(",")

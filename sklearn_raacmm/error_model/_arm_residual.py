@@ -14,7 +14,6 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
     check_fit,
-    check_poses,
     check_turns,
     poses_of,
 )
@@ -29,6 +28,7 @@ from sklearn_raacmm.error_model._left_out import (
     too_few_positions,
     with_honest_intervals,
 )
+from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
