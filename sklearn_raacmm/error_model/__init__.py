@@ -15,7 +15,7 @@ from sklearn_raacmm.error_model._columns import (
     observed_columns,
     term_columns,
 )
-from sklearn_raacmm.error_model._extra import force_on_probe
+from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
 from sklearn_raacmm.error_model._fading import Fading
 from sklearn_raacmm.error_model._gauge import constrained
 from sklearn_raacmm.error_model._left_out import Judgement
@@ -31,6 +31,7 @@ __all__ = [
     "Judgement",
     "LinearModel",
     "Terms",
+    "check_extra",
     "check_poses",
     "check_turns",
     "column_table",

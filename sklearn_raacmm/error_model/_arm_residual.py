@@ -83,7 +83,7 @@ class ArmResidualRegressor(
         evidence.
 
         - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
-          and zero offsets drift in proportion to it.
+          and zero offsets drift in proportion to it. "time" is one more of the whole arm.
         - "direction J": the direction from which joint J came, 1 from smaller angles and -1 from
           larger ones: its backlash.
         - "payload": a weight at the probe. "force x", "force y", "force z": a force on the probe in
