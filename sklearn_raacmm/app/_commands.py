@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from sklearn_raacmm.app._causes import by_causes, causes_of, columns_of_causes
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of, picture_of
 from sklearn_raacmm.app._files import (
@@ -27,7 +28,12 @@ from sklearn_raacmm.app._files import (
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.app._tables import find_layout, read_lengths, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import check_correction, learn_correction, read_check_records
+from sklearn_raacmm.correction import (
+    check_correction,
+    learn_correction,
+    read_check_records,
+    with_causes,
+)
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -64,12 +70,13 @@ def learn(options):
     arm = load_arm(options.arm, options.base, options.tip)
     table = read_table(options.table, arm.n_joints, **_columns(options, arm, points=options.points))
     _say_notes(table.notes)
+    like = [load_correction(folder).model for folder in options.like or ()]
     lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else ()
     facts = {"file": Path(options.table).name}
     for name, value in (("serial number", options.serial), ("operator", options.operator)):
         if value:
             facts[name] = value
-    return _learn(options, arm, table, lengths, facts)
+    return _learn(options, arm, table, lengths, facts, like)
 
 
 def _is_there(name):
@@ -79,7 +86,7 @@ def _is_there(name):
         return False
 
 
-def _learn(options, arm, table, lengths, facts):
+def _learn(options, arm, table, lengths, facts, like):
     if options.limit_2s is not None and table.points is not None:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
     if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
@@ -88,12 +95,15 @@ def _learn(options, arm, table, lengths, facts):
     result = learn_correction(
         arm, in_rad(table), table.positions, table.points, lengths,
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
+        extra=causes_of(table, columns_of_causes(options)), in_order=options.in_order, like=like,
     )  # fmt: skip
     _progress(30, 30, "report")
     layout = find_layout(options.table, arm.n_joints, **_columns(options, arm, labelled=False))
     corrected = io.StringIO(newline="")
-    write_corrected(layout, result.correct, corrected)
-    card = describe(result.model, result.angles)
+    columns = {k: v for k, v in columns_of_causes(options).items() if k in result.causes}
+    in_order = any(name.startswith("direction") for name in result.causes)
+    write_corrected(layout, by_causes(result.correct, columns, in_order), corrected)
+    card = describe(result.model, with_causes(result.angles, result.causes))
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     # Everything is made before the first file gets its name.
@@ -142,8 +152,9 @@ def correct(options):
         if options.out == "-"
         else open_beside(options.out, layout.dialect.encoding)
     )
+    rule = by_causes(saved.correct, columns_of_causes(options), options.in_order)
     with stream as file:
-        n_rows = write_corrected(layout, lambda angles: saved.correct(angles)[1:], file)
+        n_rows = write_corrected(layout, lambda *rows: rule(*rows)[1:], file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
@@ -200,7 +211,7 @@ def _has_causes(model, options):
 
 def _name_the_suspect(saved, measured, table, options, rate):
     """Say what the model's posterior makes of today's poses, keep the record; whether one is."""
-    angles, positions = in_rad(table), table.positions
+    angles, positions = saved.inputs(in_rad(table)), table.positions
     found = check_correction(
         saved.model, angles, position_residuals(measured, positions), groups=positions,
         false_alarm_rate=rate,
@@ -347,6 +358,7 @@ def _columns(options, arm, points=None, labelled=True):
         "joint_names": arm.names,
         "counts_per_turn": counts,
         "sheet": options.sheet,
+        "others": columns_of_causes(options).values(),
     }
 
 

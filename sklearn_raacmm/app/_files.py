@@ -13,7 +13,7 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import predict_with_std, read_correction
+from sklearn_raacmm.correction import predict_with_std, read_correction, with_causes
 from sklearn_raacmm.export import TRUSTED_TYPES
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
@@ -44,10 +44,16 @@ class SavedCorrection:
     model: object
     facts: dict
 
-    def correct(self, angles):
+    def inputs(self, angles, extra=None):
+        """What the model takes: angles in rad and causes, those that it knows."""
+        usual = self.facts.get("causes", {})
+        return with_causes(angles, usual, {k: v for k, v in (extra or {}).items() if k in usual})
+
+    def correct(self, angles, extra=None):
         """Measured and corrected points (n, 3), and standard deviations; angles in rad."""
         measured = self.arm.forward(angles)
-        correction, std = predict_with_std(self.model, angles, self.facts["noise_mm"])
+        X = self.inputs(angles, extra)
+        correction, std = predict_with_std(self.model, X, self.facts["noise_mm"])
         return measured, measured - correction, self.facts["std_factor"] * std
 
 
@@ -91,7 +97,8 @@ def write_corrected(layout, correct, file):
     layout : Layout
         Of the table.
     correct : callable
-        Takes angles in rad, returns points and standard deviations (n, 3).
+        Takes angles in rad and their block of the table, returns points and standard deviations
+        (n, 3).
     file : text stream
         Written to, with the line ends that the stream makes.
 
@@ -104,7 +111,7 @@ def write_corrected(layout, correct, file):
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        numbers = np.hstack(correct(in_rad(block)))
+        numbers = np.hstack(correct(in_rad(block), block))
         for row, values in zip(cells, numbers.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import predict_with_std
@@ -29,5 +30,6 @@ __all__ = [
     "search_table",
     "transfer_correction",
     "update_correction",
+    "with_causes",
     "write_correction",
 ]

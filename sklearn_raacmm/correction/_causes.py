@@ -66,7 +66,7 @@ def with_kept_causes(data, calibration):
     if not data.causes:
         return data
     rows, _ = data.without_lonely(np.arange(len(data.angles)))
-    prior_sd = data.fit(None, calibration, rows)[0].prior_sd_
+    prior_sd = replace(data, like=()).fit(None, calibration, rows)[0].prior_sd_
     kinds = [name.split()[0] for name in data.causes]
     keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > _IDLE_SD for kind in kinds])
     named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
@@ -135,10 +135,8 @@ def say_worth_of_directions(data, left, unknown):
 def say_make(model):
     """Say whether earlier arms of the make were believed."""
     (entry,) = model.updates_
-    n, gain = entry["n_arms"], entry["gain_nats"]
-    believed = (
-        "are believed" if entry["tau"] else "are not believed: the fit is of these rows alone"
-    )
-    said = f"The {n} earlier arms of this make {believed} (evidence of {gain:.1f} nats)."
-    code = "make-believed" if entry["tau"] else "make-not-believed"
+    n, gain, believed = entry["n_arms"], entry["gain_nats"], bool(entry["tau"])
+    said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "
+    said += f"for them is {gain:.1f} nats."
+    code = "make-believed" if believed else "make-not-believed"
     say_findings([Finding(code, said, weight="note")])

@@ -249,7 +249,7 @@ def learn_correction(
     in_order : bool, default=False
         Whether the rows are in the order in which they were measured. Then the directions from
         which joints came are offered, too, and the findings say what they are worth at positions
-        left out, and by how much the run drifted.
+        left out.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make, see :func:`transfer_correction`: what they have in
         common is where this one starts, if the evidence for it is at least 4 nats. Not with
@@ -314,8 +314,7 @@ def learn_correction(
         scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
         if data.like and model is None:
             say_make(fitted)
-        if in_order:
-            say_findings([_drift(data, calibration, fitted, scores.outliers)])
+        say_findings([_drift(data, calibration, fitted, scores.outliers)])
     say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,
@@ -335,7 +334,7 @@ def learn_correction(
 def _drift(data, calibration, model, outliers):
     """By how much the run drifted, of what the model leaves of the rows that are no outliers."""
     rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
-    left = data.residuals(calibration, rows) - model.predict(data.X[rows])
+    left = data.residuals(calibration, rows) - model.predict(data.inputs[rows])
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
     return drift_of(calibration.arm, data.angles[rows], left, codes)
 

@@ -45,17 +45,9 @@ class Data:
 
     @classmethod
     def checked(
-        cls,
-        arm,
-        angles,
-        positions,
-        points,
-        lengths,
-        angle_unit,
-        extra=None,
-        in_order=False,
-        like=(),
-    ):
+        cls, arm, angles, positions, points, lengths, angle_unit,
+        extra=None, in_order=False, like=(),
+    ):  # fmt: skip
         check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
@@ -88,8 +80,8 @@ class Data:
         return cls(arm, angles, labels, points, lengths, poses.first, given, causes, values, like)
 
     @property
-    def X(self):
-        """Angles, then the causes."""
+    def inputs(self):
+        """Angles, then the causes, of each row."""
         return self.angles if self.values is None else np.hstack([self.angles, self.values])
 
     def without_lonely(self, rows):
@@ -150,7 +142,7 @@ class Data:
         model = model_for(None, calibration.arm, self.causes)
         y = self.residuals(calibration, rows)
         with unheard():  # what there is to say is said of the rows that are learnt from
-            model.fit(self.X[rows], y, groups=self.positions[rows])
+            model.fit(self.inputs[rows], y, groups=self.positions[rows])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -160,16 +152,15 @@ class Data:
             fitted = self._like_others(calibration.arm, rows, y)
         else:
             fitted = self._fit_alone(model, calibration, rows, y)
-        left = y - fitted.predict(self.X[rows])
+        left = y - fitted.predict(self.inputs[rows])
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
 
     def _like_others(self, arm, rows, y):
         """A model that starts from earlier arms of the make, where these are believed."""
-        return transfer_correction(
-            list(self.like), arm, self.X[rows], y, groups=self.positions[rows]
-        )
+        X, groups = self.inputs[rows], self.positions[rows]
+        return transfer_correction(list(self.like), arm, X, y, groups=groups)
 
     def _fit_alone(self, model, calibration, rows, y):
         fitted = model_for(model, calibration.arm, self.causes)
@@ -185,7 +176,7 @@ class Data:
             for name, value in extra.items()
             if len(value) and has_fit_parameter(last, name)
         }
-        return fitted.fit(self.X[rows], y, **extra)
+        return fitted.fit(self.inputs[rows], y, **extra)
 
 
 def _regions(points):

@@ -279,7 +279,7 @@ def scored_and_fitted(data, calibration, model, cv, n_jobs, progress):
     fitted, noise = data.fit(model, calibration, data.without_lonely(kept)[0])
     moved = any(finding.code == "moved-position" for finding in calibration.findings)
     if data.points is None and not moved:  # of all rows: those after a step may be outliers
-        left = calibration.residuals_mm[data.rows] - fitted.predict(data.X)
+        left = calibration.residuals_mm[data.rows] - fitted.predict(data.inputs)
         every = np.ones(len(left))
         say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
     return scores, fitted, noise
@@ -385,8 +385,8 @@ def _one_fold(data, model, train, test):
     with unheard():  # whatever there is to say is said of all rows
         calibration = data.calibrate(np.sort(np.r_[train, lonely]))
         fitted, noise = data.fit(model, calibration, train)
-        correction, std = predict_with_std(fitted, data.X[test], noise)
-        unknown = fitted.predict(_without_directions(data, test))
+        correction, std = predict_with_std(fitted, data.inputs[test], noise)
+        unknown = _of_unknown_directions(data, fitted, test, correction)
     points = calibration.arm.forward(data.angles[test])
     labels = data.positions[test]
     lengths = []
@@ -403,12 +403,14 @@ def _one_fold(data, model, train, test):
     return before, after, std, unknown, lengths
 
 
-def _without_directions(data, rows):
-    """Angles and causes of some rows, the directions of whose joints are not known."""
-    X = data.X[rows]
+def _of_unknown_directions(data, model, rows, correction):
+    """Correction of some rows if the directions of their joints were not known."""
     ways = [i for i, name in enumerate(data.causes) if name.startswith("direction")]
-    X[:, data.angles.shape[1] + np.array(ways, dtype=int)] = 0.0
-    return X
+    if not ways:
+        return correction
+    X = data.inputs[rows]
+    X[:, data.angles.shape[1] + np.array(ways)] = 0.0
+    return model.predict(X)
 
 
 def _table(data, before, after):

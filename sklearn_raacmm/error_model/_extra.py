@@ -17,8 +17,8 @@ _KINDS = {
     "tool": ("",),
 }
 _FORMS = (
-    '"temperature", "temperature J", "time", "direction J" (J the number of a joint from 1), "payload", '
-    '"force x", "force y", "force z", "tool"'
+    '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "time", '
+    '"payload", "force x", "force y", "force z", "tool"'
 )
 
 # For names that are read before the arm is known.
