@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
+    from sklearn_raacmm.measurements import directions_of
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -54,6 +55,7 @@ __all__ = [
     "check_correction",
     "cross_validate_correction",
     "cylindrical_to_cartesian",
+    "directions_of",
     "elbow_angle",
     "learn_correction",
     "next_poses",

@@ -112,7 +112,7 @@ class ArmResidualRegressor(
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s its posterior standard
         deviation at this pose and r the root mean square of the training residuals, both as lengths
         of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at all. "auto":
-        1, or where four positions or more have offsets 0.6 times the factor by which errors at
+        1, or where four positions or more have offsets 0.3 times the factor by which errors at
         positions left out widen s, up to 1.
 
     regressor : estimator, default=None

@@ -44,7 +44,7 @@ def directions_of(angles, previous=None):
 
     Examples
     --------
-    >>> from sklearn_raacmm.measurements import directions_of
+    >>> from sklearn_raacmm import directions_of
     >>> directions_of([[0.1, 0.0], [0.3, 0.0], [0.3, -0.2]]).tolist()
     [[0.0, 0.0], [1.0, 0.0], [1.0, -1.0]]
     >>> directions_of([[0.1, 0.0]], previous=[0.3, 0.0]).tolist()

@@ -47,9 +47,7 @@ def test_a_cause_that_is_none_is_not_kept():
     assert learned.causes == {}
     assert "cause-not-kept" in codes_of(learned)
     with pytest.raises(ValueError, match=r"extra\['temperature'\] has 3 rows, angles have 160"):
-        learn_correction(
-            test.nominal_arm, test.data, test.groups, extra={"temperature": noise[:3]}
-        )
+        learn_correction(test.nominal_arm, test.data, test.groups, extra={"temperature": noise[:3]})
 
 
 def test_time_is_refused_where_the_angles_tell_it(with_play):

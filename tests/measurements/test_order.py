@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from sklearn_raacmm import Arm
+from sklearn_raacmm import Arm, directions_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import directions_of, drift_of, order_told_by
+from sklearn_raacmm.measurements import drift_of, order_told_by
 
 ARM = Arm.from_name("aacmm6")
 
