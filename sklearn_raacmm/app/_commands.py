@@ -15,6 +15,7 @@ import numpy as np
 from scipy import stats
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
+from sklearn_raacmm.app._causes import causes_of, columns_of_causes, inputs_of
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
@@ -77,11 +78,12 @@ def learn(options):
     lengths = [length_of(text) for text in options.length or ()]
     lengths += read_places(options.places, options.length_sd) if options.places else []
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
+    like = [load_correction(folder).model for folder in options.like or ()]
     facts = {"file": Path(options.table).name}
     for name, value in (("serial number", options.serial), ("operator", options.operator)):
         if value:
             facts[name] = value
-    return _learn(options, arm, table, lengths, facts)
+    return _learn(options, arm, table, lengths, facts, like)
 
 
 def _is_there(name):
@@ -91,7 +93,7 @@ def _is_there(name):
         return False
 
 
-def _learn(options, arm, table, lengths, facts):
+def _learn(options, arm, table, lengths, facts, like):
     if options.limit_2s is not None and table.points is not None:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
     if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
@@ -100,12 +102,15 @@ def _learn(options, arm, table, lengths, facts):
     result = learn_correction(
         arm, in_rad(table), table.positions, table.points, lengths,
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
+        extra=causes_of(table, columns_of_causes(options)), in_order=options.in_order, like=like,
     )  # fmt: skip
     _progress(30, 30, "report")
     layout = find_layout(options.table, arm.n_joints, **table_options(options, arm, labelled=False))
     corrected = io.StringIO(newline="")
-    write_corrected(layout, result.saved, corrected)
-    card = describe(result.model, result.angles)
+    in_order = any(name.startswith("direction") for name in result.causes)
+    inputs = inputs_of(result.saved, columns_of_causes(options), in_order)
+    write_corrected(layout, result.saved, inputs, corrected)
+    card = describe(result.model, result.saved.inputs(result.angles))
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     # Everything is made before the first file gets its name.
@@ -154,8 +159,9 @@ def correct(options):
         if options.out == "-"
         else open_beside(options.out, layout.dialect.encoding)
     )
+    inputs = inputs_of(saved, columns_of_causes(options), options.in_order)
     with stream as file:
-        n_rows = write_corrected(layout, saved, file)
+        n_rows = write_corrected(layout, saved, inputs, file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
@@ -214,7 +220,7 @@ def _has_causes(model, options):
 
 def _name_the_suspect(saved, measured, table, options, rate):
     """Say what the model's posterior makes of today's poses, keep the record; whether one is."""
-    angles, positions = in_rad(table), table.positions
+    angles, positions = saved.inputs(in_rad(table)), table.positions
     found = check_correction(
         saved.model, angles, position_residuals(measured, positions), groups=positions,
         false_alarm_rate=rate,

@@ -36,5 +36,6 @@ __all__ = [
     "search_table",
     "transfer_correction",
     "update_correction",
+    "with_causes",
     "write_correction",
 ]

@@ -15,7 +15,7 @@ from sklearn_raacmm.error_model._columns import (
     observed_columns,
     term_columns,
 )
-from sklearn_raacmm.error_model._extra import force_on_probe
+from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
 from sklearn_raacmm.error_model._fading import Fading
 from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
 from sklearn_raacmm.error_model._left_out import Judgement
@@ -35,6 +35,7 @@ __all__ = [
     "LinearModel",
     "Terms",
     "angles_for",
+    "check_extra",
     "check_poses",
     "check_turns",
     "column_table",
