@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import importlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sklearn_raacmm._version import __version__
 
@@ -84,7 +84,7 @@ _WINGS = (
 )  # fmt: skip
 
 
-def __getattr__(name):
+def __getattr__(name: str) -> Any:
     """Import what is asked for, when it is: ``raacmm --help`` needs no scikit-learn."""
     if name in _WINGS:
         return importlib.import_module(f"{__name__}.{name}")
@@ -96,5 +96,5 @@ def __getattr__(name):
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, *_WINGS})

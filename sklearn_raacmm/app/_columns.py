@@ -235,7 +235,7 @@ class Columns:
             return [in_file[name.lower()] for name in joint_names]
         numbered = [re.search(r"\d+", name) for name in in_file]
         if len(in_file) == self.n_joints and all(numbered):
-            order = sorted(in_file, key=lambda name: int(re.search(r"\d+", name)[0]))
+            order = sorted(in_file, key=lambda name: int(re.findall(r"\d+", name)[0]))
             return [in_file[name] for name in order]
         order = ", ".join(f"{self.header[i]} ({name})" for name, i in in_file.items())
         raise TableError(

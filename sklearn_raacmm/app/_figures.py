@@ -5,6 +5,7 @@
 
 import io
 import re
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sklearn_raacmm.utils import natural_order
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
 _BEFORE, _AFTER = "#c2571a", "#2a78c2"
-_STYLE = {
+_STYLE: Any = {
     "svg.fonttype": "none",
     "text.color": _INK,
     "axes.edgecolor": _INK,

@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from datetime import date as calendar
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class _Today(NamedTuple):
     """What was measured today."""
 
     angles: np.ndarray  # (n, n_joints) rad
-    positions: np.ndarray | None  # (n,) labels, where there are no points
+    positions: Any
     points: np.ndarray | None  # (n, 3) mm
     lengths: list
 
@@ -123,7 +123,7 @@ def update(options):
     if len(vars(model).get("updates_", ())) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
         return CHANGED, facts
-    tau = sorted(model.updates_[-1]["tau"].items(), key=lambda one: -one[1])
+    tau = sorted(vars(model)["updates_"][-1]["tau"].items(), key=lambda one: -one[1])
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau if size > _NAMED_TAU][:4]
     print(f"Changed most, in parts of what is usual: {', '.join(parts) or 'nothing'}.")
     rms = np.sqrt(np.mean(change**2))

@@ -16,7 +16,7 @@ import re
 import sys
 import warnings
 from difflib import get_close_matches
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app import _options
@@ -85,7 +85,7 @@ _WORDS = (
 )  # fmt: skip
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -101,7 +101,8 @@ def main(arguments=None):
         something in the data has to be repaired first.
     """
     options = _parser().parse_args(arguments)
-    for stream in (sys.stdout, sys.stderr):
+    streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
+    for stream in streams:
         # Labels that a terminal cannot show must not end the work.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -167,7 +168,7 @@ def _show_warning(message, category, filename, lineno, file=None, line=None):
 class _Parser(argparse.ArgumentParser):
     """A parser that asks whether a similar word was meant."""
 
-    known = ()
+    known: Any = ()
 
     def error(self, message):
         wrong = re.search(r"unrecognized arguments: (\S+)|invalid choice: '([^']*)'", message)
@@ -205,7 +206,8 @@ def _parser():
 def completion(options):
     """Print a script for bash and zsh that completes the words and the options of each."""
     parser = _parser()
-    words = parser._subparsers._group_actions[0].choices
+    groups: Any = parser._subparsers
+    words = groups._group_actions[0].choices
     cases = "\n".join(
         f'    {name}) all="{" ".join(own.known[1:])}" ;;' for name, own in words.items()
     )

@@ -7,14 +7,17 @@ import datetime
 import hashlib
 import platform
 from importlib.resources import files
+from os import PathLike
+from typing import Any
 
 import numpy as np
 import scipy
 import sklearn
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._figures import figures_of
-from sklearn_raacmm.correction import corrected_columns
+from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection, corrected_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import length_error
@@ -25,7 +28,14 @@ _MOST_ROWS = 40
 _MOST_HARMONICS = 12
 
 
-def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
+def write_report(
+    result: LearnedCorrection,
+    path: str | PathLike[str],
+    *,
+    limit_2s: float | None = None,
+    facts: dict[str, Any] | None = None,
+    row_numbers: ArrayLike | None = None,
+) -> str:
     """Write what was learnt as one HTML file that needs no network and prints on A4.
 
     Parameters
@@ -108,7 +118,7 @@ def micrometres(mm):
     return f"{1000 * mm:.1f}"
 
 
-def judge_limit(scores, limit):
+def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
     """Judge the mean 2S at positions left out against a limit.
 
     Parameters

@@ -88,6 +88,7 @@ def _find_sheet(path, n_numbers, wanted):
     """The sheet that is wanted, or the first with rows of so many numbers; and its decimal sign."""
     names = _with_book(path, lambda book: [list(book.sheetnames)])
     names = next(iter(names))
+    number = 0
     if wanted is not None:
         number = int(wanted) if wanted.isdigit() else 0
         if wanted not in names and not 1 <= number <= len(names):

@@ -4,11 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._cells import Dialect, TableError, without_mark
 from sklearn_raacmm.app._columns import Columns, find_header, split_unit
@@ -39,17 +42,27 @@ class Table:
 
     angles: np.ndarray
     angle_unit: str
-    positions: np.ndarray | None
+    positions: Any
     points: np.ndarray | None
     rows: np.ndarray
-    notes: list = field(default_factory=list)
-    others: dict = field(default_factory=dict)
+    notes: list[Any] = field(default_factory=list)
+    others: dict[str, Any] = field(default_factory=dict)
 
 
 def read_table(
-    path, n_joints, *, angles=None, position=None, points=None, angle_unit=None, labelled=True,
-    joint_names=(), counts_per_turn=None, sheet=None, others=(),
-):  # fmt: skip
+    path: str | PathLike[str],
+    n_joints: int,
+    *,
+    angles: list[str] | None = None,
+    position: str | None = None,
+    points: list[Any] | str | PathLike[str] | None = None,
+    angle_unit: str | None = None,
+    labelled: bool = True,
+    joint_names: Sequence[Any] = (),
+    counts_per_turn: ArrayLike | None = None,
+    sheet: str | None = None,
+    others: Iterable[str] = (),
+) -> Table:
     r"""Read a table of joint angles as a logger, a robot or a spreadsheet program wrote it.
 
     Separator, decimal sign, encoding, lines above the header and columns are found; what was
@@ -114,7 +127,7 @@ def read_table(
     )  # fmt: skip
     blocks = list(layout.blocks(100_000))
     parts = ("angles", "positions", "points", "rows")
-    whole = {
+    whole: dict[str, Any] = {
         part: None
         if getattr(blocks[0], part) is None
         else np.concatenate([getattr(block, part) for block in blocks])
@@ -221,15 +234,15 @@ class Layout:
     """Where a file holds what: found once, then rows are read block by block."""
 
     dialect: Dialect
-    header: list
+    header: list[Any]
     header_row: int
-    angle_columns: list
+    angle_columns: list[Any]
     position_column: int | None
-    point_columns: list
+    point_columns: list[Any]
     angle_unit: str
     point_factor: float
-    others: dict
-    notes: list
+    others: dict[str, Any]
+    notes: list[Any]
     turns: np.ndarray | None = None
 
     def raw_rows(self):
@@ -237,7 +250,8 @@ class Layout:
 
         Comments are left out, and rows at the end without any angle, which a note then names.
         """
-        width, n_rows, held = len(self.header), 0, []
+        width, n_rows = len(self.header), 0
+        held: list[tuple[int, Any]] = []
         for number, cells in self.dialect.rows():
             if number <= self.header_row:
                 continue
@@ -245,12 +259,12 @@ class Layout:
                 if not without_mark(cells):
                     held.append((number, cells))
                 continue
-            for row in [*held, (number, cells)]:
-                yield self._checked(*row, width)
+            for n, row in [*held, (number, cells)]:
+                yield self._checked(n, row, width)
                 n_rows += 1
             held = []
         if not n_rows:
-            yield from (self._checked(*row, width) for row in held)
+            yield from (self._checked(n, row, width) for n, row in held)
         elif held:
             number, cells = held[0]
             text = next(str(cell) for cell in cells if cell != "")
@@ -329,7 +343,7 @@ class Layout:
                 raise self._first_fault(numbers, cells, column)
         return values
 
-    def _first_fault(self, numbers, cells, column):
+    def _first_fault(self, numbers, cells, column) -> Any:
         for number, row in zip(numbers, cells, strict=True):
             cell, value = row[column], self.dialect.number(row[column])
             if value is None or not np.isfinite(value):
@@ -386,7 +400,7 @@ def find_layout(
 # -- known lengths --------------------------------------------------------------------------------
 
 
-def read_lengths(path, sd=None):
+def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any]:
     """Read known lengths: two labels, a length and its standard deviation a row, mm.
 
     Parameters
@@ -407,7 +421,7 @@ def read_lengths(path, sd=None):
         If a row does not hold these; the sentence has its number.
     """
     dialect = find_source(path, 1)
-    lengths = []
+    lengths: list[Any] = []
     for number, cells in dialect.rows():
         values = [dialect.number(cell) for cell in cells[2:4]]
         if not lengths and (not values or values[0] is None):

@@ -5,7 +5,7 @@
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -104,15 +104,15 @@ class Arm(Formats):
     a: np.ndarray
     alpha: np.ndarray
     d: np.ndarray
-    theta_offset: np.ndarray = 0.0
+    theta_offset: Any = 0.0
     _: KW_ONLY
-    probe: np.ndarray = (0.0, 0.0, 0.0)
+    probe: Any = (0.0, 0.0, 0.0)
     convention: str = "standard"
-    joint_signs: np.ndarray = 1
-    pose_joints: tuple = (3, 4)
-    pose_frames: tuple = (2, 5)
+    joint_signs: Any = 1
+    pose_joints: tuple[Any, ...] = (3, 4)
+    pose_frames: tuple[Any, ...] = (2, 5)
     name: str = ""
-    names: tuple = ()
+    names: tuple[Any, ...] = ()
     limits: np.ndarray | None = None
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
@@ -134,7 +134,7 @@ class Arm(Formats):
             limits: ArrayLike | None = None,
         ) -> None: ...
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         a = numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
         n = a.size
         checked = {
@@ -173,32 +173,32 @@ class Arm(Formats):
             for value in (getattr(self, field.name) for field in fields(self))
         )
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Arm) else NotImplemented
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self._key())
 
-    def __copy__(self):
+    def __copy__(self) -> Self:
         return self
 
-    def __deepcopy__(self, memo):
+    def __deepcopy__(self, memo: Any) -> Self:
         return self
 
-    def __reduce__(self):
+    def __reduce__(self) -> Any:
         # Through the constructor: arrays restored by pickle would be writable.
         return _rebuild, ({field.name: getattr(self, field.name) for field in fields(self)},)
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: Any) -> None:
         # The same for formats that restore an object by its state, as skops does.
-        self.__init__(**state)
+        type(self).__init__(self, **state)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         name = f" {self.name!r}" if self.name else ""
         probe = ", ".join(f"{value:g}" for value in self.probe)
         return f"<Arm{name}: {self.n_joints} joints, {self.convention} DH, probe ({probe}) mm>"
 
-    def __str__(self):
+    def __str__(self) -> str:
         rows = ["joint  sign      a/mm   alpha/deg      d/mm  offset/deg"]
         for i in range(self.n_joints):
             rows.append(

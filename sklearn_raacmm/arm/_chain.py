@@ -8,7 +8,7 @@ import re
 import xml.etree.ElementTree as ET
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -72,7 +72,7 @@ def read_chain(source, base=None, tip=None):
         raise TypeError(f"source must be a path or the text of a URDF file, got {show(source)}.")
     is_text = isinstance(source, str) and bool(re.match(r"\s*<", source) or _UR_FILE.search(source))
     where = "the URDF text" if is_text else str(source)
-    text = source if is_text else _text_of(source)
+    text: Any = source if is_text else _text_of(source)
     if _UR_FILE.search(text):
         if base or tip:
             raise ValueError(f"{where} holds the kinematics of a UR robot, which has no links.")
@@ -283,7 +283,7 @@ def edited(text, origins):
         xyz, rpy = _xyz_rpy(origin)
         has_origin = (name, "origin") in places
         at = places[name, "origin" if has_origin else "joint"]
-        tag = re.compile(rb"<(?:\"[^\"]*\"|'[^']*'|[^\"'>])*>").match(data, at)[0].decode()
+        tag = re.compile(rb"<(?:\"[^\"]*\"|'[^']*'|[^\"'>])*>").findall(data, at)[0].decode()
         if has_origin:
             rest = re.sub(
                 r"\s(xyz|rpy)\s*=\s*(\"[^\"]*\"|'[^']*')", "", tag.removeprefix("<origin")

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.utils import Finding, floats, say_findings, show
@@ -44,8 +46,8 @@ def numbers(name, value, size, unit, bound, broadcast=False):
 
 def names_of(names, n):
     """Names of the joints: none, or a different one for each."""
-    found = tuple(names) if isinstance(names, list | tuple) else None
-    whole = found is not None and all(name and is_name(name) for name in found)
+    found = tuple(names) if isinstance(names, list | tuple) else ("",)
+    whole = all(name and is_name(name) for name in found)
     if not whole or len(found) not in (0, n) or len(set(found)) < len(found):
         raise ValueError(f"names must be {n} different names of joints, got {show(names)}.")
     return found
@@ -57,7 +59,7 @@ def is_name(value):
     return isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value)
 
 
-def limits_of(limits, n):
+def limits_of(limits: Any, n: int) -> Any:
     """Lower and upper limit of each joint in rad, read-only; None where there are none."""
     if limits is None:
         return None
@@ -79,6 +81,7 @@ def limits_of(limits, n):
 
 def pair_of(name, value, low, high):
     """Two different whole numbers."""
+    pair = ()
     try:
         pair = tuple(value)
         whole = all(not isinstance(v, bool | str) and int(v) == v for v in pair)
@@ -91,7 +94,7 @@ def pair_of(name, value, low, high):
     return tuple(int(v) for v in pair)
 
 
-def check_angles(angles, n_joints, angle_unit):
+def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence.
 
     Warns where the unit is most likely another one: degrees given as radians or the reverse.
@@ -142,5 +145,5 @@ def check_angles(angles, n_joints, angle_unit):
     return np.deg2rad(angles)
 
 
-def _say(text, advice, weight="doubt", joints=()):
+def _say(text, advice, weight: Any = "doubt", joints=()):
     say_findings([Finding("angle-unit", text, advice, weight, joints=joints)])

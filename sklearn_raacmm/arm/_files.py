@@ -6,6 +6,7 @@
 import json
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def read_json(cls, source):
         raise ValueError(f"{where}: {error}") from None
 
 
-def _content(source):
+def _content(source: Any):
     """What the JSON holds, and a name of the source for error messages."""
     if isinstance(source, dict):
         return source, "the dict"
@@ -72,8 +73,9 @@ def _content(source):
         if Path(source).is_dir():
             raise IsADirectoryError(f"{where} is a folder; the JSON file in it is needed.")
         source = Path(source).read_bytes()
+    raw: Any = source
     try:
-        text = source if is_text else source.decode("utf-8")
+        text = raw if is_text else raw.decode("utf-8")
         # A byte-order mark, which editors on Windows write, is no part of JSON.
         return json.loads(text.removeprefix("\ufeff")), where
     except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, or nested without end
@@ -89,8 +91,8 @@ def write_json(arm, path):
     if arm.names:
         content["joint_names"] = list(arm.names)
     if arm.limits is not None:  # JSON has no infinity
-        finite = np.isfinite(arm.limits)
-        content["limits_rad"] = np.where(finite, arm.limits, None).tolist()
+        shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
+        content["limits_rad"] = shown.tolist()
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     if path is not None:
         write_whole({path: text})

@@ -66,7 +66,7 @@ class Formats:
         """
         return read_urdf(cls, source, base, tip)
 
-    def to_urdf(self, path=None):
+    def to_urdf(self, path: str | PathLike[str] | None = None) -> str:
         """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
 
         Joints have the names and limits of the arm; without limits they are continuous. Where the

@@ -69,7 +69,7 @@ def update_urdf(arm, original, out=None, base=None, tip=None):
         parent = before @ np.linalg.inv(last.origin)
         origins[last.name] = last.origin.copy()
         origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
-    elif text.lstrip().startswith("<") and np.linalg.norm(point - before[:3, 3]) > _SAME_MM:
+    elif str(text).lstrip().startswith("<") and np.linalg.norm(point - before[:3, 3]) > _SAME_MM:
         raise ValueError(
             f"{where}: the probe is {np.linalg.norm(point - before[:3, 3]):.4g} mm beside the last "
             f"axis, and no fixed joint after {last.name!r} could say so: add one with a link."

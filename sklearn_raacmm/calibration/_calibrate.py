@@ -3,11 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
 from sklearn_raacmm.calibration._checks import (
@@ -86,23 +88,23 @@ _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
 )
 @with_findings
 def calibrate(
-    arm,
-    angles,
-    groups=None,
+    arm: Arm,
+    angles: ArrayLike,
+    groups: ArrayLike | None = None,
     *,
-    points=None,
-    orientations=None,
-    lengths=(),
-    tools=None,
-    stations=None,
-    correction=None,
-    free=FIELDS,
-    loss="soft_l1",
-    prior_length_mm="auto",
-    prior_angle_rad="auto",
-    prior_probe_mm=UNKNOWN_PLACE_MM,
-    angle_unit="rad",
-):
+    points: ArrayLike | None = None,
+    orientations: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
+    tools: ArrayLike | None = None,
+    stations: ArrayLike | None = None,
+    correction: Any = None,
+    free: Iterable[str] = FIELDS,
+    loss: str = "soft_l1",
+    prior_length_mm: float | str = "auto",
+    prior_angle_rad: float | str = "auto",
+    prior_probe_mm: float = UNKNOWN_PLACE_MM,
+    angle_unit: str = "rad",
+) -> CalibrationResult:
     """Identify the static parameters of an arm.
 
     Either from a single-point test, where the points of one group coincide (a ball in a socket, a
@@ -271,7 +273,7 @@ class _Parameters(NamedTuple):
         kind[kind == 0] = np.where(are_long(nominal[kind == 0]), 0, 3)
         length, angle, probe_mm = priors
         wanted = list(enumerate(zip((length, angle, probe_mm, length), _FOUND, strict=True)))
-        sd = [found[0] if sd == "auto" else sd for _, (sd, found) in wanted]
+        sd = [found[0] if sd == "auto" and found else sd for _, (sd, found) in wanted]
         families = [(np.flatnonzero(kind == i), found) for i, (sd, found) in wanted if sd == "auto"]
         field_of = np.array([name.split("[")[0].rstrip("0123456789") for name in names])
         is_free = np.isin(field_of, list(set(free) - {"probe"}))
@@ -395,7 +397,7 @@ def _identified(fit, mask, x_names):
         "rank": seen.rank,
         "n_free": len(free_names),
         "condition_number": seen.condition_number,
-        "observability_index": seen.index,
+        "observability_index": seen.o1,
         "scale_sd": scale_sd,
     }
 

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,7 +73,7 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     if lonely:
         said = f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}."
         names = [labels[i] for i in lonely]
-        say_findings([Finding("lonely-position", said, positions=names)])
+        say_findings([Finding("lonely-position", said, positions=tuple(names))])
     return problem, tool_labels, None
 
 
@@ -93,7 +93,7 @@ def _check_points(points, n, lengths):
 class Correction(NamedTuple):
     """A fitted model, and the rows at which it is asked."""
 
-    model: object
+    model: Any
     X: np.ndarray  # as the model takes them
 
     def of_poses(self, poses):
@@ -156,7 +156,7 @@ def check_free(free):
     return free
 
 
-def check_length(entry, labels):
+def check_length(entry: Any, labels: Any) -> Any:
     """A known length as (position, position, length, sd), positions by their index."""
     try:
         first, second, length, sd = entry

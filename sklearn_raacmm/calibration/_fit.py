@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
@@ -116,7 +118,8 @@ class Fit:
         self.weights = np.ones(len(self.angles))
         self.turn_weights = np.ones(len(self.angles))
         self.length_weights = self._new_length_weights()
-        self.sigma = self.sigma_turn = None
+        self.sigma: Any = None
+        self.sigma_turn: Any = None
 
     def correct_by(self, correction):
         """Take another correction (n, 3) of the points, mm."""
@@ -135,7 +138,7 @@ class Fit:
         for rounds in range(MAX_ROUNDS):
             if self.sigma is None:
                 self._weigh()
-            before = self.sigma
+            before: Any = self.sigma
             if mask.any():
                 self._solve(mask)
             settled = self._judge(mask, find_priors=rounds < _EVIDENCE_ROUNDS)
@@ -428,12 +431,13 @@ def gauss_newton_step(jac, rows, damping):
     size[size == 0] = 1
     normal /= np.outer(size, size)
     normal[np.diag_indices(len(size))] += damping
+    factor, known = None, False
     try:
         factor = cho_factor(normal, lower=True, check_finite=False)
         known = np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT
     except LinAlgError:
-        known = False
-    if known:
+        pass
+    if factor is not None and known:
         step = -cho_solve(factor, slope / size, check_finite=False) / size
     else:
         whole = np.concatenate([jac / size, np.sqrt(damping) * np.eye(len(size))])

@@ -4,8 +4,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration._orientation import check_turns, turn_vectors
@@ -110,13 +112,13 @@ class CalibrationResult:
     """
 
     arm: Arm
-    names: tuple = field(repr=False)
+    names: tuple[Any, ...] = field(repr=False)
     nominal: np.ndarray = field(repr=False)
     values: np.ndarray = field(repr=False)
     standard_deviations: np.ndarray = field(repr=False)
-    unidentified: tuple
-    unidentified_combinations: tuple = field(repr=False)
-    prior_sd: dict = field(repr=False)
+    unidentified: tuple[Any, ...]
+    unidentified_combinations: tuple[Any, ...] = field(repr=False)
+    prior_sd: dict[str, Any] = field(repr=False)
     rank: int = field(repr=False)
     n_free: int = field(repr=False)
     n_coordinates: int = field(repr=False)
@@ -130,21 +132,28 @@ class CalibrationResult:
     length_errors_mm: np.ndarray = field(repr=False)
     sigma_mm: float
     sigma_rad: float | None = field(repr=False)
-    outliers: tuple
+    outliers: tuple[Any, ...]
     outlier_limit_mm: float = field(repr=False)
     sample_weight: np.ndarray = field(repr=False)
     groups: np.ndarray | None = field(repr=False)
-    arms: dict = field(repr=False)
-    bases: dict = field(repr=False)
+    arms: dict[str, Any] = field(repr=False)
+    bases: dict[str, Any] = field(repr=False)
     base_rotation: np.ndarray | None = field(repr=False)
     base_translation: np.ndarray | None = field(repr=False)
     target_rotation: np.ndarray | None = field(repr=False)
     converged: bool
-    findings: tuple = ()
+    findings: tuple[Any, ...] = ()
 
     def residuals(
-        self, angles, points=None, groups=None, *, tools=None, stations=None, angle_unit="rad"
-    ):
+        self,
+        angles: ArrayLike,
+        points: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+        *,
+        tools: ArrayLike | None = None,
+        stations: ArrayLike | None = None,
+        angle_unit: str = "rad",
+    ) -> np.ndarray:
         """Residuals of rows, old or new, in the arm's base frame: what a correction learns.
 
         Parameters
@@ -206,7 +215,9 @@ class CalibrationResult:
             shown[rows] -= (points[rows] - translation) @ rotation
         return shown
 
-    def orientation_residuals(self, angles, orientations, *, angle_unit="rad"):
+    def orientation_residuals(
+        self, angles: ArrayLike, orientations: ArrayLike, *, angle_unit: str = "rad"
+    ) -> np.ndarray:
         """Residuals of the orientation of rows, old or new, in the arm's base frame.
 
         Parameters
@@ -258,7 +269,7 @@ class CalibrationResult:
                 )
             yield np.flatnonzero(codes == i), known[label]
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = [
             f"Calibration of {self.arm!r}, {len(self.residuals_mm)} points",
             f"mean scatter: {self.scatter_given_mm:.4g} mm as given, "

@@ -63,7 +63,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
     turn_mm = linear.turn_mm if poses.turns is not None else 0.0
     shown = poses.residuals
-    if turn_mm:
+    if turn_mm and poses.turns is not None:
         shown = np.hstack([shown, turn_mm * poses.turns])
     columns = observed_columns(arm, angles, linear.terms, turn_mm)
     place = _place_seen(arm, angles, codes is None, turn_mm)
@@ -73,7 +73,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
     p, fold = len(linear.coef), _into_kinematics(linear, codes is None, turn_mm)
     half = after.half[:p] + fold @ after.half[p:]
     # As many columns as rows hold the same covariance.
-    half = np.linalg.qr(half.T, mode="r").T if half.shape[1] > p else half
+    half = np.asarray(np.linalg.qr(half.T, mode="r")).T if half.shape[1] > p else half
     left_out = after.left_out
     noise_scale, std_scale = interval_scales(*left_out, np.ones(len(left_out.errors)))
     model = replace(

@@ -3,11 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from os import PathLike
+from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
@@ -69,7 +72,7 @@ class LearnedCorrection:
     """
 
     arm: Arm
-    model: BaseEstimator
+    model: Any
     scores: CorrectionScores
     calibration: CalibrationResult = field(repr=False)
     outliers: np.ndarray = field(repr=False)
@@ -81,17 +84,17 @@ class LearnedCorrection:
     causes: dict = field(default_factory=dict)
 
     @property
-    def findings(self):
+    def findings(self) -> tuple[Finding, ...]:
         """What there is to say about the data, a tuple of :class:`Finding`."""
         return self.scores.findings
 
     @property
-    def helps(self):
+    def helps(self) -> bool:
         """Whether the correction is worth using at new positions."""
         return self.scores.helps
 
     @property
-    def verdict(self):
+    def verdict(self) -> str:
         """The same in one sentence."""
         return self.scores.verdict
 
@@ -135,7 +138,9 @@ class LearnedCorrection:
         X = with_causes(angles, self.causes, extra)
         return corrected_points(self.arm, self.model, X, self._deviations(), std_of)
 
-    def distances(self, angles, others, *, angle_unit="rad"):
+    def distances(
+        self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Distances between pairs of corrected readings, and how far to trust them.
 
         Parameters
@@ -158,12 +163,16 @@ class LearnedCorrection:
         ValueError
             If the angles do not fit the arm or each other.
         """
-        ends = [self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)]
-        if len(ends[0][0]) != len(ends[1][0]):
-            raise ValueError(f"There are {len(ends[0][0])} angles, but {len(ends[1][0])} others.")
-        return distances(*ends, self.calibration.scale_sd)
+        one, other = (
+            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
+        )
+        if len(one[0]) != len(other[0]):
+            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
+        return distances(one, other, self.calibration.scale_sd)
 
-    def save(self, folder, others=None):
+    def save(
+        self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
+    ) -> list[Any]:
         """Write the arm, the model and the scores into a folder.
 
         ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
@@ -199,7 +208,7 @@ class LearnedCorrection:
         return write_correction(folder, self.facts(), contents)
 
     @staticmethod
-    def load(folder):
+    def load(folder: str | PathLike[str]) -> SavedCorrection:
         """Load what `save` wrote, without the data: see `SavedCorrection`.
 
         Parameters
@@ -219,10 +228,10 @@ class LearnedCorrection:
         return SavedCorrection.load(folder)
 
     @property
-    def saved(self):
+    def saved(self) -> Any:
         """The same without the data: what `save` writes and `load` reads."""
-        base = self.calibration.base_rotation, self.calibration.base_translation
-        base = None if base[0] is None else base
+        turned = self.calibration.base_rotation
+        base = None if turned is None else (turned, self.calibration.base_translation)
         return SavedCorrection(self.arm, self.model, base, self.facts())
 
     def _deviations(self):
@@ -232,7 +241,7 @@ class LearnedCorrection:
             "scale_sd": self.calibration.scale_sd,
         }
 
-    def facts(self):
+    def facts(self) -> dict[str, Any]:
         """Scores and verdict as plain values, fit for JSON."""
         scores, found = self.scores, self.calibration
         return {
@@ -253,7 +262,7 @@ class LearnedCorrection:
             "outliers": [list(row) for row in self.outliers.tolist()],
         }
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = [
             f"{self.arm!r}, {len(self.angles)} rows",
             f"calibration: mean scatter {self.calibration.scatter_before_mm:.3f} -> "
@@ -275,11 +284,11 @@ class LearnedCorrection:
 
 
 def learn_correction(
-    arm,
-    angles,
-    positions,
-    points=None,
-    lengths=(),
+    arm: Arm,
+    angles: ArrayLike,
+    positions: ArrayLike | None,
+    points: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
     *,
     angle_unit="rad",
     model=None,

@@ -3,12 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any, Self
 
 import numpy as np
-from sklearn.base import BaseEstimator
 
 from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.calibration import CalibrationResult
 from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._deviations import STD_OF, corrected_points
 from sklearn_raacmm.correction._saved import read_correction, write_correction
@@ -60,12 +63,12 @@ class SavedCorrection:
     """
 
     arm: Arm
-    model: BaseEstimator
-    base: tuple | None
-    facts: dict
+    model: Any
+    base: tuple[Any, ...] | None
+    facts: dict[str, Any]
 
     @classmethod
-    def load(cls, folder):
+    def load(cls, folder: str | PathLike[str]) -> Self:
         """Read a folder that `LearnedCorrection.save` or `save` has written.
 
         Parameters
@@ -99,13 +102,15 @@ class SavedCorrection:
             base = np.array(base["rotation"]), np.array(base["translation_mm"])
         return cls(Arm.from_json(arm), model, base, facts)
 
-    def save(self, folder, others=None):
+    def save(
+        self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
+    ) -> Any:
         """Write the folder again, see `LearnedCorrection.save`."""
         import skops.io
 
         facts = self.facts | {"base": base_as_facts(self.base)}
         contents = {"arm.json": self.arm.to_json(), "model.skops": skops.io.dumps(self.model)}
-        return write_correction(folder, facts, contents | (others or {}))
+        return write_correction(folder, facts, {**contents, **(others or {})})
 
     def inputs(self, angles, extra=None):
         """What the model takes: angles in rad, (n, n_joints), and those causes that it knows."""
@@ -120,7 +125,7 @@ class SavedCorrection:
         X = self.inputs(angles, extra)
         return corrected_points(self.arm, self.model, X, self.facts, std_of)
 
-    def residuals(self, angles, points):
+    def residuals(self, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.
 
         Raises
@@ -136,7 +141,7 @@ class SavedCorrection:
         rotation, translation = self.base
         return self.arm.forward(angles) - (points - translation) @ rotation
 
-    def registered(self, calibration):
+    def registered(self, calibration: CalibrationResult) -> Self:
         """The same with the probe, and the base if it was measured, of a registration.
 
         Parameters

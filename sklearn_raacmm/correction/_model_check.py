@@ -3,13 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
-from typing import NamedTuple
+from os import PathLike
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
 
@@ -17,7 +20,7 @@ from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.correction._records import append_record
-from sklearn_raacmm.error_model import LinearModel
+from sklearn_raacmm.error_model import ArmResidualRegressor, LinearModel
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
     Interval,
@@ -102,10 +105,10 @@ class CorrectionCheck:
     usual_mm: float
     matters: bool
     tests: np.ndarray = field(repr=False)
-    slipped: tuple
-    record: dict = field(repr=False)
+    slipped: tuple[Any, ...]
+    record: dict[str, Any] = field(repr=False)
 
-    def append_to(self, path):
+    def append_to(self, path: str | PathLike[str]) -> None:
         """Append the record to a file, which is made where there is none.
 
         Parameters
@@ -137,18 +140,18 @@ class CorrectionCheck:
 )
 @one_warning()
 def check_correction(
-    model,
-    X,
-    y,
+    model: ArmResidualRegressor,
+    X: ArrayLike,
+    y: ArrayLike,
     *,
-    groups=None,
-    lengths=(),
-    arm=None,
-    sample_weight=None,
-    refitted=(),
-    false_alarm_rate=0.01,
-    date=None,
-):
+    groups: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
+    arm: Arm | None = None,
+    sample_weight: ArrayLike | None = None,
+    refitted: str | Sequence[str] = (),
+    false_alarm_rate: float = 0.01,
+    date: str | None = None,
+) -> CorrectionCheck:
     """Say from a few poses of today whether a fitted correction still holds.
 
     Parameters
@@ -239,7 +242,8 @@ def check_correction(
     linear_model_of(model, "checked")
     model = model if arm is None else model.with_arm(arm)
     linear = _widened(model.linear_model_)
-    labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
+    rows: Any = X
+    labels = None if groups is None else encode_groups(groups, len(rows))[0].tolist()
     lengths = _check_lengths(lengths, labels)
     today = NewPoses.checked(model, X, y, groups, sample_weight)
     poses, slipped = _poses_of(linear, model, today, lengths)

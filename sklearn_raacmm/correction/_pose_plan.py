@@ -6,9 +6,10 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
-from sklearn_raacmm.arm import check_arm, reach_mm
+from sklearn_raacmm.arm import Arm, check_arm, reach_mm
 from sklearn_raacmm.error_model import angles_for, limits_of
 from sklearn_raacmm.utils import check_whole_number, floats
 
@@ -41,7 +42,15 @@ class PosePlan(NamedTuple):
     minutes: float
 
 
-def plan_poses(arm, n_positions=8, n_poses=12, *, region=None, lean_deg=60.0, random_state=0):
+def plan_poses(
+    arm: Arm,
+    n_positions: int = 8,
+    n_poses: int = 12,
+    *,
+    region: ArrayLike | None = None,
+    lean_deg: float | None = 60.0,
+    random_state: int | np.random.RandomState | None = 0,
+) -> PosePlan:
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm

@@ -4,13 +4,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from typing import Any
 
 from sklearn_raacmm.utils import check_path, digest_of, whole_file, write_whole
 
 _FACTS = "correction.json"
 
 
-def write_correction(folder, facts, contents):
+def write_correction(
+    folder: str | PathLike[str], facts: dict[str, Any], contents: Mapping[str, str | bytes]
+) -> list[Any]:
     """Write the files of a correction, and first of all their fingerprints.
 
     Parameters
@@ -36,7 +41,9 @@ def write_correction(folder, facts, contents):
     return list(paths)
 
 
-def read_correction(folder, names):
+def read_correction(
+    folder: str | PathLike[str], names: Iterable[str]
+) -> tuple[dict[str, Any], list[Any]]:
     """Read files of a correction that belong together.
 
     Parameters

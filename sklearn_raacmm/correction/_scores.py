@@ -3,15 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from numbers import Integral
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import stats
 from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._causes import say_worth_of_directions
 from sklearn_raacmm.correction._deviations import length_findings
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
@@ -99,28 +103,28 @@ class CorrectionScores:
     """
 
     measure: str
-    table: dict = field(repr=False)
-    summary: dict
-    lengths: list = field(repr=False)
+    table: dict[str, Any] = field(repr=False)
+    summary: dict[str, Any]
+    lengths: list[Any] = field(repr=False)
     length_errors_before: np.ndarray = field(repr=False)
     length_errors_after: np.ndarray = field(repr=False)
     coverage: float
     std_factor: float
     n_folds: int
     outliers: np.ndarray = field(repr=False)
-    rows_by_position: list = field(repr=False)
+    rows_by_position: list[Any] = field(repr=False)
     left_before: np.ndarray = field(repr=False)
     left_after: np.ndarray = field(repr=False)
     helps: bool
     verdict: str
-    findings: tuple = ()
+    findings: tuple[Any, ...] = ()
 
     @property
-    def judged(self):
+    def judged(self) -> Any:
         """Whether nothing has to be repaired before a judgement means something."""
         return not any(finding.weight == "repair" for finding in self.findings)
 
-    def __str__(self):
+    def __str__(self) -> str:
         width = max(8, *(len(str(label)) for label in self.table["position"]))
         lines = [
             self.verdict,
@@ -174,18 +178,18 @@ class CorrectionScores:
 
 
 def cross_validate_correction(
-    arm,
-    angles,
-    positions,
-    points=None,
-    lengths=(),
+    arm: Arm,
+    angles: ArrayLike,
+    positions: ArrayLike | None,
+    points: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
     *,
-    angle_unit="rad",
-    model=None,
-    cv=None,
-    n_jobs=None,
-    progress=None,
-):
+    angle_unit: str = "rad",
+    model: Any = None,
+    cv: Any = None,
+    n_jobs: int | None = None,
+    progress: Callable | None = None,
+) -> CorrectionScores:
     """Judge a correction at positions left out, with calibration and model fitted anew each time.
 
     Give the regressor of your choice as `model`, and it is judged as the package's own is.

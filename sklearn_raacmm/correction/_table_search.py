@@ -5,8 +5,10 @@
 
 from dataclasses import dataclass
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, dh_theta, frame_columns
 from sklearn_raacmm.calibration import calibrate
@@ -47,17 +49,24 @@ class TableChange:
     scatter_mm: float
     scatter_given_mm: float
     arm: Arm
-    columns: tuple
+    columns: tuple[Any, ...]
     angle_unit: str
 
-    def __str__(self):
+    def __str__(self) -> str:
         return (
             f"With {self.change} the points scatter by {self.scatter_mm:.2g} mm instead of "
             f"{self.scatter_given_mm:.3g}."
         )
 
 
-def search_table(arm, angles, positions=None, points=None, *, angle_unit="rad"):
+def search_table(
+    arm: Arm,
+    angles: ArrayLike,
+    positions: ArrayLike | None = None,
+    points: ArrayLike | None = None,
+    *,
+    angle_unit: str = "rad",
+) -> TableChange | None:
     """Search for what is wrong with an arm whose points scatter much after calibration.
 
     Tried are all senses of the joints, two joints exchanged and all in reverse order, the other

@@ -5,8 +5,10 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, clone
 
 from sklearn_raacmm.arm import Arm
@@ -22,7 +24,7 @@ from sklearn_raacmm.correction._change import (
 )
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.correction._update import record_of
-from sklearn_raacmm.error_model import Fading, order_price, smooth_shares
+from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
 from sklearn_raacmm.utils import Finding, centred, listed, one_blas_thread, say_findings
 
@@ -46,7 +48,16 @@ _CHOSEN = 0.5
 
 
 @one_blas_thread
-def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weight=None, date=None):
+def transfer_correction(
+    models: ArmResidualRegressor | list[Any],
+    arm: Arm,
+    X: ArrayLike | None = None,
+    y: ArrayLike | None = None,
+    *,
+    groups: ArrayLike | None = None,
+    sample_weight: ArrayLike | None = None,
+    date: str | None = None,
+) -> ArmResidualRegressor:
     """Correct a new arm from few poses, starting from earlier arms of the same make.
 
     Arms of one make share the orders of their gears, the compliance of their links and the size of
@@ -272,7 +283,9 @@ def _pooled(linears, arm):
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
 
     def pooled_root(roots):
-        return np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r").T
+        return np.asarray(
+            np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r")
+        ).T
 
     gauge_free = pooled_root([one.gauge_free_half for one in aligned])
     return replace(

@@ -5,11 +5,15 @@
 
 from copy import deepcopy
 from datetime import date as calendar
+from typing import Any
+
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import Finding, one_blas_thread, say_findings, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
@@ -23,16 +27,16 @@ _STRANGE = 10.0
 )
 @one_warning()
 def update_correction(
-    model,
-    X,
-    y,
+    model: ArmResidualRegressor,
+    X: ArrayLike,
+    y: ArrayLike,
     *,
-    arm=None,
-    groups=None,
-    sample_weight=None,
-    orientation_residuals=None,
-    date=None,
-):
+    arm: Arm | None = None,
+    groups: ArrayLike | None = None,
+    sample_weight: ArrayLike | None = None,
+    orientation_residuals: ArrayLike | None = None,
+    date: str | None = None,
+) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     The linear model keeps its columns. Its coefficients may change by a part tau of what they were
@@ -134,7 +138,8 @@ def update_correction(
     linear_model_of(model, "updated")
     model = model if arm is None else model.with_arm(arm)
     linear = model.linear_model_
-    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(X) == 0:
+    rows: Any = X
+    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(rows) == 0:
         return deepcopy(model)
     poses = NewPoses.checked(model, X, y, groups, sample_weight, orientation_residuals)
     if poses.too_few:
@@ -157,7 +162,7 @@ def update_correction(
         strange = Finding("strange-poses", said, advice, size_mm=changed.noise_sd)
         found.append(strange)
         say_findings([strange])
-    updated = deepcopy(model)
+    updated: Any = deepcopy(model)
     updated.findings_ = tuple(found)
     updated.linear_model_ = changed.model
     before = vars(model).get("updates_", ())

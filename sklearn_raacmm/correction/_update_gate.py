@@ -54,11 +54,11 @@ def what_is_wrong(model, poses):
     table = parameter_jacobian(linear.arm, angles[:, : linear.arm.n_joints])[1][:, :, :-3]
     if y.size > 2 * (table.shape[2] + place.shape[2]):
         left["table"] = _Size(np.concatenate([place, table], axis=2), codes)(y - expected)
-    best = min(left, key=left.get)
+    best = min(left, key=lambda name: left[name])
     # A knock is no other table: that of the calibration is off by much more.
     if best == "table" and about_model < 3 * max(of_model, noise):
         del left["table"]
-        best = min(left, key=left.get)
+        best = min(left, key=lambda name: left[name])
     if left[best] < _BETTER * about_model and about_model > _SEEN * noise:
         return [_named(best, left[best], about_model)]
     share = size.product(y, expected) / of_model**2

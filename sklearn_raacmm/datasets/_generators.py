@@ -394,7 +394,7 @@ def _machine_and_stream(machine, random_state, stream):
     return machine, np.random.RandomState([seed, stream])
 
 
-def _check_lengths(lengths, machine):
+def _check_lengths(lengths, machine) -> np.ndarray:
     lengths = np.atleast_1d(floats("lengths", lengths))
     # Both ends in the shell: the longest gauge spans it.
     longest = 2 * _SHARE_OF_REACH[1] * machine.reach

@@ -3,12 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Integral, Real
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn import config_context
-from sklearn.base import MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
@@ -28,12 +31,15 @@ from sklearn_raacmm.error_model._left_out import (
     too_few_positions,
     with_honest_intervals,
 )
+from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
     HasMethods,
     Interval,
+    MultiOutputMixin,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
     centred,
@@ -267,16 +273,16 @@ class ArmResidualRegressor(
 
     def __init__(
         self,
-        arm=None,
+        arm: Arm | None = None,
         *,
-        angle_unit="rad",
-        extra=(),
-        orders=400,
-        causes=CAUSES,
-        offsets="auto",
-        fade="auto",
-        regressor=None,
-    ):
+        angle_unit: str = "rad",
+        extra: Sequence[str] = (),
+        orders: ArrayLike = 400,
+        causes: Sequence[str] = CAUSES,
+        offsets: bool | str = "auto",
+        fade: float | str = "auto",
+        regressor: Any = None,
+    ) -> None:
         self.arm = arm
         self.angle_unit = angle_unit
         self.extra = extra
@@ -291,14 +297,14 @@ class ArmResidualRegressor(
     @whole_fit
     def fit(
         self,
-        X,
-        y,
+        X: ArrayLike,
+        y: ArrayLike,
         *,
-        sample_weight=None,
-        groups=None,
-        lengths=(),
-        orientation_residuals=None,
-    ):
+        sample_weight: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+        lengths: Iterable[Sequence[Any]] = (),
+        orientation_residuals: ArrayLike | None = None,
+    ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
         Parameters
@@ -358,7 +364,7 @@ class ArmResidualRegressor(
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
+        terms = Terms._make([offered, *(name in self.causes for name in CAUSES), extra])
         with_field = isinstance(self.orders, Integral)
         known = groups is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
@@ -374,15 +380,16 @@ class ArmResidualRegressor(
         self.judgement_ = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
-        self.helps_ = self.judgement_ is None or self.judgement_.helps
-        self.linear_model_ = model
-        self.pose_weight_ = np.zeros(len(used))
+        self.helps_: bool = self.judgement_ is None or self.judgement_.helps
+        self.linear_model_: LinearModel = model
+        self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
         say_findings(many_without_weight(fitted.pose_weight))
-        self.regressor_ = None
+        self.regressor_: Any = None
         if self.regressor is not None:
             left = centred(rows.y - model.predict(rows.X)[0] * self.helps_, rows.codes, robust)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
+        return self
 
     def _fitted_second_stage(self, rows, left, weights):
         """The second stage, fitted to what the linear model leaves where no pose is an outlier."""
@@ -399,48 +406,54 @@ class ArmResidualRegressor(
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
     @property
-    def harmonics_(self):
+    def harmonics_(self) -> Any:
         return self.linear_model_.harmonic_table()
 
     @property
-    def terms_(self):
+    def terms_(self) -> Any:
         return self.linear_model_.term_table()
 
     @property
-    def column_harmonics_(self):
+    def column_harmonics_(self) -> Any:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
     @property
-    def coef_(self):
+    def coef_(self) -> Any:
         return self.linear_model_.coef
 
     @property
-    def coef_sd_(self):
+    def coef_sd_(self) -> Any:
         return self.linear_model_.coef_sd
 
     @property
-    def prior_sd_(self):
+    def prior_sd_(self) -> Any:
         return self.linear_model_.prior_sd
 
     @property
-    def noise_sd_(self):
+    def noise_sd_(self) -> float:
         return self.linear_model_.noise_sd
 
     @property
-    def n_determined_(self):
+    def n_determined_(self) -> Any:
         return self.linear_model_.n_determined
 
     @property
-    def offsets_(self):
+    def offsets_(self) -> Any:
         return self.linear_model_.offsets
 
     @property
-    def arm_(self):
+    def arm_(self) -> Arm:
         return self.linear_model_.arm
 
     def predict(
-        self, X, return_std=False, with_noise=False, *, return_cov=False, with_unseen=False
-    ):
+        self,
+        X: ArrayLike,
+        return_std: bool = False,
+        with_noise: bool = False,
+        *,
+        return_cov: bool = False,
+        with_unseen: bool = False,
+    ) -> Any:
         """Predict residuals.
 
         Parameters
@@ -530,7 +543,7 @@ class ArmResidualRegressor(
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def second_stage(self, angles):
+    def second_stage(self, angles: np.ndarray) -> np.ndarray:
         """What the second stage adds, before it fades.
 
         Parameters
@@ -547,7 +560,7 @@ class ArmResidualRegressor(
             return np.zeros((len(angles), 3))
         return self.regressor_.predict(angles[:, : self.arm_.n_joints])
 
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = False
         tags.regressor_tags.poor_score = True

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.arm import arm_for, reach_mm
@@ -40,7 +42,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
 
     Parameters
     ----------
-    estimator : ArmResidualRegressor
+    estimator : Any
     X, y, sample_weight, groups, lengths
         As for its `fit`.
 
@@ -175,7 +177,7 @@ def poses_of(rows, extra, *others):
     return dwells, rows, *(dwells.mean(other) for other in others)
 
 
-def check_turns(turns, n_rows, codes):
+def check_turns(turns: Any, n_rows: int, codes: np.ndarray | None) -> Any:
     """Residuals of the orientation (n, 3) in rad, or None where there are none."""
     if turns is None:
         return None

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,7 +118,7 @@ class Fitted(NamedTuple):
 
 
 @stage("linear error model")
-def fit_linear_model(rows, terms, with_field, turns=None):
+def fit_linear_model(rows, terms, with_field, turns=None) -> Any:
     """Fit the model, with robust weights of the poses.
 
     Parameters
@@ -183,7 +183,7 @@ def _share_of_noise(n):
     return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
 
 
-def _fit(rows, terms, structures):
+def _fit(rows, terms, structures) -> tuple[Any, Any]:
     """Choose structures and weights by turns: the state, and the factors of the weights."""
     factor = np.ones(len(rows.weights))
     sums, state = rows.sums(terms), None

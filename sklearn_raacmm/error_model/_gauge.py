@@ -10,6 +10,7 @@ that reach a point by the same vector. Known lengths between positions show a pa
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -117,7 +118,13 @@ def _mean_columns(arm, angles, weights, codes, terms):
     return sums / total[:, None, None]
 
 
-def constrained(model, X, weights, codes, keep_scale=True):
+def constrained(
+    model: Any,
+    X: np.ndarray,
+    weights: np.ndarray,
+    codes: np.ndarray | None,
+    keep_scale: bool = True,
+) -> Any:
     """Model without what positions with offsets cannot show: the scale, and where the base stands.
 
     Positions with offsets do not show a common scale of all lengths, and whatever the prior makes

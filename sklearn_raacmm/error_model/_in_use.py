@@ -5,12 +5,14 @@
 
 import warnings
 from copy import copy
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import check_arm
+from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.error_model._fading import warn_where_unknown
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
 from sklearn_raacmm.error_model._poses import check_poses
@@ -21,7 +23,7 @@ from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, 
 class ModelInUseMixin:
     """What a fitted `ArmResidualRegressor` can do beside predicting."""
 
-    def with_arm(self, arm):
+    def with_arm(self: Any, arm: Arm) -> Any:
         """Move the fitted model to another probe.
 
         A correction of the joints belongs to every probe: each cause is multiplied by the Jacobian
@@ -35,7 +37,7 @@ class ModelInUseMixin:
 
         Returns
         -------
-        model : ArmResidualRegressor
+        model : Any
             This one is left as it is.
 
         Raises
@@ -73,7 +75,15 @@ class ModelInUseMixin:
         moved.fading_ = moved_fading(self.fading_, old.arm, arm)
         return moved
 
-    def sample_y(self, X, n_samples=1, random_state=None, *, with_noise=False, with_unseen=False):
+    def sample_y(
+        self: Any,
+        X: ArrayLike,
+        n_samples: int = 1,
+        random_state: int | np.random.RandomState | None = None,
+        *,
+        with_noise: bool = False,
+        with_unseen: bool = False,
+    ) -> np.ndarray:
         """Draw corrections of all poses together, as the posterior has them.
 
         What is computed from corrected points, a diameter or a flatness, is computed from each of
@@ -120,7 +130,7 @@ class ModelInUseMixin:
             draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
         return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
 
-    def angles_for(self, points, start):
+    def angles_for(self: Any, points: ArrayLike, start: ArrayLike) -> np.ndarray:
         """Joint angles that bring the corrected probe to wanted points.
 
         Parameters
@@ -194,7 +204,9 @@ class ModelInUseMixin:
             )
         return np.rad2deg(angles) if self.angle_unit == "deg" else angles
 
-    def predict_orientation(self, X, return_std=False, with_noise=False):
+    def predict_orientation(
+        self: Any, X: ArrayLike, return_std: bool = False, with_noise: bool = False
+    ) -> Any:
         """Predict how far the last link is turned from where the arm shows it.
 
         Parameters
@@ -238,7 +250,7 @@ class ModelInUseMixin:
         noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
         return mean, np.hypot(model.std_scale * std, noise)
 
-    def fading(self, X):
+    def fading(self: Any, X: ArrayLike) -> np.ndarray:
         """Share of the correction that `predict` returns at each pose.
 
         Parameters
@@ -254,7 +266,7 @@ class ModelInUseMixin:
         X = check_poses(self, X)
         return self.fading_.share(self.linear_model_.predict_with_doubt(X)[2])
 
-    def distance_std(self, X1, X2):
+    def distance_std(self: Any, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
         """Standard deviation of corrected lengths between two poses each, without noise.
 
         Parameters

@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class LinearModel:
     coef: np.ndarray
     half: np.ndarray
     noise_variance: float
-    prior_sd: dict
+    prior_sd: dict[str, Any]
     offsets: bool
     n_determined: float
     log_bayes_factor: np.ndarray
@@ -115,13 +116,13 @@ class LinearModel:
     n_positions: float = float("inf")
     turn_mm: float = 0.0
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
         for made_of_others in ("_std_root", "_fading_root"):
             state.pop(made_of_others, None)
         return state
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         pairs = np.asarray(self.terms.harmonics)
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
@@ -137,26 +138,26 @@ class LinearModel:
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
 
     @property
-    def covariance(self):
+    def covariance(self) -> np.ndarray:
         """Covariance of the coefficients, (n_columns, n_columns)."""
         return self.half @ self.half.T
 
     @property
-    def coef_sd(self):
+    def coef_sd(self) -> np.ndarray:
         """Standard deviations of the coefficients, (n_columns,)."""
         return np.sqrt(np.square(self.half).sum(axis=1))
 
     @property
-    def noise_sd(self):
+    def noise_sd(self) -> float:
         """Standard deviation of a coordinate about the model, mm."""
         return float(np.sqrt(self.noise_variance))
 
     @property
-    def turn_noise(self):
+    def turn_noise(self) -> Any:
         """Widened standard deviation of a component of the orientation, rad; NaN without any."""
         return self.noise_scale * self.noise_sd / self.turn_mm if self.turn_mm else float("nan")
 
-    def columns(self, angles):
+    def columns(self, angles: np.ndarray) -> np.ndarray:
         """Columns of the model at some poses.
 
         Parameters
@@ -210,7 +211,7 @@ class LinearModel:
         mean, found = self._posterior(angles, roots)
         return mean, found[0] if return_std else None, np.linalg.norm(found[-1], axis=1)
 
-    def predict_turn(self, angles, return_std=False):
+    def predict_turn(self, angles: np.ndarray, return_std: bool = False) -> Any:
         """As `predict`, of the orientation of the last link: rotation vectors in rad."""
         mean, found = self._posterior(angles, [self._std_root] * return_std, of_turns=True)
         return mean, found[0] if return_std else None
@@ -238,7 +239,7 @@ class LinearModel:
             return self._std_root
         return _triangle(self.fading_half, len(self.terms.harmonics))
 
-    def widened(self, std, with_noise=False):
+    def widened(self, std: np.ndarray, with_noise: bool = False) -> np.ndarray:
         """Standard deviations whose intervals hold at positions that were left out of the fit.
 
         Parameters
@@ -256,7 +257,7 @@ class LinearModel:
         noise = self.noise_scale * self.noise_sd if with_noise else 0.0
         return np.hypot(self.std_scale * std, noise)
 
-    def root_at(self, angles, with_unseen=False):
+    def root_at(self, angles: np.ndarray, with_unseen: bool = False) -> np.ndarray:
         """Root of the posterior covariance of the coordinates of some poses.
 
         Parameters
@@ -278,7 +279,9 @@ class LinearModel:
             out[rows] = self.columns(angles[rows]) @ half
         return out.reshape(-1, half.shape[1])
 
-    def joint_covariance(self, angles, with_noise=False, with_unseen=False):
+    def joint_covariance(
+        self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = False
+    ) -> np.ndarray:
         """Widened covariance (3 n, 3 n) of the coordinates of some poses, mm^2: see `root_at`."""
         root = self.std_scale * self.root_at(angles, with_unseen)
         covariance = root @ root.T
@@ -287,7 +290,7 @@ class LinearModel:
             covariance[np.diag_indices(len(covariance))] += noise
         return covariance
 
-    def distance_std(self, first, second):
+    def distance_std(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Posterior standard deviation of a corrected length between two poses each.
 
         Parameters
@@ -311,7 +314,7 @@ class LinearModel:
             out[rows] = np.linalg.norm(along @ self.half, axis=1)
         return out
 
-    def harmonic_table(self):
+    def harmonic_table(self) -> np.ndarray:
         """Harmonics as a structured array, the largest first: see `ArmResidualRegressor`."""
         n = 2 * len(self.terms.harmonics)
         pairs, sds = self.coef[:n].reshape(-1, 2), self.coef_sd[:n].reshape(-1, 2)
@@ -324,7 +327,7 @@ class LinearModel:
         table["log_bayes_factor"] = self.log_bayes_factor
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
-    def term_table(self):
+    def term_table(self) -> Any:
         """The other causes as a structured array: see `ArmResidualRegressor`."""
         names, family = term_names(self.arm, self.terms)
         n = 2 * len(self.terms.harmonics)

@@ -4,10 +4,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.error_model._columns import TEMPERATURE, other_columns
 
 # Fields of the table, none of which a probe changes, and by how much rounding may.
@@ -109,7 +110,7 @@ def moved_fading(fading, old, new):
     return replace(fading, size_mm=ratio * fading.size_mm)
 
 
-def lever_mm(arm, probe_mm=None):
+def lever_mm(arm: Arm, probe_mm: Any = None) -> Any:
     """Length of the last link and of the probe, or of one of another length, mm."""
     own = np.linalg.norm(arm.probe) if probe_mm is None else probe_mm
     return float(np.hypot(arm.a[-1], arm.d[-1]) + own)

@@ -3,9 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
-from sklearn_raacmm.arm import axis_vectors, points_of
+from sklearn_raacmm.arm import Arm, axis_vectors, points_of
 
 # Corrected points are within this of the wanted ones, mm.
 _REACHED_MM = 1e-7
@@ -17,7 +20,9 @@ _ROUNDS, _STEPS, _LARGEST_STEP = 20, 30, 0.5
 _LEAST_RATIO = 1e-4
 
 
-def angles_for(arm, correction, points, start):
+def angles_for(
+    arm: Arm, correction: Callable, points: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Angles of poses whose corrected probe is at given points.
 
     Parameters
@@ -56,7 +61,7 @@ def angles_for(arm, correction, points, start):
     return angles, missed
 
 
-def limits_of(arm):
+def limits_of(arm: Arm) -> Any:
     """Lowest and highest angle of each joint in rad, infinite where the arm has no limits."""
     limits = getattr(arm, "limits", None)
     if limits is None:

@@ -8,6 +8,7 @@ function of every joint's angle, all low orders together, is the field.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 
@@ -134,7 +135,7 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
     )
 
 
-def order_price(order):
+def order_price(order: Any) -> Any:
     """Price of a harmonic of order k in nats: ``2 log(k)``, for the odds fall with its square.
 
     Every encoder is a little eccentric, so that order 1 is free; an order of 400 costs 12 nats. On
@@ -152,7 +153,7 @@ def order_price(order):
     return _PRICE_PER_LOG_ORDER * np.log(order)
 
 
-def smooth_shares(order):
+def smooth_shares(order: np.ndarray) -> np.ndarray:
     """Prior variance of each order as a part of the field, relative to that of order 0.
 
     ``(1 + (k / 16)^2)^-2``, the spectrum of functions that can be differentiated; 0 above order 48.
@@ -182,5 +183,5 @@ def least_of_the_idle(state, family, idle):
     """
     there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - idle
     gains = {f: state.gain_of(np.flatnonzero(family == f)) for f in there}
-    least = min(gains, key=gains.get, default=None)
+    least = min(gains, key=lambda name: gains[name], default=None)
     return least if least is not None and gains[least] < _PRICE_OF_EXTRA else None

@@ -23,7 +23,7 @@ References
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
@@ -85,7 +85,8 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0, 
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
     terms = terms._replace(harmonics=every_turn)
     turns = np.empty((*y.shape, n_joints))
-    gram, own = 0.0, np.zeros((3, len(offered)))
+    own = np.zeros((3, len(offered)))
+    gram: Any = 0.0
     cross = [_WaveSums(orders, len(y)) for _, orders, _ in spans]
     for rows, starts in poses.parts:
         columns = observed_columns(arm, poses.angles[rows], terms, turn_mm)
@@ -235,7 +236,8 @@ class _WaveSums:
     """
 
     def __init__(self, orders, n_poses):
-        self.orders, self._total = orders, 0.0
+        self.orders = orders
+        self._total: Any = 0.0
         self._grid = _grid(int(orders[-1])) if _on_grid(orders, n_poses) else None
 
     def add(self, theta, columns):
@@ -269,7 +271,7 @@ def _on_grid(orders, n_poses):
 def waves(theta, orders):
     """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
     n = np.count_nonzero(orders == np.arange(1, len(orders) + 1))
-    out = np.empty((len(theta), len(orders)), dtype=complex)
+    out: Any = np.empty((len(theta), len(orders)), dtype=complex)
     if n:
         out[:, 0] = np.exp(1j * theta)
     have = 1

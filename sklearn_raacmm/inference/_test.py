@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import chi2
@@ -61,7 +63,12 @@ class Whitened:
         return values - self.basis @ (self.basis.T @ values)
 
 
-def score_tests(causes, whiten, residual, known_from=np.inf):
+def score_tests(
+    causes: Mapping[str, np.ndarray],
+    whiten: Whitened,
+    residual: np.ndarray,
+    known_from: float = np.inf,
+) -> np.ndarray:
     """Test the size of all residuals, and for each cause whether it is there.
 
     What of a cause is not taken up by the nuisances spans some directions. If the covariance is
@@ -103,12 +110,12 @@ def score_tests(causes, whiten, residual, known_from=np.inf):
     return tests
 
 
-def explained(columns, whiten, residual):
+def explained(columns: np.ndarray, whiten: Whitened, residual: np.ndarray) -> np.ndarray:
     """What a cause does to the rows, by its most likely coefficients, (m,)."""
     return columns @ np.linalg.lstsq(whiten(columns), whiten(residual), rcond=_UNSEEN)[0]
 
 
-def best_cause(tests):
+def best_cause(tests: np.ndarray) -> str:
     """The cause that explains most for its numbers (BIC), or "noise" if it leaves too much.
 
     Where the best cause leaves residuals no better than before it is not the cause.

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from sklearn_raacmm.utils import Finding
@@ -14,7 +16,7 @@ _STEPS, _OFF = (1.0, 0.5, 0.1, 0.05, 0.01), 1e-4
 _LEAST, _LARGE_MM = 10, 0.02
 
 
-def coarse_angles(angles, reach):
+def coarse_angles(angles: np.ndarray, reach: float) -> Iterator[Finding]:
     """All angles are multiples of a coarse step.
 
     Parameters

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,10 +26,10 @@ class Dwells(NamedTuple):
     n_copies: int = 0  # rows that are equal to another pose
 
     @property
-    def merges(self):
+    def merges(self) -> Any:
         return len(self.first) < len(self.pose)
 
-    def mean(self, values):
+    def mean(self, values: Any) -> Any:
         """Mean over the rows of each pose; of what are no numbers, the first."""
         if values is None or not self.merges:
             return values
@@ -38,14 +38,14 @@ class Dwells(NamedTuple):
             return values[self.first]
         return group_means(values, self.pose)
 
-    def mean_angles(self, angles):
+    def mean_angles(self, angles: np.ndarray) -> np.ndarray:
         """Mean angles of each pose, whole turns apart or not."""
         if not self.merges:
             return angles
         origin = angles[self.first]
         return origin + group_means(within_turn(angles - origin[self.pose]), self.pose)
 
-    def findings(self):
+    def findings(self) -> Any:
         """What is to be said of it."""
         n, n_poses = len(self.pose), len(self.first)
         if self.n_copies:
@@ -63,7 +63,9 @@ class Dwells(NamedTuple):
             )
 
 
-def find_dwells(angles, codes=None, copies_count=False):
+def find_dwells(
+    angles: np.ndarray, codes: np.ndarray | None = None, copies_count: bool = False
+) -> Dwells:
     """Find the rows that are one pose.
 
     Parameters
@@ -111,7 +113,9 @@ def _runs(angles):
     return runs
 
 
-def find_poses(angles, codes=None, points=None):
+def find_poses(
+    angles: np.ndarray, codes: np.ndarray | None = None, points: np.ndarray | None = None
+) -> Dwells:
     """Find the rows that are one pose, copies of rows among them.
 
     Parameters
@@ -143,6 +147,6 @@ def find_poses(angles, codes=None, points=None):
     return Dwells(place[of.ravel()][dwells.pose], dwells.first[first[order]], n_copies)
 
 
-def within_turn(angles):
+def within_turn(angles: np.ndarray) -> np.ndarray:
     """Angles in rad from -pi to pi."""
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi

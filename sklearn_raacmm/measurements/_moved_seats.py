@@ -3,10 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.utils import Finding, chunks, encode_groups
 
@@ -50,7 +52,9 @@ class Step(NamedTuple):
     size_mm: float
 
 
-def find_steps(left, angles, codes, noise_variance=0.0):
+def find_steps(
+    left: np.ndarray, angles: np.ndarray, codes: np.ndarray, noise_variance: float = 0.0
+) -> list[Step]:
     r"""Steps of residuals in the order of the rows, position by position.
 
     What a model leaves at two poses of one position differs the more, the farther the poses are
@@ -106,7 +110,14 @@ def find_steps(left, angles, codes, noise_variance=0.0):
     return found
 
 
-def moved_positions(left, angles, weights, groups, noise_variance, numbers=None):
+def moved_positions(
+    left: np.ndarray,
+    angles: np.ndarray,
+    weights: np.ndarray,
+    groups: ArrayLike,
+    noise_variance: float,
+    numbers: np.ndarray | None = None,
+) -> Iterator[Finding]:
     """Positions that have moved during the test, in one finding.
 
     Parameters
@@ -142,8 +153,8 @@ def moved_positions(left, angles, weights, groups, noise_variance, numbers=None)
         "No model of the arm can follow that: fasten the socket and the arm's base and measure "
         "again, or give the rows after each step a label of their own.",
         "repair",
-        positions=labels[moved],
-        rows=[rows[step.after] for step in steps],
+        positions=tuple(labels[moved]),
+        rows=tuple(rows[step.after] for step in steps),
         size_mm=max(step.size_mm for step in steps),
     )
 

@@ -3,6 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.utils import Finding
@@ -16,7 +19,15 @@ _LEAST_MM = 0.005
 _RIDGE = 1e-4
 
 
-def moved_set_up(left, columns, ridge, points, turns, weights, numbers=None):
+def moved_set_up(
+    left: np.ndarray,
+    columns: np.ndarray,
+    ridge: np.ndarray,
+    points: np.ndarray,
+    turns: np.ndarray,
+    weights: np.ndarray,
+    numbers: Any = None,
+) -> Iterator[Finding]:
     r"""A tracker, a base or a tool that moved during the measurement, in one finding.
 
     A calibration of all rows takes up what it can of the move. Behind every row in turn the rest is
@@ -72,7 +83,7 @@ def moved_set_up(left, columns, ridge, points, turns, weights, numbers=None):
         f"between rows {numbers[row - 1]} and {numbers[row]} (rows counted from 0).",
         f"Give each part a label of its own, calibrate(..., {what}=labels), or measure again.",
         "repair",
-        rows=[numbers[row]],
+        rows=(numbers[row],),
         size_mm=size,
     )
 

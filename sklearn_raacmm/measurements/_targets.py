@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -44,21 +44,21 @@ class Targets(NamedTuple):
     y: np.ndarray  # (n, 3) mm
     weights: np.ndarray  # (n,)
     arm: Arm | None = None  # None: where the probe was is not known
-    angles: np.ndarray | None = None  # (n, n_joints) rad
+    angles: Any = None  # (n, n_joints) rad
     codes: np.ndarray | None = None  # (n,) position of each row
     offsets: bool = False  # whether positions have constants that nobody knows
 
     @property
-    def reach(self):
+    def reach(self) -> float:
         return np.inf if self.arm is None else reach_mm(self.arm)
 
-    def used(self):
+    def used(self) -> tuple[Self, np.ndarray | None]:
         """The same without rows of no weight, and with the arm's points or None."""
         kept = self.weights > 0
         parts = (None if v is None else v[kept] for v in (self.angles, self.codes))
         angles, codes = parts
         some = self._replace(y=self.y[kept], weights=self.weights[kept], angles=angles, codes=codes)
-        return some, None if self.arm is None else points_of(self.arm, angles)
+        return some, None if self.arm is None else points_of(self.arm, some.angles)
 
 
 def are_points(targets, points):
@@ -247,7 +247,7 @@ CHECKS = (
 )
 
 
-def check_targets(targets):
+def check_targets(targets: Targets) -> list[Finding]:
     """Findings on the targets of a model.
 
     Parameters

@@ -439,7 +439,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         return tags
 
 
-def _poses(X, y, groups, codes, fit_params):
+def _poses(X, y, groups, codes, fit_params) -> Any:
     """The same with each pose once at which a logger wrote many rows."""
     given = X, y, groups, codes, fit_params
     rows = None if issparse(X) else np.asarray(X)

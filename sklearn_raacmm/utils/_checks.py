@@ -200,7 +200,7 @@ def check_whole_number(name: str, value: Any, low: int, high: int | None = None)
     return int(value)
 
 
-def check_points(points: ArrayLike, n_coordinates: int | None = None) -> np.ndarray:
+def check_points(points: Any, n_coordinates: int | None = None) -> np.ndarray:
     """Points as float64 of shape (n_points, n_coordinates); one dimension becomes one column."""
     refuse_disguised("points", points)
     points = check_array(points, dtype=np.float64, ensure_2d=False, input_name="points")

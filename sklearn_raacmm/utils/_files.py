@@ -8,7 +8,9 @@ import hashlib
 import os
 import secrets
 import shutil
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from sklearn_raacmm.utils._checks import show
 
@@ -20,7 +22,7 @@ def check_path(name: str, value: object) -> Path:
     return Path(value)
 
 
-def check_places(outputs, inputs=()):
+def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
     """Refuse files that could not be written, or that are read: before the work, not after it.
 
     Parameters
@@ -57,12 +59,12 @@ def check_places(outputs, inputs=()):
             raise PermissionError(f"Nothing can be written into the folder {folder}.")
 
 
-def digest_of(content):
+def digest_of(content: str | bytes) -> str:
     """Fingerprint of a file's content, text or bytes: SHA-256 in hexadecimal digits."""
     return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
-def whole_file(path, digest):
+def whole_file(path: Any, digest: str) -> bytes | None:
     """Content of the file of this fingerprint: at its place, or not yet renamed; else None.
 
     Parameters
@@ -83,7 +85,7 @@ def whole_file(path, digest):
     return None
 
 
-def write_whole(contents):
+def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     """Write files beside their places, and rename them when all are complete.
 
     What goes wrong while writing, such as a full disk, leaves files of these names as they were.

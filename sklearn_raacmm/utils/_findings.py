@@ -4,16 +4,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
 from functools import wraps
-from typing import Literal
+from typing import Any, Literal, TypeVar, cast
 
 from sklearn_raacmm.utils._warn_user import warn_user
 
+Function = TypeVar("Function", bound=Callable[..., Any])
+
 # Where findings are collected instead of being said; None outside of `heard_findings`.
-_HEARD = ContextVar("heard findings", default=None)
+_HEARD: ContextVar[Any] = ContextVar("heard findings", default=None)
 # Rows that a finding lists.
 _LISTED = 100
 
@@ -48,12 +51,12 @@ class Finding:
     text: str
     advice: str = ""
     weight: Literal["note", "doubt", "repair", "refuse"] = "doubt"
-    positions: tuple = ()
-    rows: tuple = ()
-    joints: tuple = ()
+    positions: tuple[Any, ...] = ()
+    rows: tuple[int, ...] = ()
+    joints: tuple[int, ...] = ()
     size_mm: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         # Plain values: findings are saved with models, and written as JSON.
         for name in ("positions", "rows", "joints"):
             values = tuple(getattr(v, "tolist", lambda v=v: v)() for v in getattr(self, name))
@@ -61,10 +64,10 @@ class Finding:
         if self.size_mm is not None:
             object.__setattr__(self, "size_mm", float(self.size_mm))
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.text} {self.advice}".rstrip()
 
-    def facts(self):
+    def facts(self) -> dict[str, Any]:
         """The same as a dictionary that JSON can hold."""
         values = asdict(self)
         return {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
@@ -73,7 +76,7 @@ class Finding:
 class FindingWarning(UserWarning):
     """A warning that says a finding; ``warning.finding`` is the value."""
 
-    def __init__(self, finding):
+    def __init__(self, finding: Finding) -> None:
         super().__init__(finding)
         self.finding = finding
 
@@ -81,12 +84,12 @@ class FindingWarning(UserWarning):
 class FindingError(ValueError):
     """The refusal of data; ``error.finding`` is the value."""
 
-    def __init__(self, finding):
+    def __init__(self, finding: Finding) -> None:
         super().__init__(finding)
         self.finding = finding
 
 
-def say_findings(findings):
+def say_findings(findings: Iterable[Finding]) -> None:
     """Refuse, collect or warn of findings; of a note nobody is warned.
 
     Parameters
@@ -116,16 +119,16 @@ class heard_findings:  # noqa: N801  (a context manager, as those of the standar
     generator: one that is interrupted and closed later would end the collection of others.
     """
 
-    def __enter__(self):
-        heard = []
+    def __enter__(self) -> list[Finding]:
+        heard: list[Finding] = []
         self._token = _HEARD.set(heard)
         return heard
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: Any) -> None:
         _HEARD.reset(self._token)
 
 
-def hear(function, *args, **kwargs):
+def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, list[Finding]]:
     """Call a function: its result, and the findings that were said within.
 
     In a context of its own: whatever interrupts the function, what follows is said again.
@@ -143,22 +146,22 @@ def hear(function, *args, **kwargs):
     return copy_context().run(inside)
 
 
-def one_warning():
+def one_warning() -> Callable[[Function], Function]:
     """Make a function that says each finding once, however many of its parts look at the data."""
 
-    def decorator(function):
+    def decorator(function: Function) -> Function:
         @wraps(function)
         def wrapper(*args, **kwargs):
             result, heard = hear(function, *args, **kwargs)
             say_findings(heard)
             return result
 
-        return wrapper
+        return cast(Function, wrapper)
 
     return decorator
 
 
-def with_findings(function):
+def with_findings(function: Function) -> Function:
     """Make a function that puts the findings said within into its result, a dataclass."""
 
     @wraps(function)
@@ -167,11 +170,11 @@ def with_findings(function):
         say_findings(heard)
         return replace(result, findings=tuple(heard))
 
-    return wrapper
+    return cast(Function, wrapper)
 
 
 @contextmanager
-def unheard():
+def unheard() -> Iterator[None]:
     """Say nothing of what is found within: it has been said of all rows, or will be."""
     with heard_findings(), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

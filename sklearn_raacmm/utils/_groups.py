@@ -169,7 +169,9 @@ def centred(
     return values if codes is None else values - group_means(values, codes, weights)[codes]
 
 
-def slip_factors(values, codes, weights=None):
+def slip_factors(
+    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
+) -> np.ndarray:
     """Factors of the rows' weights in the means of their groups: slips take no part.
 
     Groups in which no row is farther than 11 standard deviations from the others, by the median of
@@ -207,7 +209,7 @@ def slip_factors(values, codes, weights=None):
     return factor
 
 
-def share_of_means(y, codes, weights):
+def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:
     """Mean squares of positions' means over what the scatter within positions explains.
 
     Parameters
