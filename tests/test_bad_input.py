@@ -49,7 +49,7 @@ def weyl(n_rows, n_columns):
 ARM = Arm.from_name("aacmm6")
 ANGLES = 3 * (weyl(40, 6) - 0.5)
 GROUPS = np.repeat(np.arange(8), 5)
-POINTS = ARM.forward(ANGLES) + [1.0, 0.0, 0.0]
+POINTS = ARM.forward(ANGLES) + np.array([1.0, 0.0, 0.0])
 RESIDUALS = 0.05 * np.cos(ANGLES[:, [1, 3, 2]] - ANGLES[:, [2, 1, 3]])
 CENTRED = position_residuals(RESIDUALS, GROUPS)
 WEIGHTS = np.arange(1.0, 41)
