@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
-    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning
+    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning, directions_of
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -63,6 +63,7 @@ __all__ = [
     "check_correction",
     "cross_validate_correction",
     "cylindrical_to_cartesian",
+    "directions_of",
     "elbow_angle",
     "learn_correction",
     "lengths_of_places",

@@ -15,17 +15,18 @@ import numpy as np
 from scipy import stats
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
+from sklearn_raacmm.app._causes import causes_of, columns_of_causes, inputs_of
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
-    columns_of,
     files_of,
     in_rad,
     load_arm,
     load_correction,
     number_of,
     open_beside,
+    table_options,
     write_corrected,
 )
 from sklearn_raacmm.app._lengths import length_of, read_places
@@ -71,17 +72,18 @@ def learn(options):
         raise TableError(f"{out} holds a correction; --force replaces it.")
     arm = load_arm(options.arm, options.base, options.tip)
     table = read_table(
-        options.table, arm.n_joints, **columns_of(options, arm, points=options.points)
+        options.table, arm.n_joints, **table_options(options, arm, points=options.points)
     )
     _say_notes(table.notes)
     lengths = [length_of(text) for text in options.length or ()]
     lengths += read_places(options.places, options.length_sd) if options.places else []
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
+    like = [load_correction(folder).model for folder in options.like or ()]
     facts = {"file": Path(options.table).name}
     for name, value in (("serial number", options.serial), ("operator", options.operator)):
         if value:
             facts[name] = value
-    return _learn(options, arm, table, lengths, facts)
+    return _learn(options, arm, table, lengths, facts, like)
 
 
 def _is_there(name):
@@ -91,7 +93,7 @@ def _is_there(name):
         return False
 
 
-def _learn(options, arm, table, lengths, facts):
+def _learn(options, arm, table, lengths, facts, like):
     if options.limit_2s is not None and table.points is not None:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
     if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
@@ -100,12 +102,15 @@ def _learn(options, arm, table, lengths, facts):
     result = learn_correction(
         arm, in_rad(table), table.positions, table.points, lengths,
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
+        extra=causes_of(table, columns_of_causes(options)), in_order=options.in_order, like=like,
     )  # fmt: skip
     _progress(30, 30, "report")
-    layout = find_layout(options.table, arm.n_joints, **columns_of(options, arm, labelled=False))
+    layout = find_layout(options.table, arm.n_joints, **table_options(options, arm, labelled=False))
     corrected = io.StringIO(newline="")
-    write_corrected(layout, result.saved, corrected)
-    card = describe(result.model, result.angles)
+    in_order = any(name.startswith("direction") for name in result.causes)
+    inputs = inputs_of(result.saved, columns_of_causes(options), in_order)
+    write_corrected(layout, result.saved, inputs, corrected)
+    card = describe(result.model, result.saved.inputs(result.angles))
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     # Everything is made before the first file gets its name.
@@ -146,7 +151,7 @@ def correct(options):
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
     layout = find_layout(
-        options.table, saved.arm.n_joints, **columns_of(options, saved.arm, labelled=False)
+        options.table, saved.arm.n_joints, **table_options(options, saved.arm, labelled=False)
     )
     _say_notes(layout.notes)
     stream = (
@@ -154,8 +159,9 @@ def correct(options):
         if options.out == "-"
         else open_beside(options.out, layout.dialect.encoding)
     )
+    inputs = inputs_of(saved, columns_of_causes(options), options.in_order)
     with stream as file:
-        n_rows = write_corrected(layout, saved, file)
+        n_rows = write_corrected(layout, saved, inputs, file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
@@ -167,7 +173,7 @@ def check(options):
     saved = load_correction(options.model)
     if options.points or options.lengths or saved.facts["measure"] != "2S":
         return check_by_causes(saved, options)
-    table = read_table(options.table, saved.arm.n_joints, **columns_of(options, saved.arm))
+    table = read_table(options.table, saved.arm.n_joints, **table_options(options, saved.arm))
     _say_notes(table.notes)
     angles = in_rad(table)
     measured, corrected = saved.arm.forward(angles), saved.correct(angles)[0]
@@ -214,7 +220,7 @@ def _has_causes(model, options):
 
 def _name_the_suspect(saved, measured, table, options, rate):
     """Say what the model's posterior makes of today's poses, keep the record; whether one is."""
-    angles, positions = in_rad(table), table.positions
+    angles, positions = saved.inputs(in_rad(table)), table.positions
     found = check_correction(
         saved.model, angles, position_residuals(measured, positions), groups=positions,
         false_alarm_rate=rate,
@@ -263,13 +269,9 @@ def export(options):
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
         paths += export_c(
-            saved.model,
-            source,
-            std=options.std,
-            card=card,
-            poses="random",
+            saved.model, source, std=options.std, card=card, poses="random",
             any_probe=options.any_probe,
-        )
+        )  # fmt: skip
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)
@@ -298,23 +300,7 @@ def arm(options):
         print(f"Written to {options.template}")
         if not any(given):
             return OK
-    if any(given[2:]):
-        layout = "2-2-2" if options.lengths_222 else "2-2-3"
-        lengths = options.lengths_222 or options.lengths_223
-        offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
-        shown = Arm.from_lengths(layout, *lengths, **offsets)
-    elif options.dh:
-        probe = [number_of(text) for text in (options.probe or "0,0,0").split(",")]
-        convention = "modified" if options.modified else "standard"
-        shown = read_dh(options.dh, convention, probe)
-    elif options.source and options.into:
-        shown = load_arm(options.source)  # --base and --tip are those of the other file
-    elif options.source:
-        shown = load_arm(options.source, options.base, options.tip)
-    else:
-        if not sys.stdin.isatty():
-            raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
-        shown = ask_for_an_arm()
+    shown = _meant_arm(options)
     print(shown)
     if options.out:
         ends = {"base": options.base, "tip": options.tip}
@@ -328,6 +314,25 @@ def arm(options):
         write_whole({options.picture: picture_of(shown)})
         print(f"Written to {options.picture}")
     return OK, json.loads(shown.to_json())
+
+
+def _meant_arm(options):
+    """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
+    if options.lengths_222 or options.lengths_223:
+        layout = "2-2-2" if options.lengths_222 else "2-2-3"
+        lengths = options.lengths_222 or options.lengths_223
+        offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
+        return Arm.from_lengths(layout, *lengths, **offsets)
+    if options.dh:
+        probe = [number_of(text) for text in (options.probe or "0,0,0").split(",")]
+        return read_dh(options.dh, "modified" if options.modified else "standard", probe)
+    if options.source and options.into:
+        return load_arm(options.source)  # --base and --tip are those of the other file
+    if options.source:
+        return load_arm(options.source, options.base, options.tip)
+    if not sys.stdin.isatty():
+        raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
+    return ask_for_an_arm()
 
 
 def demo(options):

@@ -7,10 +7,10 @@ import csv
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.app._causes import columns_of_causes
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import SavedCorrection, corrected_columns
@@ -65,7 +65,7 @@ def files_of(source):
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
-def write_corrected(layout, correction, file):
+def write_corrected(layout, correction, inputs, file):
     """Copy a table with the corrected points beside its columns, block by block.
 
     Parameters
@@ -73,6 +73,8 @@ def write_corrected(layout, correction, file):
     layout : Layout
         Of the table.
     correction : SavedCorrection
+    inputs : callable
+        Takes angles in rad and their block of the table, returns what the model takes.
     file : text stream
         Written to, with the line ends that the stream makes.
 
@@ -85,9 +87,8 @@ def write_corrected(layout, correction, file):
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        numbers = corrected_columns(
-            correction.arm, correction.model, correction.facts, in_rad(block)
-        )
+        X = inputs(in_rad(block), block)
+        numbers = corrected_columns(correction.arm, correction.model, correction.facts, X)
         for row, values in zip(cells, numbers.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
@@ -113,7 +114,7 @@ def in_rad(table):
     return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
 
 
-def columns_of(options: Any, arm: Any, points: Any = None, labelled: bool = True) -> dict[str, Any]:
+def table_options(options, arm, points=None, labelled=True):
     """Options of `read_table` as the command line has them."""
     if points and not Path(points).is_file():
         points = points.split(",")
@@ -135,6 +136,7 @@ def columns_of(options: Any, arm: Any, points: Any = None, labelled: bool = True
         "joint_names": arm.names,
         "counts_per_turn": counts,
         "sheet": options.sheet,
+        "others": columns_of_causes(options).values(),
     }
 
 

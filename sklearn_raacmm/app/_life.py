@@ -13,7 +13,7 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of
-from sklearn_raacmm.app._files import columns_of, files_of, in_rad, load_correction, number_of
+from sklearn_raacmm.app._files import files_of, in_rad, load_correction, number_of, table_options
 from sklearn_raacmm.app._tables import read_lengths, read_table
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import calibrate
@@ -43,7 +43,7 @@ class _Today(NamedTuple):
     @classmethod
     def of(cls, options, arm):
         by_tracker = bool(options.points)
-        given = columns_of(options, arm, points=options.points, labelled=not by_tracker)
+        given = table_options(options, arm, points=options.points, labelled=not by_tracker)
         table = read_table(options.table, arm.n_joints, **given)
         for note in table.notes:
             print(f"note: {note}", file=sys.stderr)

@@ -19,6 +19,9 @@ def learn(parser):
     text = "a plate of known points: position, x, y, z, sd in mm"
     parser.add_argument("--places", metavar="CSV", help=text)
     parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
+    _add_causes(parser)
+    text = "folders of corrections of earlier arms of this make"
+    parser.add_argument("--like", nargs="+", metavar="FOLDER", help=text)
     parser.add_argument("--serial", help="serial number, for the report")
     parser.add_argument("--operator", help="name, for the report")
 
@@ -28,6 +31,7 @@ def correct(parser):
     parser.add_argument("table", help="table with joint angles")
     _add_model(parser)
     parser.add_argument("--out", required=True, help="CSV to write; - is the standard output")
+    _add_causes(parser)
     _add_columns(parser, labelled=False)
 
 
@@ -115,12 +119,19 @@ def demo(parser):
     parser.set_defaults(
         angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
         lengths=None, length=None, places=None, length_sd=None, serial="simulated",
-        operator=None, base=None, tip=None,
+        operator=None, base=None, tip=None, extra=None, in_order=False, like=None,
     )  # fmt: skip
 
 
 def completion(parser):
     """``raacmm completion`` has no options of its own."""
+
+
+def _add_causes(parser):
+    text = "a cause that a column holds, such as temperature=T1, payload, time"
+    parser.add_argument("--extra", nargs="+", metavar="NAME[=COLUMN]", help=text)
+    text = "the rows are in the order of measurement: use the directions of the joints"
+    parser.add_argument("--in-order", action="store_true", help=text)
 
 
 def _add_ends(parser):

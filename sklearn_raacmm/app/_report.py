@@ -206,7 +206,9 @@ def _sheet(scores):
 
 def _deviations(result):
     """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
-    columns = corrected_columns(result.arm, result.model, result.facts(), result.angles)
+    saved = result.saved
+    X = saved.inputs(result.angles)
+    columns = corrected_columns(saved.arm, saved.model, saved.facts, X)
     names = (
         ("of a coordinate within a position", columns[:, 6:9]),
         ("of a coordinate in the base frame", columns[:, 3:6]),

@@ -12,6 +12,7 @@ below S by what the table says.
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._one_fit import predict_with_std
@@ -25,7 +26,7 @@ _K = 2.0
 
 
 def corrected_points(
-    arm: Arm, model: Any, angles: np.ndarray, facts: dict[str, Any], std_of: str = "coordinate"
+    arm: Arm, model: Any, X: Any, facts: dict[str, Any], std_of: str = "coordinate"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corrected points and the standard deviations of their coordinates.
 
@@ -33,8 +34,8 @@ def corrected_points(
     ----------
     arm : Arm
     model : estimator
-    angles : ndarray of shape (n_samples, n_joints)
-        In rad.
+    X : ndarray of shape (n_samples, n_joints + n_causes)
+        Angles in rad, then the causes that the model takes.
     facts : dict
         ``noise_mm``, ``std_factor`` and ``scale_sd``, as `LearnedCorrection.facts` has them.
     std_of : {"coordinate", "position"}, default="coordinate"
@@ -45,11 +46,12 @@ def corrected_points(
     points, std : ndarray of shape (n_samples, 3)
         In mm.
     """
-    correction, std = predict_with_std(model, angles, facts["noise_mm"])
-    points, within = arm.forward(angles) - correction, facts["std_factor"] * std
+    correction, std = predict_with_std(model, X, facts["noise_mm"])
+    points = arm.forward(X[:, : arm.n_joints]) - correction
+    within = facts["std_factor"] * std
     if std_of == "position":
         return points, within
-    return points, _of_coordinate(arm, model, angles, points, within, facts)
+    return points, _of_coordinate(arm, model, X, points, within, facts)
 
 
 def distances(first, second, scale_sd):
@@ -74,23 +76,23 @@ def distances(first, second, scale_sd):
     return lengths, np.sqrt(ends + (scale_sd * lengths) ** 2)
 
 
-def corrected_columns(arm: Arm, model: Any, facts: Any, angles: np.ndarray) -> np.ndarray:
+def corrected_columns(arm: Arm, model: Any, facts: Any, X: ArrayLike) -> np.ndarray:
     """What a corrected table gets, (n_samples, 10); parameters as of `corrected_points`.
 
     Points; standard deviations of the coordinates in the base frame and within a position; that of
     a distance of 1 m from here to a point that is known as well.
     """
-    points, within = corrected_points(arm, model, angles, facts, "position")
+    points, within = corrected_points(arm, model, X, facts, "position")
     of_metre = np.sqrt(2 * np.mean(within**2, axis=1) + (1000 * facts["scale_sd"]) ** 2)
-    of_coordinate = _of_coordinate(arm, model, angles, points, within, facts)
+    of_coordinate = _of_coordinate(arm, model, X, points, within, facts)
     return np.column_stack([points, of_coordinate, within, of_metre])
 
 
-def _of_coordinate(arm, model, angles, points, within, facts):
+def _of_coordinate(arm, model, X, points, within, facts):
     variance = within**2 + (facts["scale_sd"] * (points - _shoulder(arm))) ** 2
     linear = getattr(model, "linear_model_", None)
     if linear is not None and model.helps_:
-        variance += unseen_variance(linear, angles)
+        variance += unseen_variance(linear, X)
     return np.sqrt(variance)
 
 

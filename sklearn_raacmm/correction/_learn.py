@@ -15,6 +15,12 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
+from sklearn_raacmm.correction._causes import (
+    say_make,
+    usual_values,
+    with_causes,
+    with_kept_causes,
+)
 from sklearn_raacmm.correction._deviations import STD_OF, corrected_points, distances
 from sklearn_raacmm.correction._loaded import SavedCorrection, base_as_facts
 from sklearn_raacmm.correction._one_fit import Data
@@ -26,7 +32,9 @@ from sklearn_raacmm.correction._scores import (
     with_verdict,
 )
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.utils import Finding, check_option, hear, say_findings
+from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.measurements import drift_of
+from sklearn_raacmm.utils import Finding, check_option, encode_groups, hear, say_findings
 
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
@@ -55,6 +63,9 @@ class LearnedCorrection:
         Root mean square of a coordinate that the model leaves of its training rows, mm.
     angles, positions, points, lengths
         The data, angles in rad and within a turn.
+    causes : dict of str to float
+        The causes that the model takes after the angles, and what counts where they are not known:
+        the mean, no direction, and of time the last value.
 
     See Also
     --------
@@ -70,7 +81,8 @@ class LearnedCorrection:
     angles: np.ndarray = field(repr=False)
     positions: np.ndarray = field(repr=False)
     points: np.ndarray | None = field(repr=False)
-    lengths: list[Any] = field(repr=False)
+    lengths: list = field(repr=False)
+    causes: dict = field(default_factory=dict)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -88,7 +100,12 @@ class LearnedCorrection:
         return self.scores.verdict
 
     def correct(
-        self, angles: ArrayLike, *, angle_unit: str = "rad", std_of: str = "coordinate"
+        self,
+        angles: ArrayLike,
+        *,
+        angle_unit: str = "rad",
+        std_of: str = "coordinate",
+        extra: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corrected points, and how far to trust them.
 
@@ -102,6 +119,8 @@ class LearnedCorrection:
             What the standard deviations are of: a coordinate of one reading in the arm's base
             frame; or its deviation within a position, which is all that cones show: 95 % of the
             coordinates left out lay within 1.96 of them.
+        extra : dict of str to array-like of shape (n_samples,), default=None
+            The causes that `causes` names; for those that are missing it has what counts instead.
 
         Returns
         -------
@@ -116,7 +135,7 @@ class LearnedCorrection:
         Raises
         ------
         ValueError
-            If `angles` do not fit the arm.
+            If `angles` do not fit the arm, or `extra` names what the model does not know.
 
         See Also
         --------
@@ -124,7 +143,8 @@ class LearnedCorrection:
         """
         check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        return corrected_points(self.arm, self.model, angles, self._deviations(), std_of)
+        X = with_causes(angles, self.causes, extra)
+        return corrected_points(self.arm, self.model, X, self._deviations(), std_of)
 
     def distances(
         self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
@@ -243,6 +263,7 @@ class LearnedCorrection:
             **self._deviations(),
             "coverage": scores.coverage,
             "n_rows": len(self.angles),
+            "causes": self.causes,
             "n_folds": scores.n_folds,
             "summary": {name: list(values) for name, values in scores.summary.items()},
             "positions": {name: column.tolist() for name, column in scores.table.items()},
@@ -282,6 +303,9 @@ def learn_correction(
     cv: Any = None,
     n_jobs: int | None = None,
     progress: Callable | None = None,
+    extra: dict[str, Any] | None = None,
+    in_order: bool = False,
+    like: Sequence[ArmResidualRegressor] = (),
 ) -> LearnedCorrection:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -308,6 +332,18 @@ def learn_correction(
         Folds computed at the same time, as in scikit-learn.
     progress : callable, default=None
         Called as ``progress(done, n_folds)`` when a fold is done.
+    extra : dict of str to array-like of shape (n_samples,), default=None
+        Causes that were written down with the angles, by the names that
+        :class:`ArmResidualRegressor` has for them. They are kept where the evidence asks for them.
+        "time" is refused where the angles tell the number of the row.
+    in_order : bool, default=False
+        Whether the rows are in the order in which they were measured. Then the directions from
+        which joints came are offered, too, and the findings say what they are worth at positions
+        left out.
+    like : list of ArmResidualRegressor, default=()
+        Models of earlier arms of the make, see :func:`transfer_correction`: what they have in
+        common is where this one starts, if the evidence for it is at least 4 nats. Not with
+        `model`; known lengths are then used by the calibration only.
 
     Returns
     -------
@@ -361,10 +397,16 @@ def learn_correction(
     )
 
     def inside():
-        data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
+        data = Data.checked(
+            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like
+        )
         calibration = _calibrated(data, angles, angle_unit)
-        fits = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
-        return data, calibration, *fits
+        data = with_kept_causes(data, calibration)
+        scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+        if data.like and model is None:
+            say_make(fitted)
+        say_findings([_drift(data, calibration, fitted, scores.outliers)])
+        return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), heard = hear(inside)
     say_findings(heard)
@@ -379,7 +421,16 @@ def learn_correction(
         positions=data.positions,
         points=data.points,
         lengths=data.lengths,
+        causes=usual_values(data.causes, data.values),
     )
+
+
+def _drift(data, calibration, model, outliers):
+    """By how much the run drifted, of what the model leaves of the rows that are no outliers."""
+    rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
+    left = data.residuals(calibration, rows) - model.predict(data.inputs[rows])
+    codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
+    return drift_of(calibration.arm, data.angles[rows], left, codes)
 
 
 def _calibrated(data, angles, angle_unit):

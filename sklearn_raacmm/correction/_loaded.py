@@ -12,6 +12,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult
+from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._deviations import STD_OF, corrected_points
 from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
@@ -111,13 +112,20 @@ class SavedCorrection:
         contents = {"arm.json": self.arm.to_json(), "model.skops": skops.io.dumps(self.model)}
         return write_correction(folder, facts, {**contents, **(others or {})})
 
+    def inputs(self, angles: np.ndarray, extra=None):
+        """What the model takes: angles in rad, (n, n_joints), and those causes that it knows."""
+        usual = self.facts.get("causes", {})
+        known = {name: values for name, values in (extra or {}).items() if name in usual}
+        return with_causes(angles, usual, known)
+
     def correct(
-        self, angles: np.ndarray, *, angle_unit: str = "rad", std_of: str = "coordinate"
+        self, angles: np.ndarray, *, angle_unit: str = "rad", std_of: str = "coordinate", extra=None
     ) -> Any:
         """Corrected points and standard deviations, see `LearnedCorrection.correct`."""
         check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        return corrected_points(self.arm, self.model, angles, self.facts, std_of)
+        X = self.inputs(angles, extra)
+        return corrected_points(self.arm, self.model, X, self.facts, std_of)
 
     def residuals(self, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.

@@ -17,6 +17,8 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
+from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
+from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
@@ -38,9 +40,15 @@ class Data:
     lengths: list
     rows: np.ndarray  # first row of each pose among those given
     given: tuple  # angles, positions and points of these
+    causes: tuple = ()  # names of the columns of `values`
+    values: np.ndarray | None = None  # (n, n_causes)
+    like: tuple = ()  # models of earlier arms of the make
 
     @classmethod
-    def checked(cls, arm, angles, positions, points, lengths, angle_unit):
+    def checked(
+        cls, arm, angles, positions, points, lengths, angle_unit,
+        extra=None, in_order=False, like=(),
+    ):  # fmt: skip
         check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
@@ -63,9 +71,19 @@ class Data:
                     f"position {labels[code].item()!r} has a single row, row "
                     f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
                 )
+        causes, values = checked_causes(extra, in_order, angles)
+        refuse_told_time(causes, angles, positions)
+        values = values[poses.first]
         angles, points = poses.mean_angles(angles), poses.mean(points)
         given = (every[0], labels[codes], every[2])
-        return cls(arm, angles, labels[codes][poses.first], points, lengths, poses.first, given)
+        labels = labels[codes][poses.first]
+        like = tuple(listed("like", like))
+        return cls(arm, angles, labels, points, lengths, poses.first, given, causes, values, like)
+
+    @property
+    def inputs(self):
+        """Angles, then the causes, of each row."""
+        return self.angles if self.values is None else np.hstack([self.angles, self.values])
 
     def without_lonely(self, rows):
         """Rows of positions with at least two, and the others: those have no residuals."""
@@ -122,18 +140,34 @@ class Data:
             return far
         every = np.arange(len(self.angles))
         rows, lonely = self.without_lonely(every)
-        model = ArmResidualRegressor(calibration.arm)
+        model = model_for(None, calibration.arm, self.causes)
         y = self.residuals(calibration, rows)
         with unheard():  # what there is to say is said of the rows that are learnt from
-            model.fit(self.angles[rows], y, groups=self.positions[rows])
+            model.fit(self.inputs[rows], y, groups=self.positions[rows])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
         """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
-        fitted: Any = model_for(model, calibration.arm)
         y = self.residuals(calibration, rows)
+        if self.like and model is None:
+            fitted = self._like_others(calibration.arm, rows, y)
+        else:
+            fitted = self._fit_alone(model, calibration, rows, y)
+        left = y - fitted.predict(self.inputs[rows])
+        if self.points is None:
+            left = position_residuals(left, self.positions[rows])
+        return fitted, float(np.sqrt(np.mean(np.square(left))))
+
+    def _like_others(self, arm, rows, y):
+        """A model that starts from earlier arms of the make, where these are believed."""
+        X, groups = self.inputs[rows], self.positions[rows]
+        return transfer_correction(list(self.like), arm, X, y, groups=groups)
+
+    def _fit_alone(self, model, calibration, rows, y):
+        fitted = model_for(model, calibration.arm, self.causes)
         # Of a pipeline, what its last step takes.
-        prefix, last = "", fitted
+        last: Any = fitted
+        prefix = ""
         while isinstance(last, Pipeline):
             prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
         # A tracker knows where the positions are: lengths between them tell the model nothing.
@@ -144,11 +178,7 @@ class Data:
             for name, value in extra.items()
             if len(value) and has_fit_parameter(last, name)
         }
-        fitted.fit(self.angles[rows], y, **extra)
-        left = y - fitted.predict(self.angles[rows])
-        if self.points is None:
-            left = position_residuals(left, self.positions[rows])
-        return fitted, float(np.sqrt(np.mean(np.square(left))))
+        return fitted.fit(self.inputs[rows], y, **extra)
 
 
 def _regions(points):
@@ -160,16 +190,18 @@ def _regions(points):
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 
-def model_for(model, arm):
+def model_for(model, arm, causes=()):
     """Copy of a model, or the default one, for this arm and for angles in rad."""
     if model is None:
-        return ArmResidualRegressor(arm)
+        return ArmResidualRegressor(arm, extra=causes)
     model = clone(model)
     changes = {}
     for name, value in model.get_params(deep=True).items():
         last = name.rsplit("__")[-1]
         if last == "arm":
             changes[name] = arm
+        elif last == "extra" and causes:
+            changes[name] = causes
         elif last == "angle_unit":
             changes[name] = "rad"
         elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):

@@ -16,6 +16,7 @@ from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.correction._causes import say_worth_of_directions
 from sklearn_raacmm.correction._deviations import length_findings
 from sklearn_raacmm.correction._one_fit import Data, predict_with_std
 from sklearn_raacmm.measurements import moved_positions
@@ -286,7 +287,7 @@ def scored_and_fitted(data, calibration, model, cv, n_jobs, progress):
     fitted, noise = data.fit(model, calibration, data.without_lonely(kept)[0])
     moved = any(finding.code == "moved-position" for finding in calibration.findings)
     if data.points is None and not moved:  # of all rows: those after a step may be outliers
-        left = calibration.residuals_mm[data.rows] - fitted.predict(data.angles)
+        left = calibration.residuals_mm[data.rows] - fitted.predict(data.inputs)
         every = np.ones(len(left))
         say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
     return scores, fitted, noise
@@ -310,13 +311,14 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
-    before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(3))
+    before, after, std, unknown = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
     length_errors = []
     for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
-        before[test], after[test], std[test] = result[:3]
-        length_errors += result[3]
+        before[test], after[test], std[test], unknown[test] = result[:4]
+        length_errors += result[4]
         if progress is not None:
             progress(i + 1, len(folds))
+    say_worth_of_directions(data, after, unknown)
     table, measure, rows_by_position = _table(data, before, after)
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
@@ -393,7 +395,8 @@ def _one_fold(data, model, train, test):
     with unheard():  # whatever there is to say is said of all rows
         calibration = data.calibrate(np.sort(np.r_[train, lonely]))
         fitted, noise = data.fit(model, calibration, train)
-        correction, std = predict_with_std(fitted, data.angles[test], noise)
+        correction, std = predict_with_std(fitted, data.inputs[test], noise)
+        unknown = _of_unknown_directions(data, fitted, test, correction)
     points = calibration.arm.forward(data.angles[test])
     labels = data.positions[test]
     lengths = []
@@ -404,9 +407,22 @@ def _one_fold(data, model, train, test):
         lengths.append((entry, *(length_error(size, entry[2])[0] for size in sizes)))
     if data.points is None:
         codes = encode_groups(labels)[1]
-        return centred(points, codes), centred(points - correction, codes), std, lengths
-    before = data.residuals(calibration, test)
-    return before, before - correction, std, lengths
+        lefts = (centred(points - part, codes) for part in (0.0, correction, unknown))
+    else:
+        before = data.residuals(calibration, test)
+        lefts = (before - part for part in (0.0, correction, unknown))
+    before, after, unknown = lefts
+    return before, after, std, unknown, lengths
+
+
+def _of_unknown_directions(data, model, rows, correction):
+    """Correction of some rows if the directions of their joints were not known."""
+    ways = [i for i, name in enumerate(data.causes) if name.startswith("direction")]
+    if not ways:
+        return correction
+    X = data.inputs[rows]
+    X[:, data.angles.shape[1] + np.array(ways)] = 0.0
+    return model.predict(X)
 
 
 def _table(data, before, after):

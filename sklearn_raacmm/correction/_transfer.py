@@ -35,6 +35,9 @@ _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
 # Nats of evidence for the earlier arms from which on they are believed: one draw of a Panda lost a
 # third at 0.5, the sixteen draws with at least 5 gained (``benchmarks/bench_transfer.py --panda``).
 LEAST_GAIN_NATS = 4.0
+# Factor of the fading of a believed start: Wiener's is 1, and half of it leaves as little on Pandas
+# as none (``benchmarks/bench_transfer.py --panda``), for the mean of the make is known beside it.
+_FADING = 0.5
 # The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
 # may be better, too.
 _LOG_NOISE = (-4.0, 4.0)
@@ -175,7 +178,9 @@ def transfer_correction(
     gain = _evidence_of_change(prior, changed, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
     if gain >= LEAST_GAIN_NATS:
-        new.linear_model_ = replace(changed.model, offsets=poses.codes is not None)
+        linear = replace(changed.model, offsets=poses.codes is not None)
+        new.linear_model_ = replace(linear, fading_half=linear.gauge_free_half)
+        new.fading_ = replace(own.fading_, factor=_FADING)
         new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
         new.pose_weight_ = changed.pose_weight
     else:

@@ -17,7 +17,6 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
     check_fit,
-    check_poses,
     check_turns,
     poses_of,
 )
@@ -33,6 +32,7 @@ from sklearn_raacmm.error_model._left_out import (
     with_honest_intervals,
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
@@ -90,7 +90,7 @@ class ArmResidualRegressor(
         evidence.
 
         - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
-          and zero offsets drift in proportion to it.
+          and zero offsets drift in proportion to it. "time" is one more of the whole arm.
         - "direction J": the direction from which joint J came, 1 from smaller angles and -1 from
           larger ones: its backlash.
         - "payload": a weight at the probe. "force x", "force y", "force z": a force on the probe in
@@ -119,7 +119,7 @@ class ArmResidualRegressor(
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s its posterior standard
         deviation at this pose and r the root mean square of the training residuals, both as lengths
         of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at all. "auto":
-        1, or where four positions or more have offsets 0.6 times the factor by which errors at
+        1, or where four positions or more have offsets 0.3 times the factor by which errors at
         positions left out widen s, up to 1.
 
     regressor : estimator, default=None

@@ -6,20 +6,18 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
+from sklearn_raacmm.arm import arm_for, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
-from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
+from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
+from sklearn_raacmm.error_model._poses import in_rad
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
     CENTRED,
     Finding,
     check_data,
-    check_features,
     check_weights,
     encode_groups,
     floats,
@@ -60,7 +58,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
     unknown = [name for name in estimator.causes if name not in CAUSES]
     if unknown:
         raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {show(unknown[0])}.")
-    X = _in_rad(X, arm.n_joints, estimator.angle_unit)
+    X = in_rad(X, arm.n_joints, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
@@ -202,45 +200,3 @@ def check_turns(turns: Any, n_rows: int, codes: np.ndarray | None) -> Any:
             "unknown offsets."
         )
     return turns
-
-
-def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
-    """Rows of X as a fitted `LinearModel` takes them.
-
-    Parameters
-    ----------
-    model : Any
-        Fitted.
-    X : array-like of shape (n, n_features_in_)
-        As for its `predict`.
-
-    Returns
-    -------
-    ndarray of shape (n, n_features_in_)
-        Angles in rad, then the extra columns.
-
-    Raises
-    ------
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-    ValueError
-        If X has another number of columns than in the fit, holds NaN or infinity, or has a tool
-        that the training data did not have; or if the model's arm has been exchanged since.
-    """
-    check_is_fitted(model)
-    linear = model.linear_model_
-    if model.arm is not None and model.arm != linear.arm:
-        raise ValueError(
-            f"arm is {model.arm!r}, but the model was fitted with {linear.arm!r}: a fitted model "
-            "is moved to another probe by with_arm, and to another table by a new fit."
-        )
-    X = check_features(model, X, dtype=np.float64, reset=False)
-    n_joints = linear.arm.n_joints
-    check_values(linear.terms.extra, X[:, n_joints:])
-    return _in_rad(X, n_joints, model.angle_unit)
-
-
-def _in_rad(X, n_joints, angle_unit):
-    """The same rows with their first columns, the angles, in rad."""
-    angles = check_angles(X[:, :n_joints], n_joints, angle_unit)
-    return angles if n_joints == X.shape[1] else np.hstack([angles, X[:, n_joints:]])

@@ -175,7 +175,7 @@ def _extra(arm, extra):
         yield from _force(arm)
     for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
-        if kind == "temperature":
+        if kind in ("temperature", "time"):
             yield from _temperature(arm, name, by)
         elif kind == "direction":
             unit, frame = arm.joint_signs[joint] * ARCSEC, joint + _first_frame(arm)

@@ -12,14 +12,15 @@ from sklearn_raacmm.utils import Finding, say_findings, show
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
     "temperature": ("", "joint"),
+    "time": ("",),
     "direction": ("joint",),
     "payload": ("",),
     "force": ("axis",),
     "tool": ("",),
 }
 _FORMS = (
-    '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "payload", '
-    '"force x", "force y", "force z", "tool"'
+    '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "time", '
+    '"payload", "force x", "force y", "force z", "tool"'
 )
 
 # Part of the range of a column in the fit by which values may lie beyond it without a word.

@@ -406,8 +406,9 @@ def linear_model(chain, linear, fades):
     same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
     of_fading = v if same else variances(linear.fading_half)
     doubt = p("dots", of_fading, p.constant(np.ones(3)))
-    if chain.any_probe:  # as `moved_fading` has it
-        doubt = p("div", doubt, p("mul", chain.lever_ratio(), chain.lever_ratio()))
+    if chain.any_probe:
+        ratio = chain.lever_ratio()
+        doubt = p("div", doubt, p("mul", ratio, ratio))
     return y, v, doubt
 
 

@@ -20,8 +20,8 @@ from sklearn_raacmm.utils._findings import Finding
 # have theirs in full. Of normal errors in space one in 800 000 is, of those of one coordinate one
 # in 26 million.
 TUKEY_CUT = 5.5
-# Share of rows without weight that slips do not come to. A choice.
-_MOST_WITHOUT = 0.1
+# Share of rows without weight that slips do not come to, and of how many. A choice.
+_MOST_WITHOUT, _LEAST_ROWS = 0.1, 30
 
 
 def robust_scale(
@@ -107,7 +107,7 @@ def many_without_weight(factor: np.ndarray) -> Iterator[Finding]:
     Finding
     """
     none = np.flatnonzero(factor == 0)
-    if len(none) > _MOST_WITHOUT * len(factor):
+    if len(none) > _MOST_WITHOUT * len(factor) and len(factor) >= _LEAST_ROWS:
         yield Finding(
             "many-without-weight",
             f"{len(none)} of {len(factor)} poses lie so far off that they have no weight.",

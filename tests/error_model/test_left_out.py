@@ -178,7 +178,7 @@ def test_fading_is_wieners_factor():
     assert find_fading(y, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0)
     single_point = np.ones((9, 3)), np.ones(9), np.arange(9) // 3
     assert find_fading(*single_point).factor == 1.0  # too few positions to leave some out
-    assert find_fading(*single_point, widening=1.5).factor == pytest.approx(0.9)
+    assert find_fading(*single_point, widening=1.5).factor == pytest.approx(0.45)
     assert find_fading(*single_point, widening=4.0).factor == 1.0
     assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
     assert find_fading(*single_point[:2], None, widening=1.6).factor == 1.0
