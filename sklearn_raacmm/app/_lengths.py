@@ -3,7 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.app._cells import TableError, find_dialect
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._sources import find_source
 from sklearn_raacmm.calibration import lengths_of_places
 
 
@@ -45,7 +46,7 @@ def read_places(path, sd=None):
     TableError
         If a row does not hold these.
     """
-    dialect, places = find_dialect(path, 3), []
+    dialect, places = find_source(path, 3), []
     for number, cells in dialect.rows():
         values = [dialect.number(cell) for cell in cells[1:5]]
         values += [sd] * (4 - len(values))

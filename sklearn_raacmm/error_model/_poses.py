@@ -7,7 +7,7 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.error_model._extra import check_tools
+from sklearn_raacmm.error_model._extra import check_values
 from sklearn_raacmm.utils import check_features
 
 
@@ -43,7 +43,7 @@ def check_poses(model, X):
         )
     X = check_features(model, X, dtype=np.float64, reset=False)
     n_joints = linear.arm.n_joints
-    check_tools(linear.terms.extra, X[:, n_joints:])
+    check_values(linear.terms.extra, X[:, n_joints:])
     return in_rad(X, n_joints, model.angle_unit)
 
 
