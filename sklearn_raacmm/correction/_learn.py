@@ -81,8 +81,8 @@ class LearnedCorrection:
     angles: np.ndarray = field(repr=False)
     positions: np.ndarray = field(repr=False)
     points: np.ndarray | None = field(repr=False)
-    lengths: list = field(repr=False)
-    causes: dict = field(default_factory=dict)
+    lengths: list[Any] = field(repr=False)
+    causes: dict[str, Any] = field(default_factory=dict)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -51,7 +51,7 @@ def parsed(name, n_joints):
     raise ValueError(f"extra must hold names of columns, {_FORMS}; got {show(name)}.")
 
 
-def check_extra(extra, n_joints=_MOST_JOINTS):
+def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
         raise ValueError(f"extra must be a list of names, one for each column, got {show(extra)}.")
