@@ -110,5 +110,6 @@ def many_without_weight(factor):
             "many-without-weight",
             f"{len(none)} of {len(factor)} poses lie so far off that they have no weight.",
             "These are more than slips are: look at labels, references and set-up.",
+            "note",
             rows=none,
         )
