@@ -23,12 +23,7 @@ from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._fit import fit_linear_model
-from sklearn_raacmm.error_model._left_out import (
-    judge,
-    leave_out,
-    too_few_positions,
-    with_honest_intervals,
-)
+from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
@@ -368,8 +363,7 @@ class ArmResidualRegressor(
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        widening = None if too_few_positions(left_out, positions) else model.std_scale
-        self.fading_ = find_fading(rows.y, *rest, self.fade, widening)
+        self.fading_ = find_fading(rows.y, *rest, self.fade, model.std_scale)
         self.judgement_ = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
@@ -482,12 +476,9 @@ class ArmResidualRegressor(
         check_flags(return_std=return_std, with_noise=with_noise)
         X = check_poses(self, X)
         model, fading = self.linear_model_, self.fading_
-        if fading.factor > 0:
-            mean, std, doubt = model.predict_with_doubt(X, return_std)
-        else:
-            mean, std = model.predict(X, return_std)
+        mean, std, doubt = model.predict_with_doubt(X, return_std, fading.factor > 0)
         mean = mean * self.helps_ + self.second_stage(X)
-        if fading.factor > 0:
+        if doubt is not None:
             share = fading.share(doubt)
             if self.helps_:
                 warn_where_unknown(share)

@@ -459,8 +459,7 @@ def arm_model(chain, step):
                 f"{name} of Fading must be a finite number of at least 0, got {value}."
             )
     y, v, doubt = linear_model(chain, linear, fading.factor > 0)
-    if not step.helps_:
-        y = p.constant(np.zeros(3))
+    y = y if step.helps_ else p.constant(np.zeros(3))
     if step.regressor_ is not None:
         steps = list(leaves(step.regressor_))
         second = _Chain(step.regressor_, p, False, chain.angles(), "rad")
@@ -472,10 +471,8 @@ def arm_model(chain, step):
             share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
         chain.trust, y = share, p("mul", y, share)
     y = _known_tools(chain, linear.terms.extra, y)
-    if not chain.std:
-        return y, None
-    v = p("mul", v, linear.std_scale**2)
-    return y, v if step.helps_ else p("max", v, fading.size_mm**2 / 3)
+    v = p("mul", v, linear.std_scale**2) if chain.std else None
+    return y, v if step.helps_ or v is None else p("max", v, fading.size_mm**2 / 3)
 
 
 def _known_tools(chain, extra, y):
@@ -519,9 +516,9 @@ def linear_model(chain, linear, fades):
     v = variances(linear.gauge_free_half) if chain.std else None
     if not fades:
         return y, v, None
-    same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
-    of_fading = v if same else variances(linear.fading_half)
-    return y, v, p("dots", of_fading, p.constant(np.ones(3)))
+    if v is None or not np.array_equal(linear.fading_half, linear.gauge_free_half):
+        return y, v, p("dots", variances(linear.fading_half), p.constant(np.ones(3)))
+    return y, v, p("dots", v, p.constant(np.ones(3)))
 
 
 def _vectors(chain):
