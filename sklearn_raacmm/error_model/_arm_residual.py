@@ -90,9 +90,8 @@ class ArmResidualRegressor(
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. The higher an order, the more it has to explain to be taken. A
-        joint is offered no more orders than it shows different angles, and those above 72 where its
-        angles are scattered. 0 offers none. A list offers these orders only, for all joints or for
-        each.
+        joint is offered no more orders than it shows different angles, but all above 72 where these
+        are scattered. 0 offers none. A list offers these only, for all joints or for each.
 
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
@@ -483,11 +482,9 @@ class ArmResidualRegressor(
             if self.helps_:
                 warn_where_unknown(share)
             mean = share[:, None] * mean
-        if not return_std:
-            return mean
-        std = model.widened(std, with_noise)
         # Without a correction the errors are at least those that the residuals had.
-        return mean, std if self.helps_ else np.maximum(std, fading.size_mm / np.sqrt(3))
+        least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
+        return (mean, np.maximum(model.widened(std, with_noise), least)) if return_std else mean
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""
