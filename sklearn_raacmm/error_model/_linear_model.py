@@ -195,16 +195,18 @@ class LinearModel:
         mean, found = self._posterior(angles, [self._std_root] * return_std)
         return mean, found[0] if return_std else None
 
-    def predict_with_doubt(self, angles, return_std=False):
+    def predict_with_doubt(self, angles, return_std=False, return_doubt=True):
         """As `predict`, and what corrections fade by.
 
         Returns
         -------
         mean : ndarray of shape (n, 3)
         std : ndarray of shape (n, 3) or None
-        doubt : ndarray of shape (n,)
+        doubt : ndarray of shape (n,) or None
             Length of the standard deviation by `fading_half`, mm.
         """
+        if not return_doubt:
+            return *self.predict(angles, return_std), None
         roots = [self._fading_root]
         if return_std and roots[0] is not self._std_root:
             roots = [self._std_root, *roots]
