@@ -27,6 +27,7 @@ from sklearn_raacmm import (
     check_correction,
     learn_correction,
     next_poses,
+    transfer_correction,
     update_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
@@ -95,6 +96,12 @@ def doors(seed):
     today = X[few], test.target[few]
     yield "next poses", lambda: next_poses(known["cones model"], X, 3, groups=groups)
     yield "update", lambda: update_correction(known["cones model"], *today, groups=groups[few])
+    yield (
+        "transfer",
+        lambda: transfer_correction(
+            known["cones model"], known["cones"].arm, *today, groups=groups[few]
+        ),
+    )
     yield "check", lambda: check_correction(known["cones model"], *today, groups=groups[few])
 
 

@@ -3,34 +3,43 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.calibration import CalibrationResult, calibrate
-from sklearn_raacmm.correction import (
-    CorrectionCheck,
-    CorrectionScores,
-    LearnedCorrection,
-    TableChange,
-    check_correction,
-    cross_validate_correction,
-    learn_correction,
-    next_poses,
-    read_check_records,
-    search_table,
-    transfer_correction,
-    update_correction,
-)
-from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.network import RBFNetRegressor
-from sklearn_raacmm.residuals import (
-    CylindricalResidualTarget,
-    PoseFeatures,
-    cartesian_to_cylindrical,
-    cylindrical_to_cartesian,
-    elbow_angle,
-    position_residuals,
-    shoulder_wrist_distance,
-)
+
+if TYPE_CHECKING:
+    from sklearn_raacmm.arm import Arm
+    from sklearn_raacmm.calibration import CalibrationResult, calibrate, lengths_of_places
+    from sklearn_raacmm.correction import (
+        CorrectionCheck,
+        CorrectionScores,
+        LearnedCorrection,
+        PosePlan,
+        SavedCorrection,
+        TableChange,
+        check_correction,
+        cross_validate_correction,
+        learn_correction,
+        next_poses,
+        plan_poses,
+        read_check_records,
+        search_table,
+        transfer_correction,
+        update_correction,
+    )
+    from sklearn_raacmm.error_model import ArmResidualRegressor
+    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning, directions_of
+    from sklearn_raacmm.network import RBFNetRegressor
+    from sklearn_raacmm.residuals import (
+        CylindricalResidualTarget,
+        PoseFeatures,
+        cartesian_to_cylindrical,
+        cylindrical_to_cartesian,
+        elbow_angle,
+        position_residuals,
+        shoulder_wrist_distance,
+    )
 
 __all__ = [
     "Arm",
@@ -39,9 +48,14 @@ __all__ = [
     "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
+    "Finding",
+    "FindingError",
+    "FindingWarning",
     "LearnedCorrection",
     "PoseFeatures",
+    "PosePlan",
     "RBFNetRegressor",
+    "SavedCorrection",
     "TableChange",
     "__version__",
     "calibrate",
@@ -49,9 +63,12 @@ __all__ = [
     "check_correction",
     "cross_validate_correction",
     "cylindrical_to_cartesian",
+    "directions_of",
     "elbow_angle",
     "learn_correction",
+    "lengths_of_places",
     "next_poses",
+    "plan_poses",
     "position_residuals",
     "read_check_records",
     "search_table",
@@ -59,3 +76,25 @@ __all__ = [
     "transfer_correction",
     "update_correction",
 ]
+
+# From the ground up, so that a name costs no more than the wings below it.
+_WINGS = (
+    "utils", "inference", "arm", "network", "residuals", "metrics", "calibration", "measurements",
+    "error_model", "correction", "datasets", "display", "export", "app",
+)  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for, when it is: ``raacmm --help`` needs no scikit-learn."""
+    if name in _WINGS:
+        return importlib.import_module(f"{__name__}.{name}")
+    if name in __all__:
+        for wing in _WINGS:
+            if hasattr(found := importlib.import_module(f"{__name__}.{wing}"), name):
+                globals()[name] = getattr(found, name)
+                return globals()[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, *_WINGS})

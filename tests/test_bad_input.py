@@ -49,7 +49,7 @@ def weyl(n_rows, n_columns):
 ARM = Arm.from_name("aacmm6")
 ANGLES = 3 * (weyl(40, 6) - 0.5)
 GROUPS = np.repeat(np.arange(8), 5)
-POINTS = ARM.forward(ANGLES)
+POINTS = ARM.forward(ANGLES) + np.array([1.0, 0.0, 0.0])
 RESIDUALS = 0.05 * np.cos(ANGLES[:, [1, 3, 2]] - ANGLES[:, [2, 1, 3]])
 CENTRED = position_residuals(RESIDUALS, GROUPS)
 WEIGHTS = np.arange(1.0, 41)
@@ -167,7 +167,7 @@ def doors():
 def doors_to_be_refused_at():
     """More doors, which take longer where nothing is wrong: only faults are tried there."""
     linear = harmonics().fit(ANGLES, RESIDUALS)
-    result = calibrate(ARM, ANGLES, points=POINTS, free=["probe"])
+    result = calibrate(ARM, ANGLES, points=POINTS - RESIDUALS, free=["probe"])
     yield "residuals, angles", ANGLES, lambda v: result.residuals(v, POINTS)
     yield "residuals, points", POINTS, lambda v: result.residuals(ANGLES, v)
     yield "fading", ANGLES, linear.fading
@@ -376,7 +376,11 @@ def test_wrong_arrays_get_a_sentence(door, kind):
     # UserWarning: more than two turns.
     with pytest.raises((ValueError, TypeError, UserWarning)) as caught:
         function(spoil(x))
-    assert caught.type.__module__ in ("builtins", "sklearn.utils._param_validation")
+    assert caught.type.__module__ in (
+        "builtins",
+        "sklearn.utils._param_validation",
+        "sklearn_raacmm.utils._findings",
+    )
     assert re.search(sentence, str(caught.value)), str(caught.value)
 
 

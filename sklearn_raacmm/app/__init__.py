@@ -6,10 +6,15 @@ The command ``raacmm`` (see ``raacmm --help``) is made of what stands here.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.app._cells import TableError
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from sklearn_raacmm.app._main import main
-from sklearn_raacmm.app._report import judge_limit, write_report
-from sklearn_raacmm.app._tables import Table, read_lengths, read_table
+
+if TYPE_CHECKING:
+    from sklearn_raacmm.app._cells import TableError
+    from sklearn_raacmm.app._report import judge_limit, write_report
+    from sklearn_raacmm.app._tables import Table, read_lengths, read_table
 
 __all__ = [
     "Table",
@@ -20,3 +25,12 @@ __all__ = [
     "read_table",
     "write_report",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for, when it is, as the package itself does."""
+    if name in __all__:
+        for room in ("_cells", "_tables", "_report"):
+            if hasattr(found := importlib.import_module(f"{__name__}.{room}"), name):
+                return getattr(found, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

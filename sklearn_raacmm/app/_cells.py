@@ -1,4 +1,4 @@
-"""Tables as loggers and spreadsheets write them: encoding, separator, decimal sign, cells."""
+"""Tables of text as loggers write them: encoding, separator, decimal sign, cells."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,11 +6,10 @@
 import codecs
 import csv
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-
-from sklearn_raacmm.utils import check_path
 
 # Lines looked at to find separator and decimal sign, and bytes decoded at a time.
 _SNIFFED_LINES = 300
@@ -18,12 +17,16 @@ _CHUNK_BYTES = 1 << 20
 # From the least ambiguous on; None is any white space, where nothing else fits.
 _SEPARATORS = (";", "\t", "|", ",", None)
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+# What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
+_NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
+_SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
+# Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
+_COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 
 
 class TableError(ValueError):
@@ -32,32 +35,41 @@ class TableError(ValueError):
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a file is written; `separator` and `decimal` of a spreadsheet are those to write with."""
+    """How a file is written; `separator` and `decimal` of what is no text are those to write with.
+
+    `read` yields (row number, cells) of what is no text, and `what` says what that is.
+    """
 
     path: Path
-    encoding: str
-    separator: str | None
-    decimal: str
-    is_sheet: bool = False
+    encoding: str = "utf-8-sig"
+    separator: str | None = ","
+    decimal: str = "."
+    what: str = ""
+    read: Callable | None = None
 
     def rows(self):
         """Yield (line number from 1, cells) of each line that is not empty."""
-        if self.is_sheet:
-            yield from _sheet_rows(self.path)
+        if self.read is not None:
+            yield from self.read()
             return
         with open(self.path, encoding=self.encoding, newline="") as file:
+            # Hard blanks and typographic minus signs are those of word processors.
+            lines = (line.replace("\xa0", " ").replace("\u2212", "-") for line in file)
             if self.separator is None:
-                lines = ((i, line.split()) for i, line in enumerate(file, 1))
+                found = ((i, line.split()) for i, line in enumerate(lines, 1))
             else:
-                reader = csv.reader(file, delimiter=self.separator)
-                lines = ((reader.line_num, cells) for cells in reader)
+                reader = csv.reader(lines, delimiter=self.separator)
+                found = ((reader.line_num, [c.strip() for c in cells]) for cells in reader)
             try:
-                for number, cells in lines:
-                    cells = [clean(cell) for cell in cells]
+                for number, cells in found:
                     if any(cells):
                         yield number, cells
             except csv.Error as error:
-                raise TableError(f"{self.path}: {error}.") from None
+                raise self.broken(error) from None
+
+    def broken(self, error):
+        """Sentence for what the reader of CSV cannot take, such as a cell of 128 kB."""
+        return TableError(f"{self.path} cannot be read as a table: {error}.")
 
     def number(self, cell):
         """Number in a cell, or None."""
@@ -71,24 +83,53 @@ class Dialect:
             return None
         return float(cell)
 
+    def numbers(self, cells):
+        """Numbers of a column, or None if one of them is none; fast for plain text."""
+        try:
+            text = "\n".join(cells)
+            if self.decimal == "," and "." not in text:
+                text = text.replace(",", ".")
+            if not _NO_NUMBER.search(text):
+                return [float(cell) for cell in text.split("\n")]
+        except (TypeError, ValueError):  # cells of a spreadsheet, or no numbers after all
+            pass
+        values = [self.number(cell) for cell in cells]
+        return None if None in values else values
+
     def text(self, value, digits=6):
         """Number as the file writes its numbers."""
         return f"{value:.{digits}f}".replace(".", self.decimal)
 
+    def __str__(self):
+        signs = {".": "points", ",": "commas"}
+        return self.what or (
+            f"Columns parted by {_SEPARATOR_NAMES[self.separator]}, decimal "
+            f"{signs[self.decimal]}, {self.encoding}"
+        )
+
 
 def clean(cell):
-    """Cell without the blanks, hard blanks and typographic minus signs of word processors."""
+    """Cell of a spreadsheet as text has it."""
     if not isinstance(cell, str):
         return "" if cell is None else cell
     return cell.replace("\xa0", " ").replace("\u2212", "-").strip()
 
 
-def find_dialect(path, n_numbers):
-    """Look into a file and find how it is written.
+def without_mark(cells):
+    """Cells of a line of comment without its mark; None if the line is no comment."""
+    mark = _COMMENT.match(str(cells[0]))
+    if not mark:
+        return None
+    rest = str(cells[0])[mark.end() :]
+    return [rest, *cells[1:]] if rest else cells[1:]
+
+
+def text_dialect(path, n_numbers):
+    """Look into a file of text and find how it is written.
 
     Parameters
     ----------
-    path : str or path-like
+    path : Path
     n_numbers : int
         How many numbers a row of data has at least.
 
@@ -99,21 +140,19 @@ def find_dialect(path, n_numbers):
     Raises
     ------
     TableError
-        If there is no such file or no row with so many numbers.
+        If there is no row with so many numbers.
     """
-    path = check_path("path", path)
-    if not path.is_file():
-        raise TableError(f"There is no file {path}.")
-    if path.suffix.lower() in (".xlsx", ".xlsm"):
-        return Dialect(path, "utf-8-sig", ",", ".", True)
-    encoding = _find_encoding(path)
+    encoding = find_encoding(path)
     with open(path, encoding=encoding, newline="") as file:
         lines = [line for line in islice(file, _SNIFFED_LINES) if line.strip()]
     best, most = None, (0, 0)
     for separator in _SEPARATORS:
         if separator is None and best is not None:
             break
-        for decimal in ".," if separator != "," else ".":
+        for decimal in ".,":
+            # Decimal commas between commas stand in quotation marks.
+            if separator == decimal and not any('"' in line for line in lines):
+                continue
             dialect = Dialect(path, encoding, separator, decimal)
             counts = [_count_numbers(dialect, line) for line in lines]
             found = sum(count >= n_numbers for count in counts), sum(counts)
@@ -128,15 +167,18 @@ def find_dialect(path, n_numbers):
 
 
 def _count_numbers(dialect, line):
-    cells = (
-        line.split()
-        if dialect.separator is None
-        else next(csv.reader([line], delimiter=dialect.separator), [])
-    )
+    try:
+        cells = (
+            line.split()
+            if dialect.separator is None
+            else next(csv.reader([line], delimiter=dialect.separator), [])
+        )
+    except csv.Error as error:
+        raise dialect.broken(error) from None
     return sum(dialect.number(clean(cell)) is not None for cell in cells)
 
 
-def _find_encoding(path):
+def find_encoding(path):
     """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
     decoder = codecs.getincrementaldecoder("utf-8")()
     with open(path, "rb") as file:
@@ -166,24 +208,3 @@ def _checked_windows(path):
             "with its mark, or in the encoding of Windows (cp1252)."
         ) from None
     return "cp1252"
-
-
-def _sheet_rows(path):
-    try:
-        import openpyxl
-    except ImportError:
-        raise TableError(
-            f"{path}: to read spreadsheets, install openpyxl (pip install openpyxl), or save the "
-            "sheet as CSV."
-        ) from None
-    try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    except Exception as error:  # a zip file of anything, or none
-        raise TableError(f"{path} is not a spreadsheet that can be read: {error}.") from None
-    try:
-        for number, cells in enumerate(book.worksheets[0].iter_rows(values_only=True), 1):
-            cells = [clean(cell) for cell in cells]
-            if any(cell != "" for cell in cells):
-                yield number, cells
-    finally:
-        book.close()

@@ -5,16 +5,19 @@
 
 import io
 import re
+from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.display import ControlChartDisplay
 from sklearn_raacmm.metrics import repeatability_interval
+from sklearn_raacmm.utils import natural_order
 
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
 _BEFORE, _AFTER = "#c2571a", "#2a78c2"
-_STYLE = {
+_STYLE: Any = {
     "svg.fonttype": "none",
     "text.color": _INK,
     "axes.edgecolor": _INK,
@@ -89,7 +92,7 @@ def _positions(figure, scores, limit_mm):
     figure.set_size_inches(7.2, 2.8)
     ax = figure.subplots()
     table, place = scores.table, np.arange(len(scores.table["position"]))
-    order = sorted(place, key=lambda i: _natural(table["position"][i]))
+    order = natural_order(table["position"])
     sides = (("before", _BEFORE, scores.left_before), ("after", _AFTER, scores.left_after))
     for (name, color, left), shift in zip(sides, (-0.2, 0.2), strict=True):
         height = np.asarray(table[name])
@@ -104,14 +107,10 @@ def _positions(figure, scores, limit_mm):
     labels = [str(table["position"][i]) for i in order][::step]
     long = max(map(len, labels)) > 4
     ax.set_xticks(place[::step], labels, rotation=45 * long, ha="right" if long else "center")
+    for label in ax.get_xticklabels():
+        label.set_parse_math(False)  # a dollar sign in a label is one
     ax.set_ylabel(f"{scores.measure}, µm")
     ax.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1))
-
-
-def _natural(label):
-    """Key that sorts cone 2 before cone 10."""
-    parts = re.split(r"(\d+)", str(label))
-    return [int(part) if i % 2 else part for i, part in enumerate(parts)]  # text, number, text...
 
 
 def _intervals(scores, left):
@@ -251,6 +250,44 @@ def picture_of(arm):
                 ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
                 ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
             ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
+            ax.set(title=title, aspect="equal")
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue()
+
+
+def picture_of_plan(arm, positions):
+    """Where the cones of a plan stand, from above and from the side, in their order, as SVG.
+
+    Parameters
+    ----------
+    arm : Arm
+    positions : ndarray of shape (n, 3)
+        In mm.
+
+    Returns
+    -------
+    str
+        A whole SVG file.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError("Pictures need matplotlib: pip install matplotlib.") from None
+    file, reach = io.StringIO(), reach_mm(arm)
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "plan", "font.size": 9}):
+        figure = Figure(figsize=(9, 4.5), layout="constrained")
+        views = ((0, 1, "from above: x and y, mm"), (0, 2, "from the side: x and z, mm"))
+        for ax, (across, up, title) in zip(figure.subplots(1, 2), views, strict=True):
+            ax.plot(positions[:, across], positions[:, up], color="0.7", linewidth=1)
+            ax.plot(positions[:, across], positions[:, up], "o", color=_AFTER)
+            for number, position in enumerate(positions, start=1):
+                ax.annotate(
+                    str(number), position[[across, up]], xytext=(4, 4), textcoords="offset points"
+                )
+            ax.plot(0, 0, "s", color=_BEFORE, markersize=9)
+            turn = np.linspace(0, 2 * np.pi, 100)
+            ax.plot(reach * np.cos(turn), reach * np.sin(turn), color="0.8", linestyle=":")
             ax.set(title=title, aspect="equal")
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return file.getvalue()

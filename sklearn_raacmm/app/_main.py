@@ -1,25 +1,91 @@
-"""The command `raacmm`: its words and options.
+"""The command `raacmm`: its words, and what all of them share.
 
-Plain argparse: no further packages, and the same help on every terminal.
+Plain argparse: no further packages, and the same help on every terminal. What a word does is
+imported when it is run, so that help is there at once.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import argparse
+import contextlib
+import importlib
+import json
+import os
 import re
 import sys
 import warnings
+from difflib import get_close_matches
+from typing import Any, NamedTuple
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.app import _commands
+from sklearn_raacmm.app import _options
 
+BAD_INPUT, INTERRUPTED = 2, 130
 _EPILOG = (
-    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change."
+    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change, "
+    "4 not judged: first repair what was found in the data."
 )
 
 
-def main(arguments=None):
+class _Word(NamedTuple):
+    """A word of the command: its function is in the room, its options in `_options`."""
+
+    name: str
+    room: str
+    text: str
+    example: str
+
+
+_WORDS = (
+    _Word(
+        "learn", "_commands", "calibrate an arm, learn a correction, judge it, report",
+        "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
+    ),
+    _Word(
+        "correct", "_commands", "correct a table of any length",
+        "raacmm correct today.csv --model my_arm --out corrected.csv",
+    ),
+    _Word(
+        "check", "_commands", "ask whether a correction still holds today",
+        "raacmm check small_test.csv --model my_arm --record checks.csv --chart chart.svg",
+    ),
+    _Word(
+        "register", "_life", "find a new probe or a new place through the correction",
+        "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
+    ),
+    _Word(
+        "update", "_life", "bring a correction up to date with few new poses",
+        "raacmm update today.csv --model my_arm --out my_arm_2026",
+    ),
+    _Word(
+        "move", "_life", "move a correction to a probe whose vector is known",
+        "raacmm move --model my_arm --probe 0,0,250 --out my_arm_250mm",
+    ),
+    _Word(
+        "export", "_commands", "write a correction for other software",
+        "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
+    ),
+    _Word(
+        "arm", "_commands", "show an arm and write its file; without an arm it asks",
+        "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
+    ),
+    _Word(
+        "plan", "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
+        "raacmm plan --arm my_arm.json --out plan",
+    ),
+    _Word(
+        "demo", "_commands", "learn the correction of a simulated arm, with a report",
+        "raacmm demo --open",
+    ),
+    _Word(
+        "completion", "_main", "print what makes a shell complete words and options",
+        'eval "$(raacmm completion)"',
+    ),
+)  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -31,32 +97,66 @@ def main(arguments=None):
     -------
     int
         0: done; 2: bad input, said in one sentence; 3: the correction does not help, or a
-        check found that it no longer holds or that something has changed.
+        check found that it no longer holds or that something has changed; 4: not judged, for
+        something in the data has to be repaired first.
     """
     options = _parser().parse_args(arguments)
-    for stream in (sys.stdout, sys.stderr):
+    streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
+    for stream in streams:
         # Labels that a terminal cannot show must not end the work.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
+    try:
+        return _run(options)
+    except BrokenPipeError:  # whoever read our output, such as `head`, has enough
+        with contextlib.suppress(OSError):  # or the interpreter complains at its end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        return _refuse(options, _sentence_of(error))
+    # ImportError: an extra is missing, and the sentence says which.
+    except (ValueError, TypeError, ImportError) as error:
+        return _refuse(options, error)
+    except KeyboardInterrupt:
+        print("raacmm: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _run(options):
+    """Run a word; what it says goes beside what it writes to the standard output."""
+    options.stdout = sys.stdout
+    room = importlib.import_module(f"sklearn_raacmm.app.{options.room}")
+    with contextlib.ExitStack() as stack:
+        if options.quiet:
+            nowhere = stack.enter_context(open(os.devnull, "w", encoding="utf-8"))
+            stack.enter_context(contextlib.redirect_stdout(nowhere))
+        elif options.json or getattr(options, "out", None) == "-":
+            stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore" if options.quiet else "always", UserWarning)
         warnings.showwarning = _show_warning
-        try:
-            return options.run(options)
-        # ImportError: an extra is missing, and the sentence says which.
-        except (ValueError, TypeError, OSError, ImportError) as error:
-            print(f"raacmm {options.word}: {_sentence_of(error)}", file=sys.stderr)
-            return _commands.BAD_INPUT
-        except KeyboardInterrupt:
-            print("raacmm: interrupted", file=sys.stderr)
-            return 130
+        done = getattr(room, options.word)(options)
+    code, facts = done if isinstance(done, tuple) else (done, {})
+    if options.json:
+        print(
+            json.dumps({"exit_code": code, **facts}, indent=1, ensure_ascii=False),
+            file=options.stdout,
+        )
+    return code
+
+
+def _refuse(options, error):
+    if options.json:
+        print(json.dumps({"exit_code": BAD_INPUT, "error": str(error)}, ensure_ascii=False))
+    print(f"raacmm {options.word}: {error}", file=sys.stderr)
+    return BAD_INPUT
 
 
 def _sentence_of(error):
     """What an error says; of the system's own, without its number."""
-    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+    if error.strerror and error.filename is not None:
         # Files are written under another name first.
-        name = re.sub(r"\.[0-9a-f]+\.tmp$", "", str(error.filename))
+        name = re.sub(r"(\.[0-9a-f]+)+\.tmp$", "", str(error.filename))
         return f"{name}: {error.strerror.lower()}."
     return error
 
@@ -65,96 +165,61 @@ def _show_warning(message, category, filename, lineno, file=None, line=None):
     print(f"note: {message}", file=sys.stderr)
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that asks whether a similar word was meant."""
+
+    known: Any = ()
+
+    def error(self, message):
+        wrong = re.search(r"unrecognized arguments: (\S+)|invalid choice: '([^']*)'", message)
+        near = (
+            get_close_matches((wrong[1] or wrong[2]).split("=")[0], self.known, 1) if wrong else ()
+        )
+        super().error(f"{message}. Was {near[0]} meant?" if near else message)
+
+
 def _parser():
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         "raacmm",
         description="Residual correction for articulated arm coordinate measuring machines.",
-        epilog=_EPILOG,
+        epilog=f"{_EPILOG} raacmm WORD --help shows the options of a word.",
     )
     parser.add_argument("--version", action="version", version=__version__)
     words = parser.add_subparsers(dest="word", required=True, metavar="WORD")
-    learn = _word(words, "learn", "calibrate an arm, learn a correction, judge it, report")
-    learn.add_argument("table", help="CSV or XLSX, one row per pose: joint angles and position")
-    learn.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
-    _add_learning(learn, out=None)
-    _add_columns(learn)
-    learn.add_argument("--points", metavar="X,Y,Z", help="columns of a tracker's points")
-    learn.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
-    learn.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
-    learn.add_argument("--serial", help="serial number, for the report")
-    learn.add_argument("--operator", help="name, for the report")
-
-    correct = _word(words, "correct", "correct a table of any length")
-    correct.add_argument("table", help="CSV or XLSX with joint angles")
-    _add_model(correct)
-    correct.add_argument("--out", required=True, help="CSV to write")
-    _add_columns(correct, labelled=False)
-
-    check = _word(words, "check", "ask whether a correction still holds today")
-    check.add_argument("table", help="a small single-point test of today")
-    _add_model(check)
-    check.add_argument("--record", metavar="CSV", help="file to append the line of this check to")
-    check.add_argument("--chart", metavar="SVG", help="control chart of the record to write")
-    _add_columns(check)
-
-    export = _word(words, "export", "write a correction for other software")
-    _add_model(export)
-    export.add_argument("--c", metavar="FOLDER", help="C source and header")
-    export.add_argument("--onnx", metavar="FILE", help="ONNX file to write")
-    export.add_argument("--name", default="arm_correction", help="name of the C functions")
-    export.add_argument("--std", action="store_true", help="standard deviations in C, too")
-
-    _add_arm(words)
-
-    demo = _word(words, "demo", "learn the correction of a simulated arm, with a report")
-    _add_learning(demo, out="raacmm-demo")
-    demo.set_defaults(
-        angles=None, position=None, unit=None, points=None, lengths=None, length_sd=None,
-        serial="simulated", operator=None,
-    )  # fmt: skip
-    return parser
-
-
-def _word(words, name, text):
-    parser = words.add_parser(name, help=text, description=text, epilog=_EPILOG)
-    parser.set_defaults(run=getattr(_commands, name))
-    return parser
-
-
-def _add_arm(words):
-    arm = _word(words, "arm", "show an arm and write its file; without an arm it asks")
-    arm.add_argument("source", nargs="?", help="arm file, URDF, or name of a built-in arm")
-    arm.add_argument("--base", help="first link of a URDF's chain")
-    arm.add_argument("--tip", help="last link of a URDF's chain")
-    for layout in ("222", "223"):
-        arm.add_argument(
-            f"--lengths-{layout}", type=float, nargs=4,
-            metavar=("SHOULDER", "UPPER", "FORE", "PROBE"),
-            help=f"lengths in mm of a {'-'.join(layout)} arm",
+    known = {"--help", "--version"}
+    for word in _WORDS:
+        own = words.add_parser(
+            word.name, help=word.text, description=word.text,
+            epilog=f"example:\n  {word.example}\n\n{_EPILOG}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
-    for place in ("elbow", "wrist"):
-        text = f"distance in mm at which the axes of the {place} pass each other (0)"
-        arm.add_argument(f"--{place}-offset", type=float, default=0.0, metavar="MM", help=text)
-    arm.add_argument("--out", help="JSON file to write")
-    arm.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
+        getattr(_options, word.name)(own)
+        own.add_argument("--json", action="store_true", help="print the result as JSON")
+        own.add_argument("--quiet", action="store_true", help="print errors only")
+        own.set_defaults(room=word.room)
+        own.known = (word.name, *own._option_string_actions)
+        known.update(own.known)
+    parser.known = sorted(known)
+    return parser
 
 
-def _add_learning(parser, out):
-    parser.add_argument("--out", required=out is None, default=out, help="folder to write into")
-    parser.add_argument(
-        "--limit-2s", type=float, metavar="MM", help="limit of the mean 2S to judge by"
+def completion(options):
+    """Print a script for bash and zsh that completes the words and the options of each."""
+    parser = _parser()
+    groups: Any = parser._subparsers
+    words = groups._group_actions[0].choices
+    cases = "\n".join(
+        f'    {name}) all="{" ".join(own.known[1:])}" ;;' for name, own in words.items()
     )
-    parser.add_argument("--folds", type=int, help="times that some positions are left out (5)")
-    parser.add_argument("--jobs", type=int, help="folds computed at the same time (1)")
-    parser.add_argument("--open", action="store_true", help="open the report in the browser")
-
-
-def _add_columns(parser, labelled=True):
-    parser.add_argument("--angles", metavar="Q1,Q2,...", help="columns of the joint angles")
-    if labelled:
-        parser.add_argument("--position", metavar="NAME", help="column of the positions' labels")
-    parser.add_argument("--unit", choices=("deg", "rad"), help="unit of the joint angles")
-
-
-def _add_model(parser):
-    parser.add_argument("--model", required=True, help="folder written by raacmm learn")
+    print(
+        '[ -n "$ZSH_VERSION" ] && autoload -U +X bashcompinit && bashcompinit\n'
+        "_raacmm() {\n"
+        f'  local all="{" ".join(words)}"\n'
+        '  [ "$COMP_CWORD" -gt 1 ] && case "${COMP_WORDS[1]}" in\n'
+        f"{cases}\n"
+        "  esac\n"
+        '  COMPREPLY=($(compgen -W "$all" -- "${COMP_WORDS[COMP_CWORD]}"))\n'
+        "}\n"
+        "complete -o default -F _raacmm raacmm"
+    )
+    return 0

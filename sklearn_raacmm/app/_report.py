@@ -7,16 +7,20 @@ import datetime
 import hashlib
 import platform
 from importlib.resources import files
+from os import PathLike
+from typing import Any
 
 import numpy as np
 import scipy
 import sklearn
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._figures import figures_of
+from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection, corrected_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
-from sklearn_raacmm.metrics import articulated_location_error, length_error
+from sklearn_raacmm.metrics import length_error
 from sklearn_raacmm.utils import show, write_whole
 
 # Rows shown of tables that may be long.
@@ -24,7 +28,14 @@ _MOST_ROWS = 40
 _MOST_HARMONICS = 12
 
 
-def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
+def write_report(
+    result: LearnedCorrection,
+    path: str | PathLike[str],
+    *,
+    limit_2s: float | None = None,
+    facts: dict[str, Any] | None = None,
+    row_numbers: ArrayLike | None = None,
+) -> str:
     """Write what was learnt as one HTML file that needs no network and prints on A4.
 
     Parameters
@@ -67,6 +78,13 @@ def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
         learned = learn_correction(arm, angles, positions)
         write_report(learned, "report.html", limit_2s=0.05, facts={"serial number": "17"})
     """
+    text = report_text(result, limit_2s=limit_2s, facts=facts, row_numbers=row_numbers)
+    write_whole({path: text})
+    return text
+
+
+def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
+    """Text of the report; parameters as for `write_report`."""
     try:
         import jinja2
     except ImportError:
@@ -77,7 +95,7 @@ def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
     )
     environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
     template = files("sklearn_raacmm.app").joinpath("_report.html").read_text(encoding="utf-8")
-    text = environment.from_string(template).render(
+    return environment.from_string(template).render(
         result=result,
         scores=result.scores,
         limit=limit,
@@ -85,6 +103,7 @@ def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
         facts=_facts(result) | (facts or {}),
         positions=_positions(result.scores),
         sheet=_sheet(result.scores),
+        deviations=_deviations(result),
         parameters=_parameters(result.calibration),
         harmonics=_harmonics(result.model),
         outliers=_outliers(result.outliers, row_numbers),
@@ -92,8 +111,6 @@ def write_report(result, path, *, limit_2s=None, facts=None, row_numbers=None):
         figures=figures_of(result, limit_2s),
         most_rows=_MOST_ROWS,
     )
-    write_whole({path: text})
-    return text
 
 
 def micrometres(mm):
@@ -101,7 +118,7 @@ def micrometres(mm):
     return f"{1000 * mm:.1f}"
 
 
-def judge_limit(scores, limit):
+def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
     """Judge the mean 2S at positions left out against a limit.
 
     Parameters
@@ -177,25 +194,27 @@ def _sheet(scores):
             rows.append((f"2S, {name}", "single-point articulation, ASME B89.4.22", *values))
         values = [float(scores.table[f"{when}_max"].max()) for when in ("before", "after")]
         rows.append(("largest deviation", "single-point articulation, ASME B89.4.22", *values))
-        values = [_largest_location_error(scores, when) for when in ("before", "after")]
-        name = "articulated location error, worst position"
-        rows.append((name, "diameter L_Dia, ISO 10360-12", *values))
     if scores.lengths:
         errors = scores.length_errors_before, scores.length_errors_after
         nominal = np.array([entry[2] for entry in scores.lengths])
-        for name, standard, statistic in (
-            ("length error, largest", "E_Uni, ISO 10360-12", "max"),
-            ("length error, range", "volumetric performance, ASME B89.4.22", "range"),
-            ("length error, 2 rms", "volumetric performance, ASME B89.4.22", "2rms"),
-        ):
+        # The ends are means of many readings: no quantity of a standard, which take single ones.
+        for name, statistic in (("largest", "max"), ("range", "range"), ("2 rms", "2rms")):
             values = [length_error(nominal + e, nominal, statistic=statistic) for e in errors]
-            rows.append((name, standard, *values))
+            rows.append((f"error of known lengths, {name}", "between mean points", *values))
     return rows
 
 
-def _largest_location_error(scores, when):
-    left = scores.left_before if when == "before" else scores.left_after
-    return max(articulated_location_error(left[rows]) for rows in scores.rows_by_position)
+def _deviations(result):
+    """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
+    saved = result.saved
+    X = saved.inputs(result.angles)
+    columns = corrected_columns(saved.arm, saved.model, saved.facts, X)
+    names = (
+        ("of a coordinate within a position", columns[:, 6:9]),
+        ("of a coordinate in the base frame", columns[:, 3:6]),
+        ("of a distance of 1 m", columns[:, 9]),
+    )
+    return [(name, float(np.sqrt(np.mean(values**2)))) for name, values in names]
 
 
 def _outliers(outliers, row_numbers):

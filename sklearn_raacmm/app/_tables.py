@@ -1,33 +1,23 @@
-"""Tables of joint angles: which columns hold what, in which unit, and what is wrong where."""
+"""Tables of joint angles: rows of numbers and labels, and what is wrong where."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from itertools import chain
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._cells import SEPARATOR_NAMES, Dialect, TableError, find_dialect
+from sklearn_raacmm.app._cells import Dialect, TableError, without_mark
+from sklearn_raacmm.app._columns import Columns, find_header, split_unit
+from sklearn_raacmm.app._sources import find_source
 
-# Two whole turns in rad: an angle beyond is in degrees, as `Arm.forward` supposes when it warns.
-_SURELY_DEGREES = 4 * np.pi
-_DEGREES = ("deg", "degree", "degrees", "°", "º")
-_RADIANS = ("rad", "radian", "radians")
-_UNIT = re.compile(
-    r"^(.*?)\s*[\[(/]\s*([^\])/]+?)\s*[\])]?$|^(.*?)[\s_]+(deg|rad|mm|m)$|^(.*?)(°)$"
-)
-_POSITION_NAMES = (
-    "position", "pos", "positions", "cone", "seat", "socket", "hole", "place", "placement",
-    "point", "label", "group", "station", "location", "nest",
-    "kegel", "messpunkt", "punkt", "ort", "stelle",
-)  # fmt: skip
-_TIME = re.compile(r"\d{1,4}[-./:]\d{1,2}[-./:]\d{1,4}|\d{1,2}:\d{2}")
-_TIME_NAMES = ("time", "timestamp", "date", "datetime", "zeit", "datum", "uhrzeit", "utc")
-# Rows looked at to find text columns and the unit.
-_LOOKED_AT = 200
+_MM_PER_UNIT = {"": 1.0, "mm": 1.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,42 +36,66 @@ class Table:
         Numbers of the rows in the file, from 1.
     notes : list of str
         What was guessed, one sentence each.
+    others : dict of str to ndarray of shape (n,)
+        Further columns by name: numbers, or text where one cell is no number.
     """
 
     angles: np.ndarray
     angle_unit: str
-    positions: np.ndarray | None
+    positions: Any
     points: np.ndarray | None
     rows: np.ndarray
-    notes: list = field(default_factory=list)
+    notes: list[Any] = field(default_factory=list)
+    others: dict[str, Any] = field(default_factory=dict)
 
 
 def read_table(
-    path, n_joints, *, angles=None, position=None, points=None, angle_unit=None, labelled=True
-):
-    r"""Read a table of joint angles as a logger or a spreadsheet program wrote it.
+    path: str | PathLike[str],
+    n_joints: int,
+    *,
+    angles: list[str] | None = None,
+    position: str | None = None,
+    points: list[Any] | str | PathLike[str] | None = None,
+    angle_unit: str | None = None,
+    labelled: bool = True,
+    joint_names: Sequence[Any] = (),
+    counts_per_turn: ArrayLike | None = None,
+    sheet: str | None = None,
+    others: Iterable[str] = (),
+) -> Table:
+    r"""Read a table of joint angles as a logger, a robot or a spreadsheet program wrote it.
 
-    Separator (semicolons, tabs, commas, bars, blanks), decimal sign, encoding (UTF-8 with or
-    without its mark, UTF-16, Windows-1252), lines above the header, and columns are found; what
-    was guessed is in the notes.
+    Separator, decimal sign, encoding, lines above the header and columns are found; what was
+    guessed is in the notes. See the page "The command raacmm" for the kinds of files.
 
     Parameters
     ----------
     path : str or path-like
-        A text file, or a spreadsheet (.xlsx, with openpyxl).
+        Text, a spreadsheet (.xlsx, with openpyxl), .parquet or .jsonl (with pandas), or a robot's
+        program.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None
-        Names of the columns of the joint angles. None: columns numbered from 1, such as q1 to q6.
+        Names of the columns of the joint angles. None: those of the arm's joints, or columns
+        numbered from 0 or 1, such as q1 to q6.
     position : str, default=None
         Name of the column of the positions' labels. None: one called so, or the only one of text;
         with `points` one called so, or none.
-    points : list of three str, default=None
-        Names of the columns of a tracker's x, y and z. None: there are none.
+    points : list of three str or path-like, default=None
+        Names of the columns of a tracker's x, y and z; or a file of points, which are matched by
+        their names, or else by their order. None: there are none.
     angle_unit : {"rad", "deg"}, default=None
         None: from the header, such as "q1 [deg]", or degrees if an angle is beyond two turns.
     labelled : bool, default=True
         Whether positions are needed.
+    joint_names : sequence of str, default=()
+        Names of the arm's joints: columns of these names may stand in any order.
+    counts_per_turn : float or array-like of shape (n_joints,), default=None
+        Counts of the encoders in a turn, where the table has counts.
+    sheet : str, default=None
+        Name or number of a spreadsheet's sheet. None: the first with such rows.
+    others : iterable of str, default=()
+        Names of further columns to hand on, such as a temperature.
 
     Returns
     -------
@@ -108,19 +122,23 @@ def read_table(
     """
     layout = find_layout(
         path, n_joints, angles=angles, position=position, points=points, angle_unit=angle_unit,
-        labelled=labelled,
+        labelled=labelled, joint_names=joint_names, counts_per_turn=counts_per_turn, sheet=sheet,
+        others=others,
     )  # fmt: skip
     blocks = list(layout.blocks(100_000))
-    table = Table(
-        angles=np.concatenate([block.angles for block in blocks]),
-        angle_unit=layout.angle_unit,
-        positions=None
-        if layout.position_column is None
-        else np.concatenate([block.positions for block in blocks]),
-        points=np.concatenate([block.points for block in blocks]) if points else None,
-        rows=np.concatenate([block.rows for block in blocks]),
-        notes=layout.notes,
-    )
+    parts = ("angles", "positions", "points", "rows")
+    whole: dict[str, Any] = {
+        part: None
+        if getattr(blocks[0], part) is None
+        else np.concatenate([getattr(block, part) for block in blocks])
+        for part in parts
+    }
+    found = {
+        name: np.concatenate([block.others[name] for block in blocks]) for name in layout.others
+    }
+    table = Table(**whole, angle_unit=layout.angle_unit, notes=layout.notes, others=found)
+    if isinstance(points, str | PathLike):
+        return _with_points(path, table, layout, points)
     if labelled and points is None:
         _refuse_lonely_labels(path, table)
     return table
@@ -137,6 +155,77 @@ def _refuse_lonely_labels(path, table):
         )
 
 
+# -- points of a tracker in a file of their own ---------------------------------------------------
+
+
+def read_points(path):
+    """Read points with their names, as trackers and SpatialAnalyzer export them.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Columns x, y and z by name, or names and then three numbers in each row.
+
+    Returns
+    -------
+    names : list of str or None
+        None if no column holds names.
+    points : ndarray of shape (n, 3)
+        In mm.
+
+    Raises
+    ------
+    TableError
+        If the three columns cannot be told.
+    """
+    dialect = find_source(path, 3)
+    header, header_row, rows = find_header(dialect, 3)
+    names, units = zip(*map(split_unit, header), strict=True)
+    number = [dialect.number(cell) is not None for cell in rows[0][1]]
+    if {"x", "y", "z"} <= set(names):
+        columns = [names.index(name) for name in "xyz"]
+    else:  # names, then x, y, z, then what else is known of a point
+        columns = [i for i, is_number in enumerate(number) if is_number]
+        columns = columns[len(columns) == 4 and columns[0] == 0 :][:3]
+    if len(columns) != 3:
+        raise TableError(f"{path}: which columns are x, y and z? It has {', '.join(header)}.")
+    unit = {units[i] for i in columns}
+    if len(unit) != 1 or not unit <= set(_MM_PER_UNIT):
+        raise TableError(f"{path}: the points are in {', '.join(sorted(unit))}, not in mm.")
+    before = [i for i in range(len(header)) if i < columns[0]]
+    layout = Layout(
+        dialect, header, header_row, columns, before[-1] if before else None, [], "",
+        _MM_PER_UNIT[unit.pop()], {}, [],
+    )  # fmt: skip
+    blocks = list(layout.blocks(100_000))
+    labels = None if not before else [str(n) for block in blocks for n in block.positions]
+    return labels, np.concatenate([block.angles for block in blocks]) * layout.point_factor
+
+
+def _with_points(path, table, layout, source):
+    """The table with points of another file: matched by their names, or else by their order."""
+    names, points = read_points(source)
+    order = np.arange(len(points))
+    if names is not None and len(set(names)) == len(names):
+        for column in range(len(layout.header)):
+            cells = [str(cells[column]) for _, cells in layout.raw_rows()]
+            if set(cells) <= set(names) and len(set(cells)) == len(cells):
+                order = np.array([names.index(cell) for cell in cells])
+                how = f"matched by the column {layout.header[column]}"
+                break
+        else:
+            how = "in the order of the rows"
+    else:
+        how = "in the order of the rows"
+    if len(order) != len(table.angles):
+        raise TableError(
+            f"{source} holds {len(points)} points, {path} {len(table.angles)} rows, and no column "
+            "of names says which belong together."
+        )
+    table.notes.append(f"Points of {source}, {how}.")
+    return replace(table, points=points[order])
+
+
 # -- what is where --------------------------------------------------------------------------------
 
 
@@ -145,32 +234,64 @@ class Layout:
     """Where a file holds what: found once, then rows are read block by block."""
 
     dialect: Dialect
-    header: list
+    header: list[Any]
     header_row: int
-    angle_columns: list
+    angle_columns: list[Any]
     position_column: int | None
-    point_columns: list
+    point_columns: list[Any]
     angle_unit: str
     point_factor: float
-    notes: list
+    others: dict[str, Any]
+    notes: list[Any]
+    turns: np.ndarray | None = None
 
     def raw_rows(self):
-        """Yield (row number, cells) of the data, each with as many cells as the header."""
-        width = len(self.header)
+        """Yield (row number, cells) of the data, each with as many cells as the header.
+
+        Comments are left out, and rows at the end without any angle, which a note then names.
+        """
+        width, n_rows = len(self.header), 0
+        held: list[tuple[int, Any]] = []
         for number, cells in self.dialect.rows():
             if number <= self.header_row:
                 continue
-            while len(cells) > width and cells[-1] == "":
-                cells.pop()
-            if len(cells) != width:
-                hint = ""
-                if self.dialect.separator == "," and len(cells) > width:
-                    hint = " Decimal commas between commas cannot be told apart: use semicolons."
-                raise TableError(
-                    f"{self.dialect.path}: row {number} has {len(cells)} cells, the table "
-                    f"{width} columns.{hint}"
-                )
-            yield number, cells
+            if self._has_no_angle(cells):
+                if not without_mark(cells):
+                    held.append((number, cells))
+                continue
+            for n, row in [*held, (number, cells)]:
+                yield self._checked(n, row, width)
+                n_rows += 1
+            held = []
+        if not n_rows:
+            yield from (self._checked(n, row, width) for n, row in held)
+        elif held:
+            number, cells = held[0]
+            text = next(str(cell) for cell in cells if cell != "")
+            note = f"Left out from row {number} on, where the angles end: {text!r}."
+            if note not in self.notes:
+                self.notes.append(note)
+
+    def _has_no_angle(self, cells):
+        first = self.angle_columns[0]
+        if first < len(cells) and self.dialect.number(cells[first]) is not None:
+            return False
+        return not any(
+            i < len(cells) and self.dialect.number(cells[i]) is not None for i in self.angle_columns
+        )
+
+    def _checked(self, number, cells, width):
+        while len(cells) > width and cells[-1] == "":
+            cells.pop()
+        if len(cells) != width:
+            hint = ""
+            if self.dialect.separator == "," and len(cells) > width:
+                hint = " Decimal commas between commas cannot be told apart: use semicolons."
+            raise TableError(
+                f"{self.dialect.path}: row {number} has {len(cells)} cells, the table "
+                f"{width} columns.{hint}"
+            )
+        return number, cells
 
     def blocks(self, n_rows):
         """Yield tables of at most so many rows."""
@@ -198,245 +319,88 @@ class Layout:
                 raise self._fault(numbers[positions.index("")], name, "the label is missing")
             positions = np.array(positions)
         points = self._numbers(numbers, cells, self.point_columns)
+        angles = self._numbers(numbers, cells, self.angle_columns)
+        others = {}
+        for name, column in self.others.items():
+            values = [row[column] for row in cells]
+            found = self.dialect.numbers(values)
+            others[name] = np.array(list(map(str, values)) if found is None else found)
         return Table(
-            angles=self._numbers(numbers, cells, self.angle_columns),
+            angles=angles if self.turns is None else 360.0 * angles / self.turns,
             angle_unit=self.angle_unit,
             positions=positions,
             points=points * self.point_factor if self.point_columns else None,
             rows=np.array(numbers),
+            others=others,
         )
 
     def _numbers(self, numbers, cells, columns):
         values = np.empty((len(cells), len(columns)))
         for j, column in enumerate(columns):
-            for i, row in enumerate(cells):
-                value = self.dialect.number(row[column])
-                if value is None or not np.isfinite(value):
-                    what = f"{row[column]!r} is not a number" if row[column] != "" else "is empty"
-                    if isinstance(row[column], str) and re.search(r"\d[.,]\d", row[column]):
-                        sign = {".": "point", ",": "comma"}[self.dialect.decimal]
-                        what += f" with a decimal {sign}, which the others have"
-                    raise self._fault(numbers[i], self.header[column], what)
-                values[i, j] = value
+            found = self.dialect.numbers([row[column] for row in cells])
+            values[:, j] = np.nan if found is None else found
+            if not np.all(np.isfinite(values[:, j])):
+                raise self._first_fault(numbers, cells, column)
         return values
+
+    def _first_fault(self, numbers, cells, column) -> Any:
+        for number, row in zip(numbers, cells, strict=True):
+            cell, value = row[column], self.dialect.number(row[column])
+            if value is None or not np.isfinite(value):
+                what = f"{cell!r} is not a number" if cell != "" else "is empty"
+                if isinstance(cell, str) and re.search(r"\d[.,]\d", cell):
+                    sign = {".": "point", ",": "comma"}[self.dialect.decimal]
+                    what += f" with a decimal {sign}, which the others have"
+                return self._fault(number, self.header[column], what)
+        return None
 
     def _fault(self, number, name, what):
         return TableError(f"{self.dialect.path}: row {number}, column {name!r}: {what}.")
 
 
 def find_layout(
-    path, n_joints, *, angles=None, position=None, points=None, angle_unit=None, labelled=True
-):
+    path, n_joints, *, angles=None, position=None, points=None, angle_unit=None, labelled=True,
+    joint_names=(), counts_per_turn=None, sheet=None, others=(),
+):  # fmt: skip
     """Find where a file holds what; parameters as for `read_table`."""
-    dialect = find_dialect(path, n_joints)
-    header, header_row, looked_at = _find_header(dialect, n_joints)
-    names, units = zip(*map(split_unit, header), strict=True)
-    notes = [_note_of_dialect(dialect, header_row)]
-    angle_columns = _find_angles(path, header, names, looked_at, dialect, n_joints, angles, notes)
-    point_columns = [_named(path, header, names, name, "--points") for name in points or ()]
+    columns = Columns(find_source(path, n_joints, sheet), n_joints)
+    angle_columns = columns.find_angles(angles, joint_names)
+    is_file = isinstance(points, str | PathLike)
+    named = () if is_file else points or ()
+    point_columns = [columns.named(name, "--points") for name in named]
     position_column = None
     # A tracker's points need no labels: those that are there are taken.
-    if labelled and not (points and position is None and not _has_labels(names)):
+    if labelled and not (points and position is None and not columns.labelled):
         taken = {*angle_columns, *point_columns}
-        position_column = _find_position(
-            path, header, names, looked_at, dialect, position, taken, notes
-        )
-    if angle_unit is None:
-        angle_unit = _find_unit(path, header, units, looked_at, dialect, angle_columns, notes)
-    point_units = {units[i] for i in point_columns} - {""}
-    if point_units - {"mm", "m"} or len(point_units) > 1:
-        raise TableError(f"{path}: the points are in {', '.join(sorted(point_units))}, not in mm.")
-    used = {*angle_columns, *point_columns, position_column}
-    unused = [name for i, name in enumerate(header) if i not in used]
-    if unused:
-        notes.append(f"Columns not used: {', '.join(unused)}.")
-    return Layout(
-        dialect, header, header_row, angle_columns, position_column, point_columns,
-        angle_unit, 1000.0 if point_units == {"m"} else 1.0, notes,
-    )  # fmt: skip
-
-
-def split_unit(name):
-    """Name of a column and the unit in it: "q1 [deg]" -> "q1", "deg"."""
-    match = _UNIT.fullmatch(str(name).strip())
-    if not match:
-        return str(name).strip().lower(), ""
-    name, unit = [part for part in match.groups() if part is not None][:2] or ("", "")
-    unit = unit.strip().lower()
-    unit = "deg" if unit in _DEGREES else "rad" if unit in _RADIANS else unit
-    return name.strip(" _").lower(), unit
-
-
-def _note_of_dialect(dialect, header_row):
-    if dialect.is_sheet:
-        how = "Spreadsheet, first sheet"
-    else:
-        signs = {".": "points", ",": "commas"}
-        how = (
-            f"Columns parted by {SEPARATOR_NAMES[dialect.separator]}, decimal "
-            f"{signs[dialect.decimal]}, {dialect.encoding}"
-        )
-    return f"{how}; " + (f"header in row {header_row}." if header_row else "no header.")
-
-
-def _find_header(dialect, n_joints):
-    """Names of the columns, the row they stand in (0: none), and the first rows of data."""
-    above, data = [], []
-    for number, cells in dialect.rows():
-        n_numbers = sum(dialect.number(cell) is not None for cell in cells)
-        if not data and n_numbers < n_joints:
-            above.append((number, cells))
-            continue
-        data.append((number, cells))
-        if len(data) == _LOOKED_AT:
-            break
-    if not data:
-        raise TableError(f"{dialect.path}: no row with {n_joints} numbers was found.")
-    width = len(data[0][1])
-    above, damaged = _without_damaged(above, dialect, n_joints)
-    data = damaged + data
-    if above:
-        number, cells = above[-1]
-        texts = [cell for cell in cells if isinstance(cell, str) and cell]
-        if len(above) > 1 and texts and all(_is_unit(cell) for cell in texts):
-            # Units in a row of their own below the names.
-            names = above[-2][1] + [""] * (len(cells) - len(above[-2][1]))
-            units = cells + [""] * (len(names) - len(cells))
-            cells = [
-                f"{n} [{u.strip('[]()')}]" if u else n for n, u in zip(names, units, strict=True)
-            ]
-        while len(cells) > width and cells[-1] == "":
-            cells = cells[:-1]
-        if len(texts) >= n_joints or len(cells) == width:
-            return [str(cell) or f"column {i}" for i, cell in enumerate(cells, 1)], number, data
-        return [f"column {i}" for i in range(1, width + 1)], number, data
-    return [f"column {i}" for i in range(1, width + 1)], 0, data
-
-
-def _without_damaged(above, dialect, n_joints):
-    """Rows down to the names, and those below: data with a fault, which is reported on reading."""
-    named = 0
-    for i, (_, cells) in enumerate(above):
-        n_numbers = sum(dialect.number(cell) is not None for cell in cells)
-        n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_numbers
-        if n_texts >= n_joints and n_numbers == 0:
-            named = i + 1
-        elif named and n_numbers:
-            return above[:named], above[named:]
-    return above, []
-
-
-def _is_unit(cell):
-    return cell.strip("[]()").lower() in (*_DEGREES, *_RADIANS, "mm", "m", "s", "ms", "-", "°c")
-
-
-def _named(path, header, names, wanted, option):
-    """Column of this name, its unit left out or not; or of this number, from 1."""
-    wanted = str(wanted).strip()
-    for given in (header, names):
-        found = [i for i, name in enumerate(given) if name.lower() == wanted.lower()]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise TableError(f"{path} has {len(found)} columns {wanted!r}; {option} needs one.")
-    if wanted.isdigit() and 1 <= int(wanted) <= len(header):
-        return int(wanted) - 1
-    raise TableError(f"{path} has no column {wanted!r} ({option}); it has {', '.join(header)}.")
-
-
-def _find_angles(path, header, names, rows, dialect, n_joints, wanted, notes):
-    if wanted is not None:
-        if len(wanted) != n_joints:
+        position_column = columns.find_position(position, taken)
+    turns = None
+    if counts_per_turn is not None:
+        turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
+        if turns.ndim > 1 or turns.size not in (1, n_joints) or not np.all(turns > 0):
             raise TableError(
-                f"--angles names {len(wanted)} columns, the arm has {n_joints} joints."
+                f"--counts-per-turn needs a positive number, or one for each of {n_joints} joints."
             )
-        return [_named(path, header, names, name, "--angles") for name in wanted]
-    series = {}
-    for i, name in enumerate(names):
-        match = re.fullmatch(r"(\D*?)[\s_.-]*(\d+)(\D*)", name)
-        if match:
-            series.setdefault((match[1], match[3]), {})[int(match[2])] = i
-    fitting = [
-        [found[k] for k in sorted(found)]
-        for found in series.values()
-        if sorted(found) in (list(range(1, n_joints + 1)), list(range(n_joints)))
-    ]
-    # Columns without names are numbered by us: that says nothing.
-    if len(fitting) == 1 and header[fitting[0][0]] != "column 1":
-        first, last = header[fitting[0][0]], header[fitting[0][-1]]
-        notes.append(f"Joint angles: {first} to {last}.")
-        return fitting[0]
-    numeric = [
-        i
-        for i in range(len(header))
-        if names[i] not in _TIME_NAMES
-        and all(len(c) > i and dialect.number(c[i]) is not None for _, c in rows[:20])
-    ]
-    if not fitting and len(numeric) == n_joints:
-        notes.append(f"Joint angles: the columns of numbers, {header[numeric[0]]} to "
-                     f"{header[numeric[-1]]}.")  # fmt: skip
-        return numeric
-    example = ",".join(f"q{i}" for i in range(1, n_joints + 1))
-    raise TableError(
-        f"{path}: which {n_joints} columns hold the joint angles? Say it with --angles {example} "
-        f"(names or numbers of columns); the columns are {', '.join(header)}."
-    )
-
-
-def _find_position(path, header, names, rows, dialect, wanted, taken, notes):
-    if wanted is not None:
-        return _named(path, header, names, wanted, "--position")
-    called = [i for i, name in enumerate(names) if name in _POSITION_NAMES and i not in taken]
-    if not called:
-        free = [i for i in range(len(header)) if i not in taken and names[i] not in _TIME_NAMES]
-        columns = {i: [cells[i] for _, cells in rows if len(cells) > i] for i in free}
-        # A label that is missing here and there is a fault to be told later.
-        text = {i: [_is_label(cell, dialect) for cell in columns[i] if cell != ""] for i in free}
-        called = [i for i in free if text[i] and all(text[i])]
-        whole = [i for i in called if len(text[i]) == len(columns[i])]
-        called = whole or called
-    if len(called) == 1:
-        notes.append(f"Labels of the positions: {header[called[0]]}.")
-        return called[0]
-    raise TableError(
-        f"{path}: which column holds the label of the position? Say it with --position NAME; the "
-        f"columns are {', '.join(header)}."
-    )
-
-
-def _has_labels(names):
-    return any(name in _POSITION_NAMES for name in names)
-
-
-def _is_label(cell, dialect):
-    return isinstance(cell, str) and dialect.number(cell) is None and not _TIME.search(cell)
-
-
-def _find_unit(path, header, units, rows, dialect, columns, notes):
-    found = {units[i] for i in columns}
-    if len(found) == 1 and found <= {"deg", "rad"}:
-        return found.pop()
-    if found != {""}:
-        told = ", ".join(header[i] for i in columns)
-        raise TableError(
-            f"{path}: the angles must all be in degrees or all in radians, but the columns are "
-            f"{told}; say it with --unit deg or --unit rad if these are wrong."
-        )
-    values = (dialect.number(cells[i]) for _, cells in rows for i in columns if len(cells) > i)
-    largest = max(chain([0.0], (abs(value) for value in values if value is not None)))
-    if largest > _SURELY_DEGREES:
-        notes.append(f"Angles in degrees: they reach {largest:.4g}.")
-        return "deg"
-    raise TableError(
-        f"{path}: are the angles in degrees or in radians? They reach {largest:.4g} in the first "
-        "rows, and the header does not say; say it with --unit deg or --unit rad."
-    )
+    if angle_unit is None:
+        angle_unit = columns.find_unit(angle_columns)
+    units = {columns.units[i] for i in point_columns}
+    if units - set(_MM_PER_UNIT) or len(units) > 1:
+        raise TableError(f"{path}: the points are in {', '.join(sorted(units))}, not in mm.")
+    handed_on = {name: columns.named(name, "others") for name in others}
+    used = {*angle_columns, *point_columns, position_column, *handed_on.values()}
+    unused = [name for i, name in enumerate(columns.header) if i not in used]
+    if unused:
+        columns.notes.append(f"Columns not used: {', '.join(unused)}.")
+    return Layout(
+        columns.dialect, columns.header, columns.header_row, angle_columns, position_column,
+        point_columns, angle_unit, _MM_PER_UNIT[units.pop()] if units else 1.0, handed_on,
+        columns.notes, turns,
+    )  # fmt: skip
 
 
 # -- known lengths --------------------------------------------------------------------------------
 
 
-def read_lengths(path, sd=None):
+def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any]:
     """Read known lengths: two labels, a length and its standard deviation a row, mm.
 
     Parameters
@@ -456,8 +420,8 @@ def read_lengths(path, sd=None):
     TableError
         If a row does not hold these; the sentence has its number.
     """
-    dialect = find_dialect(path, 1)
-    lengths = []
+    dialect = find_source(path, 1)
+    lengths: list[Any] = []
     for number, cells in dialect.rows():
         values = [dialect.number(cell) for cell in cells[2:4]]
         if not lengths and (not values or values[0] is None):

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles, one_warning
+from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
 from sklearn_raacmm.arm._given import arm_for, arm_or_built_in, check_arm
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
@@ -17,6 +17,8 @@ from sklearn_raacmm.arm._kinematics import (
     probe_points,
     reach_mm,
 )
+from sklearn_raacmm.arm._layouts import usual_pose
+from sklearn_raacmm.utils import one_warning
 
 __all__ = [
     "FIELDS",
@@ -36,4 +38,5 @@ __all__ = [
     "points_of",
     "probe_points",
     "reach_mm",
+    "usual_pose",
 ]

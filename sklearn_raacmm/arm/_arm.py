@@ -5,30 +5,32 @@
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
-from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sklearn_raacmm.arm._built_in import BUILT_IN
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
     check_angles,
     floats,
+    is_name,
+    limits_of,
+    names_of,
     numbers,
     pair_of,
     show,
 )
-from sklearn_raacmm.arm._files import BUILT_IN, read_json, write_json
+from sklearn_raacmm.arm._formats import Formats
 from sklearn_raacmm.arm._kinematics import CHUNK_ROWS, cross, dh_theta, frame_columns, points_of
 from sklearn_raacmm.arm._layouts import from_lengths
-from sklearn_raacmm.arm._urdf import read_urdf, write_urdf
 from sklearn_raacmm.utils import chunks, html_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Arm:
+class Arm(Formats):
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
     An immutable value: equal and hashable by content, picklable, and safe to use as a parameter
@@ -64,6 +66,10 @@ class Arm:
         the wrist.
     name : str, default=""
         Name of the arm, shown where the arm is printed.
+    names : sequence of str, default=()
+        Names of the joints, as in the robot's own description.
+    limits : array-like of shape (n_joints, 2), default=None
+        Lower and upper limit of each joint angle in rad; infinite where a joint has none.
 
     Attributes
     ----------
@@ -98,14 +104,16 @@ class Arm:
     a: np.ndarray
     alpha: np.ndarray
     d: np.ndarray
-    theta_offset: np.ndarray = 0.0
+    theta_offset: Any = 0.0
     _: KW_ONLY
-    probe: np.ndarray = (0.0, 0.0, 0.0)
+    probe: Any = (0.0, 0.0, 0.0)
     convention: str = "standard"
-    joint_signs: np.ndarray = 1
-    pose_joints: tuple = (3, 4)
-    pose_frames: tuple = (2, 5)
+    joint_signs: Any = 1
+    pose_joints: tuple[Any, ...] = (3, 4)
+    pose_frames: tuple[Any, ...] = (2, 5)
     name: str = ""
+    names: tuple[Any, ...] = ()
+    limits: np.ndarray | None = None
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
@@ -122,9 +130,11 @@ class Arm:
             pose_joints: Sequence[int] = (3, 4),
             pose_frames: Sequence[int] = (2, 5),
             name: str = "",
+            names: Sequence[str] = (),
+            limits: ArrayLike | None = None,
         ) -> None: ...
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         a = numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
         n = a.size
         checked = {
@@ -136,6 +146,8 @@ class Arm:
             "joint_signs": numbers("joint_signs", self.joint_signs, n, "", 1, True),
             "pose_joints": pair_of("pose_joints", self.pose_joints, 1, n),
             "pose_frames": pair_of("pose_frames", self.pose_frames, 0, n),
+            "names": names_of(self.names, n),
+            "limits": limits_of(self.limits, n),
         }
         if np.any(np.abs(checked["joint_signs"]) != 1):
             raise ValueError(f"joint_signs must be -1 or 1 each, got {show(self.joint_signs)}.")
@@ -143,8 +155,7 @@ class Arm:
             raise ValueError(
                 f"convention must be 'standard' or 'modified', got {show(self.convention)}."
             )
-        # Unpaired surrogates, which only escapes in JSON can bring, cannot be written to a file.
-        if not isinstance(self.name, str) or any("\ud800" <= c <= "\udfff" for c in self.name):
+        if not is_name(self.name):
             raise ValueError(f"name must be a string of whole characters, got {show(self.name)}.")
         if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
             raise ValueError(
@@ -162,32 +173,32 @@ class Arm:
             for value in (getattr(self, field.name) for field in fields(self))
         )
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Arm) else NotImplemented
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self._key())
 
-    def __copy__(self):
+    def __copy__(self) -> Self:
         return self
 
-    def __deepcopy__(self, memo):
+    def __deepcopy__(self, memo: Any) -> Self:
         return self
 
-    def __reduce__(self):
+    def __reduce__(self) -> Any:
         # Through the constructor: arrays restored by pickle would be writable.
         return _rebuild, ({field.name: getattr(self, field.name) for field in fields(self)},)
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: Any) -> None:
         # The same for formats that restore an object by its state, as skops does.
-        self.__init__(**state)
+        type(self).__init__(self, **state)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         name = f" {self.name!r}" if self.name else ""
         probe = ", ".join(f"{value:g}" for value in self.probe)
         return f"<Arm{name}: {self.n_joints} joints, {self.convention} DH, probe ({probe}) mm>"
 
-    def __str__(self):
+    def __str__(self) -> str:
         rows = ["joint  sign      a/mm   alpha/deg      d/mm  offset/deg"]
         for i in range(self.n_joints):
             rows.append(
@@ -284,18 +295,21 @@ class Arm:
 
         Parameters
         ----------
-        name : {"aacmm6", "panda", "ur10"}
+        name : str
             - "aacmm6": a six-joint arm CMM of about 1.35 m reach with its identified parameters,
               Table 2 of "A Novel Kinematic Parameters Identification Method for AACMM Using
               Repeatability and Scaling Factor", Mathematical Problems in Engineering 2018,
               article 1760190;
-            - "panda": the Franka Panda, nominal, seven joints, modified convention; the probe is
-              the centre of the flange, (0, 0, 107) mm;
-            - "ur10": the Universal Robots UR10, nominal, six joints; the probe is the centre of
-              the flange. Its shoulder, elbow and first wrist axes are parallel, so there is no
-              swivel between shoulder and elbow: its pose is joint 4 and joint 3, which, with the
+            - "panda", "iiwa7", "iiwa14": the Franka Panda and the KUKA LBR iiwa, nominal, seven
+              joints, modified convention;
+            - "ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e", "ur16e": Universal Robots, nominal,
+              six joints. Shoulder, elbow and first wrist axes are parallel, so there is no swivel
+              between shoulder and elbow: the pose is joint 4 and joint 3, which, with the
               elevation of the line from shoulder to wrist, make the whole shape of the arm in its
-              vertical plane; joints 2 and 3 say alone what that elevation is.
+              vertical plane;
+            - "irb120": the ABB IRB 120, nominal, six joints.
+
+            The probe of the robots is the centre of their flange.
         **changes : dict
             Parameters of `Arm` to change, such as ``probe`` or ``name``.
 
@@ -371,122 +385,6 @@ class Arm:
         return from_lengths(
             cls, layout, shoulder, upper, fore, probe, elbow_offset, wrist_offset, params
         )
-
-    @classmethod
-    def from_urdf(
-        cls,
-        source: str | PathLike[str],
-        *,
-        base: str | None = None,
-        tip: str | None = None,
-    ) -> "Arm":
-        """Read a chain of revolute joints from a URDF file.
-
-        The table follows from the common normals of the axes. Fixed joints are folded in; angles
-        such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
-        that from `base` to `tip`, their zeros and senses are the file's.
-
-        Parameters
-        ----------
-        source : str or path-like
-            Path of the file, or the text itself if it starts with "<".
-        base, tip : str, default=None
-            Names of the links where the chain begins and ends; `tip` is the probe. None: the only
-            ones there are.
-
-        Returns
-        -------
-        Arm
-            In the modified convention. Points are in the frame of the link `base` wherever a
-            Denavit-Hartenberg table can start from it, as with a first axis along z through the
-            origin; else a warning says from where.
-
-        Raises
-        ------
-        ValueError
-            If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
-            way is prismatic or of another kind: the sentence names it.
-
-        Warns
-        -----
-        UserWarning
-            If the base frame is another, or if axes are so nearly parallel that they are taken as
-            parallel.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import Arm
-        >>> arm = Arm.from_name("panda")
-        >>> again = Arm.from_urdf(arm.to_urdf())
-        >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
-        True
-        """
-        return read_urdf(cls, source, base, tip)
-
-    def to_urdf(self, path=None):
-        """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
-
-        Parameters
-        ----------
-        path : str or path-like, default=None
-            File to write. None only returns the text.
-
-        Returns
-        -------
-        str
-            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
-        """
-        return write_urdf(self, path)
-
-    @classmethod
-    def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> "Arm":
-        """Read an arm from a JSON file.
-
-        Parameters
-        ----------
-        source : str, path-like, bytes or dict
-            Path of the file; or the text itself, which starts with a brace, as str or as bytes in
-            UTF-8; or the dict that the text stands for. A byte-order mark is ignored.
-
-        Returns
-        -------
-        Arm
-            The arm, equal to the one that was written.
-
-        Raises
-        ------
-        ValueError
-            If the text is not JSON, of another format or version, or a field is missing, not
-            numeric or out of bounds; the sentence names the field.
-        TypeError
-            If `source` is of another type.
-        OSError
-            If the file cannot be read, or is a folder.
-        """
-        return read_json(cls, source)
-
-    def to_json(self, path: str | PathLike[str] | None = None) -> str:
-        """Write the arm as JSON, with the units in the names of the fields.
-
-        Parameters
-        ----------
-        path : str or path-like, default=None
-            File to write. It is written beside and renamed, so that a file of this name is always
-            whole. None only returns the text.
-
-        Returns
-        -------
-        str
-            The text.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import Arm
-        >>> arm = Arm.from_name("panda")
-        >>> Arm.from_json(arm.to_json()) == arm
-        True
-        """
-        return write_json(self, path)
 
     # -- kinematics -------------------------------------------------------------------------
 

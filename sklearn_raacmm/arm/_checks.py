@@ -3,20 +3,20 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from contextlib import contextmanager
-from contextvars import ContextVar
+from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import floats, show, warn_user
+from sklearn_raacmm.utils import Finding, floats, say_findings, show
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
 # Degrees of real poses are larger than one turn in radians in some joint. Joints of less than 0.2
 # degrees stand still, and an arm that moves one joint only may stay near its zero.
 _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
-# Warnings given so far within `one_warning`; None outside of it.
-_GIVEN = ContextVar("given", default=None)
+_NO_LIMITS = (-np.inf, np.inf)
+# Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
+_ABSURD_DEG = 3600.0
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
 # A nanometre: on any arm, shorter lengths and their directions are made of rounding.
@@ -44,8 +44,44 @@ def numbers(name, value, size, unit, bound, broadcast=False):
     return array
 
 
+def names_of(names, n):
+    """Names of the joints: none, or a different one for each."""
+    found = tuple(names) if isinstance(names, list | tuple) else ("",)
+    whole = all(name and is_name(name) for name in found)
+    if not whole or len(found) not in (0, n) or len(set(found)) < len(found):
+        raise ValueError(f"names must be {n} different names of joints, got {show(names)}.")
+    return found
+
+
+def is_name(value):
+    """Whether a value is a string of whole characters, which can be written to a file."""
+    # Unpaired surrogates, which only escapes in JSON can bring, cannot.
+    return isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value)
+
+
+def limits_of(limits: Any, n: int) -> Any:
+    """Lower and upper limit of each joint in rad, read-only; None where there are none."""
+    if limits is None:
+        return None
+    if isinstance(limits, list | tuple):  # None, where a file cannot hold infinity
+        limits = [
+            [end if value is None else value for end, value in zip(_NO_LIMITS, pair, strict=False)]
+            for pair in limits
+        ]
+    limits = floats("limits", limits) + 0.0
+    if limits.shape != (n, 2):
+        raise ValueError(f"limits must have shape ({n}, 2), got {limits.shape}.")
+    wrong = ~(limits[:, 0] <= limits[:, 1])  # true for NaN, too
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
+        raise ValueError(f"limits of joint {i + 1} must go from low to high, got {limits[i]}.")
+    limits.flags.writeable = False
+    return limits
+
+
 def pair_of(name, value, low, high):
     """Two different whole numbers."""
+    pair = ()
     try:
         pair = tuple(value)
         whole = all(not isinstance(v, bool | str) and int(v) == v for v in pair)
@@ -58,7 +94,7 @@ def pair_of(name, value, low, high):
     return tuple(int(v) for v in pair)
 
 
-def check_angles(angles, n_joints, angle_unit):
+def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence.
 
     Warns where the unit is most likely another one: degrees given as radians or the reverse.
@@ -84,33 +120,30 @@ def check_angles(angles, n_joints, angle_unit):
             f"angles hold {len(bad)} NaN or infinite values; the first is "
             f"{angles[row, column]} in row {row}, joint {column + 1}."
         )
+    joint = int(largest.argmax()) + 1
+    reach = f"{largest.max():g}"
     if angle_unit == "rad":  # more than two turns
-        _warn_once(
-            f"angles reach {largest.max():g} rad (joint {largest.argmax() + 1}), more than "
-            'two turns: if they are degrees, convert them or pass angle_unit="deg".'
+        _say(
+            f"angles reach {reach} rad (joint {joint}), more than two turns:",
+            'if they are degrees, convert them or pass angle_unit="deg".',
+            joints=(joint,),
         )
         return angles
+    if largest.max() > _ABSURD_DEG:
+        _say(
+            f"angles reach {reach} degrees (joint {joint}), more than ten turns:",
+            "are they counts of the encoders? Convert them to degrees.",
+            "repair",
+            joints=(joint,),
+        )
     if largest.max() < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
-        _warn_once(
-            f"angles in degrees reach {largest.max():g} only (joint {largest.argmax() + 1}): if "
-            'they are radians, pass angle_unit="rad".'
+        _say(
+            f"angles in degrees reach {reach} only (joint {joint}):",
+            'if they are radians, pass angle_unit="rad".',
+            joints=(joint,),
         )
     return np.deg2rad(angles)
 
 
-@contextmanager
-def one_warning():
-    """Give each warning of units once, however many parts of a model look at the same angles."""
-    token = _GIVEN.set(set())
-    try:
-        yield
-    finally:
-        _GIVEN.reset(token)
-
-
-def _warn_once(message):
-    given = _GIVEN.get()
-    if given is None or message not in given:
-        warn_user(message)
-    if given is not None:
-        given.add(message)
+def _say(text, advice, weight: Any = "doubt", joints=()):
+    say_findings([Finding("angle-unit", text, advice, weight, joints=joints)])

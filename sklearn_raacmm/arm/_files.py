@@ -1,4 +1,4 @@
-"""The built-in arms, and the arm as JSON."""
+"""The arm as JSON."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,6 +6,7 @@
 import json
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,32 +28,8 @@ _JSON_KEYS = {
     "pose_joints": "pose_joints",
     "pose_frames": "pose_frames",
 }
-
-# -- built-in arms, mm and deg ------------------------------------------------------------------
-
-BUILT_IN = {
-    "aacmm6": {
-        "a": [-0.0226, 62.1163, -0.0061, 62.1025, 0.0049, 0.0],
-        "alpha": [-89.9683, -90.0312, 90.0071, -90.0338, 90.0373, -90.0],
-        "d": [376.5, -0.0525, 750.7422, 0.0597, 500.5566, 15.0695],
-        "theta_offset": [0.0, 0.0040, 0.0466, -0.0374, 0.0127, -0.0060],
-        "probe": (0.0, 0.0, 97.8110),
-    },
-    "panda": {
-        "a": [0.0, 0.0, 0.0, 82.5, -82.5, 0.0, 88.0],
-        "alpha": [0.0, -90.0, 90.0, 90.0, -90.0, 90.0, 90.0],
-        "d": [333.0, 0.0, 316.0, 0.0, 384.0, 0.0, 0.0],
-        "probe": (0.0, 0.0, 107.0),
-        "convention": "modified",
-    },
-    "ur10": {
-        "a": [0.0, -612.0, -572.3, 0.0, 0.0, 0.0],
-        "alpha": [90.0, 0.0, 0.0, 90.0, -90.0, 0.0],
-        "d": [127.3, 0.0, 0.0, 163.941, 115.7, 92.2],
-        "pose_joints": (4, 3),
-        "pose_frames": (1, 3),
-    },
-}
+# These may be missing.
+_OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad"}
 
 
 def read_json(cls, source):
@@ -68,19 +45,20 @@ def read_json(cls, source):
     missing = [key for key in _JSON_KEYS.values() if key not in content]
     if missing:
         raise ValueError(f"{where} lacks the field {missing[0]!r}.")
-    unknown = sorted(set(content) - {*_JSON_KEYS.values(), "format", "format_version"})
+    keys = _JSON_KEYS | {f: key for f, key in _OPTIONAL_KEYS.items() if key in content}
+    unknown = sorted(set(content) - {*keys.values(), "format", "format_version"})
     if unknown:  # misspelt, or of a later version: it would be ignored silently
         raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
-    for key in _JSON_KEYS.values():  # true and false would pass for 1 and 0
+    for key in keys.values():  # true and false would pass for 1 and 0
         if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
             raise ValueError(f"{where}: {key} must hold numbers, got {show(content[key])}.")
     try:
-        return cls(**{field: content[key] for field, key in _JSON_KEYS.items()})
+        return cls(**{field: content[key] for field, key in keys.items()})
     except (ValueError, TypeError) as error:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _content(source):
+def _content(source: Any):
     """What the JSON holds, and a name of the source for error messages."""
     if isinstance(source, dict):
         return source, "the dict"
@@ -95,8 +73,9 @@ def _content(source):
         if Path(source).is_dir():
             raise IsADirectoryError(f"{where} is a folder; the JSON file in it is needed.")
         source = Path(source).read_bytes()
+    raw: Any = source
     try:
-        text = source if is_text else source.decode("utf-8")
+        text = raw if is_text else raw.decode("utf-8")
         # A byte-order mark, which editors on Windows write, is no part of JSON.
         return json.loads(text.removeprefix("\ufeff")), where
     except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, or nested without end
@@ -109,6 +88,11 @@ def write_json(arm, path):
     for field, key in _JSON_KEYS.items():
         value = getattr(arm, field)
         content[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    if arm.names:
+        content["joint_names"] = list(arm.names)
+    if arm.limits is not None:  # JSON has no infinity
+        shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
+        content["limits_rad"] = shown.tolist()
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     if path is not None:
         write_whole({path: text})

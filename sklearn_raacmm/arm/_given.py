@@ -3,30 +3,34 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.utils import warn_user
+from sklearn_raacmm.utils import Finding, say_findings
 
 _BUILT_IN = "aacmm6"
 
 
-def check_arm(arm):
+def check_arm(arm: object) -> None:
     """Refuse what is no arm."""
     if not isinstance(arm, Arm):
         raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
 
 
-def arm_or_built_in(arm, owner):
+def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
     """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
     if arm is not None:
         return arm
-    warn_user(
+    said = (
         f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are not "
-        f'those of your arm. Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
+        "those of your arm."
     )
+    advice = f'Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
+    say_findings([Finding("built-in-arm", said, advice)])
     return Arm.from_name(_BUILT_IN)
 
 
-def arm_for(arm, owner, n_columns, extra=()):
+def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Any = ()) -> Arm:
     """As `arm_or_built_in`; refuses X without a column for each joint and each name in `extra`."""
     arm = arm_or_built_in(arm, owner)
     if extra and n_columns != arm.n_joints + len(extra):

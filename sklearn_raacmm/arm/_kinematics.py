@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.utils import chunks
@@ -13,19 +15,19 @@ FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 CHUNK_ROWS = 4096
 
 
-def dh_theta(arm, angles):
+def dh_theta(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Angles (n_samples, n_joints) -> theta of the DH table (n_joints, n_samples)."""
     return np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
 
 
-def carried(arm, theta, fixed):
+def carried(arm: Any, theta: np.ndarray, fixed: list[Any]) -> np.ndarray:
     """Points that are fixed in frames of the arm, in the base frame.
 
     A point through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
 
     Parameters
     ----------
-    arm : Arm
+    arm : Any
     theta : ndarray of shape (n_joints, n_samples)
         From `dh_theta`.
     fixed : list of (int, sequence of 3 floats)
@@ -59,12 +61,12 @@ def carried(arm, theta, fixed):
     return points
 
 
-def probe_points(arm, theta):
+def probe_points(arm: Any, theta: np.ndarray) -> np.ndarray:
     """Probe points (3, n_samples), in mm."""
     return carried(arm, theta, [(len(arm.a), arm.probe.tolist())])[0]
 
 
-def points_of(arm, angles):
+def points_of(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time."""
     points = np.empty((len(angles), 3))
     for rows in chunks(len(angles), CHUNK_ROWS):
@@ -72,12 +74,12 @@ def points_of(arm, angles):
     return points
 
 
-def reach_mm(arm):
+def reach_mm(arm: Any) -> float:
     """Length of the stretched arm, an upper bound of its reach."""
     return float(np.hypot(arm.a, arm.d).sum() + np.linalg.norm(arm.probe))
 
 
-def frame_columns(arm, theta):
+def frame_columns(arm: Any, theta: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin = np.cos(theta), np.sin(theta)
     # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
@@ -115,12 +117,12 @@ def cross(u, v):
     )
 
 
-def axis_vectors(arm, angles):
+def axis_vectors(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What turns and shifts by every axis of every frame do to the probe, and where things are.
 
     Parameters
     ----------
-    arm : Arm
+    arm : Any
     angles : ndarray of shape (n, n_joints)
         In rad.
 
@@ -144,7 +146,7 @@ def axis_vectors(arm, angles):
     return vectors, places
 
 
-def parameter_jacobian(arm, angles):
+def parameter_jacobian(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's parameters.
 
     In the order a, alpha, d, theta_offset, probe. A length moves the probe along the axis that

@@ -22,3 +22,19 @@ def from_lengths(cls, layout, shoulder, upper, fore, probe, elbow_offset, wrist_
         d=[shoulder, 0.0, upper, 0.0, fore, 0.0, *rest],
         **{"probe": (0.0, 0.0, probe), "name": f"{layout} arm", **params},
     )
+
+
+def usual_pose(n_joints, parallel, convention):
+    """Pose of an arm of so many joints; `parallel` if its second and third axes are.
+
+    Returns
+    -------
+    dict
+        ``pose_joints`` and ``pose_frames`` of `Arm`.
+    """
+    if n_joints < 5:
+        return {"pose_joints": (1, 2), "pose_frames": (0, n_joints)}
+    if parallel:  # no swivel between shoulder and elbow, as on a UR10: see Arm.from_name
+        frames = (1, 3) if convention == "standard" else (2, 4)
+        return {"pose_joints": (4, 3), "pose_frames": frames}
+    return {"pose_joints": (3, 4), "pose_frames": (2, 5)}

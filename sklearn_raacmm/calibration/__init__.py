@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.calibration._calibrate import calibrate
 from sklearn_raacmm.calibration._checks import SHARE_OF_REACH, check_length
+from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._priors import (
     ANGLE_RAD,
     LENGTH_MM,
@@ -22,4 +23,5 @@ __all__ = [
     "CalibrationResult",
     "calibrate",
     "check_length",
+    "lengths_of_places",
 ]

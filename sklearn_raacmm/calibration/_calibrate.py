@@ -3,50 +3,74 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
 from sklearn_raacmm.calibration._checks import (
     check_arm_angles,
-    check_correction,
     check_free,
     check_problem,
+    checked_correction,
+    table_findings,
     warn_of_few_rows,
     warn_of_harm,
     warn_of_what_no_arm_is,
     warn_of_wrong_lengths,
 )
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
+from sklearn_raacmm.calibration._gate import (
+    check_fit,
+    named_outliers,
+    one_row_a_pose,
+    per_row,
+    slips,
+    wrong_units,
+)
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
-from sklearn_raacmm.calibration._priors import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
+from sklearn_raacmm.calibration._priors import (
+    ANGLES_RAD,
+    LONG_MM,
+    SHORT_MM,
+    UNKNOWN_PLACE_MM,
+    are_long,
+)
 from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
 from sklearn_raacmm.utils import (
+    Finding,
     Interval,
     StrOptions,
     listed,
     one_blas_thread,
+    say_findings,
     validate_params,
-    warn_user,
+    with_findings,
 )
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
-# Guesses of the prior standard deviations that are found.
-_GUESSES = (LENGTH_MM, ANGLE_RAD)
-# Bounds of what is found. The upper ones are wide enough for a table taken from a drawing; data
-# that no arm explains would push them further.
-_LEAST, _MOST = (0.01, 0.0001), (2.0, 0.02)
+# Kinds of parameters, by the name of their prior standard deviation, and how it is found.
+_KINDS = ("length_mm", "angle_rad", "probe_mm", "short_length_mm")
+_FOUND = (LONG_MM, ANGLES_RAD, None, SHORT_MM)
+# Departures from the table that are said, mm and rad: more than a tape and a protractor get wrong.
+_FAR_MM, _FAR_RAD = 10.0, 0.1
+# The same, in standard deviations of a prior that was given.
+_FAR_PRIORS = 10.0
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
 _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
 # What counts as knowing nothing of a base, a reach and a turn of one radian.
 _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE_COORDINATES = ("rx", "ry", "rz", "x", "y", "z")
+# A correction depends on the probe that is fitted through it. Two rounds as a rule: it changes by
+# a ten-thousandth of what the probe does.
+_MOST_MOVES, _SETTLED_MM = 5, 1e-6
 _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
 
 
@@ -62,24 +86,25 @@ _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
     },
     prefer_skip_nested_validation=True,
 )
+@with_findings
 def calibrate(
-    arm,
-    angles,
-    groups=None,
+    arm: Arm,
+    angles: ArrayLike,
+    groups: ArrayLike | None = None,
     *,
-    points=None,
-    orientations=None,
-    lengths=(),
-    tools=None,
-    stations=None,
-    correction=None,
-    free=FIELDS,
-    loss="soft_l1",
-    prior_length_mm="auto",
-    prior_angle_rad="auto",
-    prior_probe_mm=UNKNOWN_PLACE_MM,
-    angle_unit="rad",
-):
+    points: ArrayLike | None = None,
+    orientations: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
+    tools: ArrayLike | None = None,
+    stations: ArrayLike | None = None,
+    correction: Any = None,
+    free: Iterable[str] = FIELDS,
+    loss: str = "soft_l1",
+    prior_length_mm: float | str = "auto",
+    prior_angle_rad: float | str = "auto",
+    prior_probe_mm: float = UNKNOWN_PLACE_MM,
+    angle_unit: str = "rad",
+) -> CalibrationResult:
     """Identify the static parameters of an arm.
 
     Either from a single-point test, where the points of one group coincide (a ball in a socket, a
@@ -121,7 +146,8 @@ def calibrate(
         How the distance of a point counts; "squared" is plain least squares.
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
-        `arm`. They decide only what the data leave open. "auto" finds them by the evidence.
+        `arm`. They decide only what the data leave open. "auto" finds them by the evidence, for
+        long and short lengths apart.
     prior_probe_mm : float, default=1000
         Standard deviation of the true probe about that of `arm`.
     angle_unit : {"rad", "deg"}, default="rad"
@@ -145,10 +171,12 @@ def calibrate(
     UserWarning
         If groups of one point say nothing, if there are too few rows for the parameters that are
         free (fewer than one coordinate to check for each one to fit), if a known length disagrees
-        with the rest of the data, if the fit did not converge, or if it makes no sense: points
-        that scatter by more than 2 % of the reach or twice as much as before, a parameter ten prior
-        standard deviations from its nominal value (20 mm or 0.2 rad with "auto"), an arm that
-        reaches less than 20 mm; if the points scatter more with the correction than without it.
+        with the rest of the data, if the fit did not converge, if it makes no sense (points that
+        scatter by more than 2 % of the reach or twice as much as before, an arm that reaches less
+        than 20 mm), or if the points scatter more with the correction than without it.
+    FindingWarning
+        "table-off": a parameter is more than 10 mm or 0.1 rad from the table, or ten standard
+        deviations of a prior that was given.
 
     Notes
     -----
@@ -163,8 +191,11 @@ def calibrate(
     scale of the links: the prior, or known lengths, alone decide the scale.
 
     Prior standard deviations are those of MacKay's fixed point: the sum of squares of the
-    departures over the number of parameters that the data determine. With few data they are drawn
-    to 0.3 mm and 0.003 rad; they stay from 0.01 to 2 mm and from 0.0001 to 0.02 rad.
+    departures over the number of parameters that the data determine. Long lengths, of at least a
+    quarter of the longest, and short ones have one each: a forgotten offset of 60 mm must not
+    widen what is believed of the links, which carry the scale. With few data they are drawn to
+    0.4 mm, 0.3 mm and 0.003 rad; they stay from 0.01 to 10 mm, to 100 mm, and from 0.0001 to
+    0.02 rad (``benchmarks/bench_lengths.py scale``).
 
     The parameters of two parallel axes in a row (UR10) depend on each other; the prior chooses.
     A fifth parameter for such axes (Hayati) is left out: on a UR10 measured by a tracker it
@@ -187,30 +218,42 @@ def calibrate(
     True
     """
     lengths, free = listed("lengths", lengths), check_free(free)
-    corrections = None if correction is None else check_correction(correction, angles, angle_unit)
+    if correction is not None:
+        correction = checked_correction(correction, angles, angle_unit)
     angles = check_arm_angles(arm, angles, angle_unit)
     problem, tool_labels, station_labels = check_problem(
         angles, groups, points, lengths, tools, stations, orientations
     )
-    problem.correction = corrections
+    poses, angles, problem = one_row_a_pose(angles, problem)
+    say_findings(wrong_units(arm, angles, problem))
+    if correction is not None:
+        correction = correction.of_poses(poses)
+        problem.correction = correction.at([arm.probe] * problem.n_tools, problem)
 
     priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
     wanted = _Parameters.of(arm, tool_labels, free, priors)
     fit, given, before = _fitted(arm, angles, problem, wanted, loss)
+    if correction is not None:
+        _settle(fit, wanted, correction)
     if not fit.converged:
-        warn_user(
+        said = (
             f"the calibration did not settle in {MAX_ROUNDS} rounds; "
             f"its scatter is {fit.distances().mean():.4g} mm."
         )
+        say_findings([Finding("not-settled", said, size_mm=fit.distances().mean())])
     warn_of_wrong_lengths(lengths, fit.length_errors(), fit.sigma)
-    after, values = fit.distances().mean(), fit.x[: len(wanted.names)]
-    warn_of_what_no_arm_is(
-        arm, wanted.names, wanted.nominal, values, wanted.too_far(priors), before, after
-    )
+    result = _result(fit, wanted, tool_labels, station_labels, given, before, groups)
+    if not warn_of_what_no_arm_is(arm, before, result.scatter_after_mm):
+        values, sd = (v[: len(wanted.names)] for v in (result.values, result.standard_deviations))
+        far = wanted.far(priors)
+        say_findings(table_findings(wanted.names, wanted.nominal, values, sd, far, lengths))
     if correction is not None:
         bare, *_ = _fitted(arm, angles, replace(problem, correction=None), wanted, loss)
         warn_of_harm(fit.distances(), bare.distances())
-    return _result(fit, wanted, tool_labels, station_labels, given, before, groups)
+    check_fit(fit, fit.mask_of(wanted.is_free), poses, groups)
+    result = per_row(result, poses)
+    say_findings(named_outliers(result))
+    return result
 
 
 class _Parameters(NamedTuple):
@@ -218,7 +261,7 @@ class _Parameters(NamedTuple):
 
     names: list
     nominal: np.ndarray
-    kind: np.ndarray  # 0 a length, 1 an angle, 2 of a probe
+    kind: np.ndarray  # number in KINDS
     is_free: np.ndarray
     prior_sd: np.ndarray
     families: list  # of those whose prior is found, as `Fit` takes them
@@ -226,23 +269,24 @@ class _Parameters(NamedTuple):
     @classmethod
     def of(cls, arm, tool_labels, free, priors):
         names, nominal = _parameters(arm, tool_labels)
-        *found, probe_mm = priors
-        start = [guess if sd == "auto" else sd for sd, guess in zip(found, _GUESSES, strict=True)]
         kind = np.array([2 if n.startswith("probe") else int(is_angle(n)) for n in names])
-        families = [
-            (np.flatnonzero(kind == i), _GUESSES[i], _LEAST[i], _MOST[i])
-            for i, sd in enumerate(found)
-            if sd == "auto"
-        ]
+        kind[kind == 0] = np.where(are_long(nominal[kind == 0]), 0, 3)
+        length, angle, probe_mm = priors
+        wanted = list(enumerate(zip((length, angle, probe_mm, length), _FOUND, strict=True)))
+        sd = [found[0] if sd == "auto" and found else sd for _, (sd, found) in wanted]
+        families = [(np.flatnonzero(kind == i), found) for i, (sd, found) in wanted if sd == "auto"]
         field_of = np.array([name.split("[")[0].rstrip("0123456789") for name in names])
         is_free = np.isin(field_of, list(set(free) - {"probe"}))
         is_free |= (kind == 2) & ("probe" in free)
-        return cls(names, nominal, kind, is_free, np.array([*start, probe_mm])[kind], families)
+        return cls(names, nominal, kind, is_free, np.array(sd, dtype=float)[kind], families)
 
-    def too_far(self, priors):
-        """What a departure is compared with: a found prior follows it, and says nothing."""
-        wide = [most if sd == "auto" else sd for sd, most in zip(priors, _MOST, strict=False)]
-        return np.where(self.is_free, np.array([*wide, np.inf])[self.kind], np.inf)
+    def far(self, priors):
+        """Departure of each parameter from the table that is worth a word."""
+        length, angle, _ = priors
+        far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
+        far_rad = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
+        far = np.array([far_mm, far_rad, np.inf, far_mm])[self.kind]
+        return np.where(self.is_free, far, np.inf)
 
 
 def _fitted(arm, angles, problem, wanted, loss):
@@ -256,6 +300,18 @@ def _fitted(arm, angles, problem, wanted, loss):
     fit.reset_weights()
     fit.run(wanted.is_free)
     return fit, given, before
+
+
+def _settle(fit, wanted, correction):
+    """Fit again with the correction of the probes that were found, until it stays."""
+    problem = fit.problem
+    for _ in range(_MOST_MOVES):
+        probes = [fit.arm(tool).probe for tool in range(problem.n_tools)]
+        moved = correction.at(probes, problem)
+        if np.abs(moved - problem.correction).max() < _SETTLED_MM:
+            return
+        fit.correct_by(moved)
+        fit.run(wanted.is_free)
 
 
 def _parameters(arm, tool_labels):
@@ -286,14 +342,15 @@ def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
         nominal=np.r_[fit.nominal, np.full(len(all_names) - len(names), np.nan)],
         values=values,
         prior_sd={
-            name: float(fit.prior_sd[np.argmax(kind == i)])
-            for i, name in enumerate(("length_mm", "angle_rad", "probe_mm"))
+            name: float(fit.prior_sd[kind == i][0])
+            for i, name in enumerate(_KINDS)
+            if np.any(kind == i)
         },
         n_coordinates=max(problem.n_coordinates, 0),
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
-        residuals_mm=fit.residuals(),
+        residuals_mm=fit.residuals(slips(fit)),
         length_errors_mm=fit.length_errors(),
         sigma_mm=float(fit.sigma),
         sigma_rad=None if problem.turns is None else float(fit.sigma_turn),
@@ -340,7 +397,7 @@ def _identified(fit, mask, x_names):
         "rank": seen.rank,
         "n_free": len(free_names),
         "condition_number": seen.condition_number,
-        "observability_index": seen.index,
+        "observability_index": seen.o1,
         "scale_sd": scale_sd,
     }
 

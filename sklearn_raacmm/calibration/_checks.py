@@ -3,13 +3,24 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
 from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem, encode_labels
 from sklearn_raacmm.calibration._result import is_angle
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, show, warn_user
+from sklearn_raacmm.measurements import within_turn
+from sklearn_raacmm.utils import (
+    Finding,
+    encode_groups,
+    floats,
+    listed,
+    refuse_huge,
+    say_findings,
+    show,
+)
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
 _LENGTH_OUTLIER = 5.0
@@ -18,11 +29,15 @@ _LEAST_SD_MM = 1e-9
 # Standard errors by which a correction has to enlarge the scatter: of corrections that change
 # nothing on the average one in forty does by chance.
 _HARM = 2.0
-# What no calibration of an arm comes to: prior standard deviations of a parameter; scatter, as a
-# part of the reach; a reach.
-_FAR = 10.0
+# What no calibration of an arm comes to: a scatter, as a part of the reach.
 SHARE_OF_REACH = 0.02
-_LEAST_REACH_MM = 20.0
+_MOST_NAMED = 4
+_MEANING = {
+    "a": "the length of link",
+    "d": "the offset of joint",
+    "alpha": "the twist of link",
+    "theta_offset": "the zero of joint",
+}
 
 
 def check_problem(angles, groups, points, lengths, tools, stations, orientations):
@@ -56,9 +71,9 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     tied = {i for entry in lengths for i in entry[:2]}
     lonely = [i for i, c in enumerate(np.bincount(index)) if c == 1 and i not in tied]
     if lonely:
-        warn_user(
-            f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}."
-        )
+        said = f"{len(lonely)} groups have one point and say nothing, such as {labels[lonely[0]]}."
+        names = [labels[i] for i in lonely]
+        say_findings([Finding("lonely-position", said, positions=tuple(names))])
     return problem, tool_labels, None
 
 
@@ -75,19 +90,51 @@ def _check_points(points, n, lengths):
     return points
 
 
-def check_correction(correction, angles, angle_unit):
-    """Predicted residuals (n, 3) of the rows."""
+class Correction(NamedTuple):
+    """A fitted model, and the rows at which it is asked."""
+
+    model: Any
+    X: np.ndarray  # as the model takes them
+
+    def of_poses(self, poses):
+        """The same at the first row of each pose."""
+        return self._replace(X=self.X[poses.first]) if poses.merges else self
+
+    def at(self, probes, problem):
+        """Predicted residuals (n, 3) of rows with the probe of each tool, (n_tools, 3)."""
+        residuals = np.empty((len(self.X), 3))
+        for tool, probe in enumerate(probes):
+            rows, model = problem.rows_of_tool(tool), self.model
+            if can_be_moved(model):
+                model = model.with_arm(model.arm_.replace(probe=probe))
+            residuals[rows] = _finite_residuals(model, self.X[rows])
+        return residuals
+
+
+def can_be_moved(model):
+    """Whether a fitted model can be moved to another probe: a second stage cannot."""
+    return hasattr(model, "with_arm") and getattr(model, "regressor_", None) is None
+
+
+def checked_correction(correction, angles, angle_unit):
+    """A `Correction` of the rows; one that cannot predict them is refused."""
     if not hasattr(correction, "predict"):
         raise TypeError(
             "correction must be a fitted model with predict(angles), got "
             f"{type(correction).__name__}."
         )
+    angles = np.asarray(angles, dtype=float)
     # A model that was trained in degrees is asked in degrees.
     if getattr(correction, "angle_unit", "rad") == "deg":
-        angles = np.asarray(angles) if angle_unit == "deg" else np.rad2deg(angles)
+        angles = angles if angle_unit == "deg" else np.rad2deg(angles)
     elif angle_unit == "deg":
         angles = np.deg2rad(angles)
-    residuals = np.asarray(correction.predict(angles), dtype=float)
+    _finite_residuals(correction, angles)
+    return Correction(correction, angles)
+
+
+def _finite_residuals(model, angles):
+    residuals = np.asarray(model.predict(angles), dtype=float)
     if residuals.shape != (len(angles), 3) or not np.all(np.isfinite(residuals)):
         raise ValueError(
             f"correction.predict must give finite residuals of shape ({len(angles)}, 3) in mm, "
@@ -99,7 +146,7 @@ def check_correction(correction, angles, angle_unit):
 def check_arm_angles(arm, angles, angle_unit):
     """Angles in rad within one turn, lest a warning of far angles be said again by what follows."""
     angles = check_angles(angles, arm.n_joints, angle_unit)
-    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+    return within_turn(angles)
 
 
 def check_free(free):
@@ -109,7 +156,7 @@ def check_free(free):
     return free
 
 
-def check_length(entry, labels):
+def check_length(entry: Any, labels: Any) -> Any:
     """A known length as (position, position, length, sd), positions by their index."""
     try:
         first, second, length, sd = entry
@@ -140,10 +187,12 @@ def warn_of_wrong_lengths(lengths, errors, sigma):
         if abs(error) > _LENGTH_OUTLIER * max(float(sd), sigma)
     ]
     if wrong:
-        warn_user(
+        said = (
             f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
             f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}."
         )
+        size = max(abs(error) for error in errors)
+        say_findings([Finding("wrong-length", said, size_mm=size)])
 
 
 def warn_of_few_rows(seen, names, problem):
@@ -159,38 +208,72 @@ def warn_of_few_rows(seen, names, problem):
         else "The noise and the standard deviations are hardly known, and the arm may be far off "
         "at other poses."
     )
-    warn_user(
+    said = (
         f"{problem.n_informative} {what} give {max(n, 0)} coordinates for {len(names)} free "
         f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
-        f"with. {known} Measure about {rows} rows or more, or let fewer fields change (free=)."
+        f"with. {known}"
     )
+    advice = f"Measure about {rows} rows or more, or let fewer fields change (free=)."
+    say_findings([Finding("few-rows", said, advice)])
 
 
-def warn_of_what_no_arm_is(arm, names, nominal, values, prior_sd, before, after):
-    """Say that a fit which has settled makes no sense: wrong input can be fitted, too."""
-    signs = []
+def warn_of_what_no_arm_is(arm, before, after):
+    """Say that a fit which has settled makes no sense; returns whether it was said."""
     reach = reach_mm(arm)
-    if reach < _LEAST_REACH_MM:
-        signs.append(
-            f"The nominal arm reaches {reach:.3g} mm: are its lengths in metres, not millimetres?"
+    if after <= min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
+        return False
+    said = (
+        f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
+        f"{reach:.4g} mm)."
+    )
+    advice = (
+        "Look at the labels, known lengths, the order and sense of the joints, the convention of "
+        "the table, and the unit of the angles."
+    )
+    say_findings([Finding("no-such-arm", said, advice, "repair", size_mm=after)])
+    return True
+
+
+def table_findings(names, nominal, values, sd, far, lengths):
+    """Findings on a table that the data contradict: an offset forgotten, a link mistyped.
+
+    Parameters
+    ----------
+    names : list of str
+    nominal, values, sd, far : ndarray of shape (n_parameters,)
+        Before, after and its standard deviation, and how far apart they may be, mm and rad.
+    lengths : sequence
+        Known lengths: where there are any, they may be what is wrong.
+
+    Returns
+    -------
+    list of Finding
+    """
+    departure = np.abs(values - nominal)
+    # Parameters that only others determine wander: an offset along the last axis and the probe.
+    is_wrong = (departure > far) & ~(departure < _LENGTH_OUTLIER * sd)
+    wrong = [i for i in np.argsort(-departure / far) if is_wrong[i]]
+    if not wrong:
+        return []
+    said, joints = [], []
+    for i in wrong:
+        field = names[i].rstrip("0123456789")
+        joints.append(int(names[i].removeprefix(field)))
+        factor, unit = (180 / np.pi, "°") if is_angle(names[i]) else (1.0, " mm")
+        said.append(
+            f"{_MEANING[field]} {joints[-1]} ({names[i]}) is {factor * values[i]:.1f}{unit}, "
+            f"the table says {factor * nominal[i]:.6g}{unit}"
         )
-    departure = np.abs(values - nominal) / prior_sd
-    worst = int(np.argmax(departure))
-    if departure[worst] > _FAR:
-        unit = "rad" if is_angle(names[worst]) else "mm"
-        signs.append(
-            f"{names[worst]} is {values[worst]:.6g} {unit}, nominally {nominal[worst]:.6g} {unit}, "
-            f"{departure[worst]:.3g} times the prior standard deviation away: look at the known "
-            "lengths, their unit, and the nominal table."
+    return [
+        Finding(
+            "table-off",
+            f"The arm is not that of the table: {'; '.join(said[:_MOST_NAMED])}.",
+            "If it is built so, take the calibrated arm as the new table (arm.json)"
+            + ("; if not, look at the known lengths and their unit." if lengths else "."),
+            joints=tuple(sorted(set(joints))),
+            size_mm=float(max((departure[i] for i in wrong if not is_angle(names[i])), default=0)),
         )
-    if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
-        signs.append(
-            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
-            f"{reach:.4g} mm): look at the labels, known lengths, the order and sense of the "
-            "joints, the convention of the table, and the unit of the angles."
-        )
-    if signs:
-        warn_user(" ".join(signs))
+    ]
 
 
 def warn_of_harm(corrected, bare):
@@ -203,8 +286,9 @@ def warn_of_harm(corrected, bare):
     """
     more = corrected - bare
     if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
-        warn_user(
+        said = (
             f"With the correction the points scatter by {corrected.mean():.4g} mm, without it by "
-            f"{bare.mean():.4g} mm: do not use it here. Is it of this arm, and is the table that "
-            "of the arm that it was learnt with?"
+            f"{bare.mean():.4g} mm: do not use it here."
         )
+        advice = "Is it of this arm, and is the table that of the arm that it was learnt with?"
+        say_findings([Finding("harmful-correction", said, advice, size_mm=corrected.mean())])

@@ -3,12 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
 from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
+from sklearn_raacmm.calibration._priors import are_long
 from sklearn_raacmm.calibration._problem import (
     jacobian_of_all,
     left_jacobian,
@@ -36,9 +39,6 @@ _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 # Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
 # decomposition: their condition is squared.
 _LEAST_PIVOT = 1e-8
-# What a prior variance is worth before any data, as a number of parameters that were seen. Chosen
-# with the guesses of `calibrate` on simulated arms.
-_GUESS_COUNTS = 4.0
 # Steps of one iteration at the start, of a base and of a target's orientation: rad and mm.
 _STEP_RAD, _STEP_MM = 1e-2, 10.0
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
@@ -58,9 +58,9 @@ class Fit:
     each station, and orientation of each target on the last link; beside them stand the weights of
     the rows, `sigma` (mm) and `sigma_turn` (rad), and the prior standard deviations.
 
-    families : list of (ndarray of int, float, float, float)
-        Parameters whose common prior standard deviation is found by the evidence, a guess of it,
-        and its bounds.
+    families : list of (ndarray of int, (float, float, float, float))
+        Parameters whose common prior standard deviation is found by the evidence, with a guess of
+        it, how many parameters that were seen the guess is worth, and its bounds.
     """
 
     def __init__(self, arm, angles, problem, nominal, prior_sd, loss, families=()):
@@ -74,13 +74,13 @@ class Fit:
         points, jac = self._points_and_jacobian(self.x, True)
         if problem.points is not None:
             self._place(points)
-        # The common scale of the links, each as much as the data feel it: an offset along the
+        # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say.
         n = arm.n_joints
         felt = np.sum((jac - problem.mean(jac, np.ones(len(angles)))) ** 2, axis=(0, 1))
         length = np.zeros_like(nominal)
-        for rows in (slice(0, n), slice(2 * n, 3 * n)):
-            length[rows] = felt[rows] * nominal[rows]
+        rows = np.r_[:n, 2 * n : 3 * n]
+        length[rows] = np.where(are_long(nominal[rows]), felt[rows] * nominal[rows], 0.0)
         total = length @ nominal
         self.scale = length / total if total > 0 else length
         self.reset_weights()
@@ -118,7 +118,12 @@ class Fit:
         self.weights = np.ones(len(self.angles))
         self.turn_weights = np.ones(len(self.angles))
         self.length_weights = self._new_length_weights()
-        self.sigma = self.sigma_turn = None
+        self.sigma: Any = None
+        self.sigma_turn: Any = None
+
+    def correct_by(self, correction):
+        """Take another correction (n, 3) of the points, mm."""
+        self.problem.correction, self._evaluated = correction, None
 
     def arm(self, tool=0):
         return unpack(self.nominal_arm, self.x, tool)
@@ -133,7 +138,7 @@ class Fit:
         for rounds in range(MAX_ROUNDS):
             if self.sigma is None:
                 self._weigh()
-            before = self.sigma
+            before: Any = self.sigma
             if mask.any():
                 self._solve(mask)
             settled = self._judge(mask, find_priors=rounds < _EVIDENCE_ROUNDS)
@@ -158,13 +163,13 @@ class Fit:
         share[is_free] = np.minimum(variance / self.prior_sd[is_free] ** 2, 1.0)
         self._weigh(self._spread(covariance, rows, jac))
         settled = True
-        for members, guess, least, most in self.families if find_priors else ():
+        for members, (guess, counts, least, most) in self.families if find_priors else ():
             members = members[is_free[members]]
             if not len(members):
                 continue
             square = np.sum((self.x[members] - self.nominal[members]) ** 2)
             seen = np.sum(1 - share[members])
-            sd = np.sqrt(evidence_variance(square, seen, guess**2, _GUESS_COUNTS))
+            sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
             sd = np.clip(sd, least, most)
             settled &= bool(abs(np.log(sd / self.prior_sd[members[0]])) < 0.05)
             self.prior_sd[members] = sd
@@ -393,8 +398,27 @@ class Fit:
         return max(sigma, _MIN_SIGMA_MM)
 
     def covariance(self, mask):
-        """Posterior covariance of the free parameters; infinite where nothing is known."""
-        return covariance_of(self._residuals_and_jacobian(self.x, mask)[1])
+        """Posterior covariance of the free parameters; infinite where nothing is known.
+
+        What the table does not explain is much the same in all poses of one position. A position at
+        the end of known lengths is therefore no better known than one of its points.
+        """
+        jac = self._residuals_and_jacobian(self.x, mask)[1]
+        covariance = covariance_of(jac)
+        if self.problem.lengths:
+            first = len(jac) - mask[: len(self.nominal)].sum() - len(self.problem.lengths)
+            sd = np.array([entry[3] for entry in self.problem.lengths])
+            centres = self.problem.sums(self.points(), self.weights)
+            ends = np.zeros((len(sd), *centres.shape))
+            for k, (i, j, *_) in enumerate(self.problem.lengths):
+                gap = centres[i] - centres[j]
+                ends[k, i] = gap / max(np.linalg.norm(gap), 1e-12)
+                ends[k, j] = -ends[k, i]
+            ends *= (np.sqrt(self.length_weights) * self.sigma / sd)[:, None, None]
+            finite = np.where(np.isfinite(covariance), covariance, 0.0)
+            spread = finite @ jac[first : first + len(sd)].T @ ends.reshape(len(sd), -1)
+            covariance = covariance + spread @ spread.T
+        return covariance
 
 
 def gauss_newton_step(jac, rows, damping):
@@ -407,12 +431,13 @@ def gauss_newton_step(jac, rows, damping):
     size[size == 0] = 1
     normal /= np.outer(size, size)
     normal[np.diag_indices(len(size))] += damping
+    factor, known = None, False
     try:
         factor = cho_factor(normal, lower=True, check_finite=False)
         known = np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT
     except LinAlgError:
-        known = False
-    if known:
+        pass
+    if factor is not None and known:
         step = -cho_solve(factor, slope / size, check_finite=False) / size
     else:
         whole = np.concatenate([jac / size, np.sqrt(damping) * np.eye(len(size))])

@@ -23,7 +23,7 @@ class Observability(NamedTuple):
 
     rank: int
     condition_number: float
-    index: float
+    o1: float  # the index of the same name
     open_combinations: tuple
 
 

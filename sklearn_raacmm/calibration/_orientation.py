@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -39,7 +41,7 @@ def turn_vectors(turns):
     return Rotation.from_matrix(turns).as_rotvec()
 
 
-def check_turns(turns, n):
+def check_turns(turns: Any, n: int) -> Any:
     """Rotation matrices (n, 3, 3), or rotation objects of SciPy."""
     turns = turns.as_matrix() if hasattr(turns, "as_matrix") else floats("orientations", turns)
     refuse_huge("orientations", turns)

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class Problem:
         Measured orientations of the target, as rotation matrices in the frame of the points.
     """
 
-    index: np.ndarray | None
+    index: Any
     points: np.ndarray | None
     lengths: list
     correction: np.ndarray | None = None
@@ -41,10 +42,11 @@ class Problem:
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.n_tools = 1 if self.tools is None else int(self.tools.max()) + 1
         if self.points is not None:
-            self.n_informative, self.informative = len(self.points), slice(None)
+            self.informative: Any = slice(None)
+            self.n_informative = len(self.points)
             self.n_stations = 1 if self.stations is None else int(self.stations.max()) + 1
             return
         self.n_stations = 0
@@ -57,25 +59,25 @@ class Problem:
         self.n_informative = int(self.informative.sum())
 
     @property
-    def n_coordinates(self):
+    def n_coordinates(self) -> int:
         """Coordinates that were measured, less those that the unknown fixed points take."""
         if self.points is not None:
             return (3 if self.turns is None else 6) * self.n_informative
         return 3 * (self.n_informative - self.n_useful)
 
-    def rows_of_tool(self, tool):
+    def rows_of_tool(self, tool: int) -> Any:
         return slice(None) if self.tools is None else np.flatnonzero(self.tools == tool)
 
-    def rows_of_station(self, station):
+    def rows_of_station(self, station: int) -> Any:
         return slice(None) if self.stations is None else np.flatnonzero(self.stations == station)
 
-    def sums(self, values, weights):
+    def sums(self, values: np.ndarray, weights: np.ndarray) -> Any:
         """Weighted mean of each group, (n_groups, ...)."""
         weights = weights[self.order].reshape(-1, *[1] * (values.ndim - 1))
         total = np.add.reduceat(weights * values[self.order], self.starts)
         return total / np.add.reduceat(weights, self.starts)
 
-    def mean(self, values, weights):
+    def mean(self, values: np.ndarray, weights: np.ndarray) -> Any:
         """Weighted mean of each sample's group, (n, ...), or the mean of all samples."""
         if self.index is None:
             return values.mean(axis=0)

@@ -4,13 +4,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration._orientation import check_turns, turn_vectors
 from sklearn_raacmm.calibration._problem import encode_labels
-from sklearn_raacmm.utils import centred, check_points, encode_groups
+from sklearn_raacmm.utils import centred, check_points, encode_groups, slip_factors
 
 # Rows and combinations that are printed.
 _N_SHOWN = 10
@@ -42,7 +44,8 @@ class CalibrationResult:
         The sums of parameters that the data leave open, such as ``"d2 - d3"``: every parameter
         may be known only together with others. mm and rad.
     prior_sd : dict
-        Prior standard deviations that were used: ``"length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
+        Prior standard deviations that were used: ``"length_mm"`` of the long lengths,
+        ``"short_length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
     rank, n_free, n_coordinates : int
         How many combinations of the free parameters the data can show at all, how many parameters
         were free (bases included), and how many coordinates there are, less three for each unknown
@@ -95,6 +98,8 @@ class CalibrationResult:
         given.
     converged : bool
         Whether weights and parameters settled.
+    findings : tuple of Finding
+        What there is to say about the data.
 
     See Also
     --------
@@ -107,13 +112,13 @@ class CalibrationResult:
     """
 
     arm: Arm
-    names: tuple = field(repr=False)
+    names: tuple[Any, ...] = field(repr=False)
     nominal: np.ndarray = field(repr=False)
     values: np.ndarray = field(repr=False)
     standard_deviations: np.ndarray = field(repr=False)
-    unidentified: tuple
-    unidentified_combinations: tuple = field(repr=False)
-    prior_sd: dict = field(repr=False)
+    unidentified: tuple[Any, ...]
+    unidentified_combinations: tuple[Any, ...] = field(repr=False)
+    prior_sd: dict[str, Any] = field(repr=False)
     rank: int = field(repr=False)
     n_free: int = field(repr=False)
     n_coordinates: int = field(repr=False)
@@ -127,20 +132,28 @@ class CalibrationResult:
     length_errors_mm: np.ndarray = field(repr=False)
     sigma_mm: float
     sigma_rad: float | None = field(repr=False)
-    outliers: tuple
+    outliers: tuple[Any, ...]
     outlier_limit_mm: float = field(repr=False)
     sample_weight: np.ndarray = field(repr=False)
     groups: np.ndarray | None = field(repr=False)
-    arms: dict = field(repr=False)
-    bases: dict = field(repr=False)
+    arms: dict[str, Any] = field(repr=False)
+    bases: dict[str, Any] = field(repr=False)
     base_rotation: np.ndarray | None = field(repr=False)
     base_translation: np.ndarray | None = field(repr=False)
     target_rotation: np.ndarray | None = field(repr=False)
     converged: bool
+    findings: tuple[Any, ...] = ()
 
     def residuals(
-        self, angles, points=None, groups=None, *, tools=None, stations=None, angle_unit="rad"
-    ):
+        self,
+        angles: ArrayLike,
+        points: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+        *,
+        tools: ArrayLike | None = None,
+        stations: ArrayLike | None = None,
+        angle_unit: str = "rad",
+    ) -> np.ndarray:
         """Residuals of rows, old or new, in the arm's base frame: what a correction learns.
 
         Parameters
@@ -160,7 +173,7 @@ class CalibrationResult:
         -------
         ndarray of shape (n_samples, 3)
             What the calibrated arm shows, without any correction, minus the measured point, or
-            minus the mean of its group, mm.
+            minus the mean of its group without slips (see :func:`position_residuals`), mm.
 
         Raises
         ------
@@ -186,7 +199,8 @@ class CalibrationResult:
         for rows, arm in self._parts("tools", tools, self.arms, self.arm, len(angles)):
             shown[rows] = arm.forward(angles[rows])
         if groups is not None:
-            return centred(shown, encode_groups(groups, len(angles))[1])
+            codes = encode_groups(groups, len(angles))[1]
+            return centred(shown, codes, slip_factors(shown, codes))
         points = check_points(points, 3)
         if len(points) != len(angles):
             raise ValueError(f"There are {len(points)} points, but {len(angles)} rows of angles.")
@@ -201,7 +215,9 @@ class CalibrationResult:
             shown[rows] -= (points[rows] - translation) @ rotation
         return shown
 
-    def orientation_residuals(self, angles, orientations, *, angle_unit="rad"):
+    def orientation_residuals(
+        self, angles: ArrayLike, orientations: ArrayLike, *, angle_unit: str = "rad"
+    ) -> np.ndarray:
         """Residuals of the orientation of rows, old or new, in the arm's base frame.
 
         Parameters
@@ -253,7 +269,7 @@ class CalibrationResult:
                 )
             yield np.flatnonzero(codes == i), known[label]
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = [
             f"Calibration of {self.arm!r}, {len(self.residuals_mm)} points",
             f"mean scatter: {self.scatter_given_mm:.4g} mm as given, "

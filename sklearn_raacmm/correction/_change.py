@@ -12,7 +12,7 @@ from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
 from sklearn_raacmm.error_model import LinearModel, constrained, observed_columns
-from sklearn_raacmm.inference import Prior, condition, interval_scales
+from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
 from sklearn_raacmm.utils import centred
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
@@ -63,16 +63,17 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
     turn_mm = linear.turn_mm if poses.turns is not None else 0.0
     shown = poses.residuals
-    if turn_mm:
+    if turn_mm and poses.turns is not None:
         shown = np.hstack([shown, turn_mm * poses.turns])
     columns = observed_columns(arm, angles, linear.terms, turn_mm)
     place = _place_seen(arm, angles, codes is None, turn_mm)
     columns, place, shown = (centred(part, codes, weights) for part in (columns, place, shown))
     after = condition(prior, columns, place, shown, weights)
+    seen_weights = weights * after.row_weight / after.noise_sd**2
     p, fold = len(linear.coef), _into_kinematics(linear, codes is None, turn_mm)
     half = after.half[:p] + fold @ after.half[p:]
     # As many columns as rows hold the same covariance.
-    half = np.linalg.qr(half.T, mode="r").T if half.shape[1] > p else half
+    half = np.asarray(np.linalg.qr(half.T, mode="r")).T if half.shape[1] > p else half
     left_out = after.left_out
     noise_scale, std_scale = interval_scales(*left_out, np.ones(len(left_out.errors)))
     model = replace(
@@ -80,15 +81,28 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
         coef=after.mean[:p] + fold @ after.mean[p:],
         half=half,
         gauge_free_half=half,
+        fading_half=_informed(linear.fading_half, columns, place, seen_weights),
         noise_variance=after.noise_sd**2,
         noise_scale=noise_scale,
         std_scale=std_scale,
+        n_positions=float(len(np.unique(np.arange(len(weights)) if codes is None else codes))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
         tried = poses_in_range(angles[weights > 0], arm.n_joints)
         free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
         model = replace(model, gauge_free_half=free.gauge_free_half)
     return Changed(model, after.tau, after.noise_sd, after.row_weight)
+
+
+def _informed(half, columns, place, weights):
+    """Root of the covariance that new poses leave of an old one.
+
+    What they leave open of base, tool and change is no part of it: the change is shrunk to the old
+    model for that already, so that it is no reason to let the whole correction fade.
+    """
+    root = np.sqrt(weights)[:, None, None]
+    seen, free = (np.concatenate(part * root) for part in (columns, place))
+    return narrowed(half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0])
 
 
 def prior_of(linear, log_noise=_LOG_NOISE):
@@ -156,6 +170,7 @@ def with_harmonics(linear, pairs):
         coef=spread(linear.coef),
         half=spread(linear.half),
         gauge_free_half=spread(linear.gauge_free_half),
+        fading_half=spread(linear.fading_half),
         log_bayes_factor=gains,
     )
 

@@ -3,21 +3,41 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from os import PathLike
+from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std
-from sklearn_raacmm.correction._scores import CorrectionScores, check_judging, scores_of
+from sklearn_raacmm.correction._causes import (
+    say_make,
+    usual_values,
+    with_causes,
+    with_kept_causes,
+)
+from sklearn_raacmm.correction._deviations import STD_OF, corrected_points, distances
+from sklearn_raacmm.correction._loaded import SavedCorrection, base_as_facts
+from sklearn_raacmm.correction._one_fit import Data
+from sklearn_raacmm.correction._saved import write_correction
+from sklearn_raacmm.correction._scores import (
+    CorrectionScores,
+    check_judging,
+    scored_and_fitted,
+    with_verdict,
+)
 from sklearn_raacmm.correction._table_search import search_table
-from sklearn_raacmm.measurements import warn_of_moved_seats
-from sklearn_raacmm.utils import check_path, warn_user, write_whole
+from sklearn_raacmm.measurements import drift_of
+from sklearn_raacmm.utils import Finding, check_option, encode_groups, hear, say_findings
+
+# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
+# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
+_MUCH_SCATTER_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +62,9 @@ class LearnedCorrection:
         Root mean square of a coordinate that the model leaves of its training rows, mm.
     angles, positions, points, lengths
         The data, angles in rad and within a turn.
+    causes : dict of str to float
+        The causes that the model takes after the angles, and what counts where they are not known:
+        the mean, no direction, and of time the last value.
 
     See Also
     --------
@@ -49,7 +72,7 @@ class LearnedCorrection:
     """
 
     arm: Arm
-    model: BaseEstimator
+    model: Any
     scores: CorrectionScores
     calibration: CalibrationResult = field(repr=False)
     outliers: np.ndarray = field(repr=False)
@@ -58,18 +81,24 @@ class LearnedCorrection:
     positions: np.ndarray = field(repr=False)
     points: np.ndarray | None = field(repr=False)
     lengths: list = field(repr=False)
+    causes: dict = field(default_factory=dict)
 
     @property
-    def helps(self):
+    def findings(self) -> tuple[Finding, ...]:
+        """What there is to say about the data, a tuple of :class:`Finding`."""
+        return self.scores.findings
+
+    @property
+    def helps(self) -> bool:
         """Whether the correction is worth using at new positions."""
         return self.scores.helps
 
     @property
-    def verdict(self):
+    def verdict(self) -> str:
         """The same in one sentence."""
         return self.scores.verdict
 
-    def correct(self, angles, *, angle_unit="rad"):
+    def correct(self, angles, *, angle_unit="rad", std_of="coordinate", extra=None):
         """Corrected points, and how far to trust them.
 
         Parameters
@@ -78,47 +107,95 @@ class LearnedCorrection:
             Joint angles.
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `angles`.
+        std_of : {"coordinate", "position"}, default="coordinate"
+            What the standard deviations are of: a coordinate of one reading in the arm's base
+            frame; or its deviation within a position, which is all that cones show: 95 % of the
+            coordinates left out lay within 1.96 of them.
+        extra : dict of str to array-like of shape (n_samples,), default=None
+            The causes that `causes` names; for those that are missing it has what counts instead.
 
         Returns
         -------
         points : ndarray of shape (n_samples, 3)
             Corrected points in the arm's base frame, mm.
         std : ndarray of shape (n_samples, 3)
-            Standard deviation of each coordinate of one reading, mm, such that 95 % of the
-            coordinates left out lay within 1.96 of them. In a single-point test that is the
-            deviation within a position; a constant error at a position cannot be seen.
+            Standard deviation of each coordinate of one reading, mm (k = 1). Beside that within a
+            position, that of a coordinate in the base frame holds the scale, s (P - S) with P the
+            point, S the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a
+            function of the place.
 
         Raises
         ------
         ValueError
-            If `angles` do not fit the arm.
-        """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        correction, std = predict_with_std(self.model, angles, self.noise)
-        return self.arm.forward(angles) - correction, self.scores.std_factor * std
+            If `angles` do not fit the arm, or `extra` names what the model does not know.
 
-    def save(self, folder):
+        See Also
+        --------
+        distances : Distances, whose standard deviations are others.
+        """
+        check_option("std_of", std_of, STD_OF)
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        X = with_causes(angles, self.causes, extra)
+        return corrected_points(self.arm, self.model, X, self._deviations(), std_of)
+
+    def distances(
+        self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Distances between pairs of corrected readings, and how far to trust them.
+
+        Parameters
+        ----------
+        angles, others : array-like of shape (n_samples, n_joints)
+            Joint angles at both ends.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of both.
+
+        Returns
+        -------
+        lengths : ndarray of shape (n_samples,)
+            In mm.
+        std : ndarray of shape (n_samples,)
+            Standard deviation of a distance between two readings, mm (k = 1): of its ends along
+            the line, and of the scale of the arm.
+
+        Raises
+        ------
+        ValueError
+            If the angles do not fit the arm or each other.
+        """
+        one, other = (
+            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
+        )
+        if len(one[0]) != len(other[0]):
+            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
+        return distances(one, other, self.calibration.scale_sd)
+
+    def save(
+        self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
+    ) -> list[Any]:
         """Write the arm, the model and the scores into a folder.
 
         ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
-        should load.
+        should load. Whatever interrupts the writing, the folder holds the old correction or this
+        one: ``correction.json`` has the fingerprints of the files that belong to it.
 
         Parameters
         ----------
         folder : str or path-like
             Made if it does not exist.
+        others : dict of str to str or bytes, default=None
+            Names and contents of files to write with them, such as a report.
 
         Returns
         -------
         list of pathlib.Path
-            ``arm.json``, the model, and ``correction.json`` with scores, verdict and versions.
+            ``correction.json`` with scores, verdict and versions, ``arm.json``, the model, and the
+            others.
         """
-        folder = check_path("folder", folder)
-        folder.mkdir(parents=True, exist_ok=True)
         try:
             import skops.io
 
-            name, content = "model.skops", skops.io.dumps(self.model)
+            name, model = "model.skops", skops.io.dumps(self.model)
         except ImportError:
             import io
 
@@ -126,31 +203,66 @@ class LearnedCorrection:
 
             file = io.BytesIO()
             joblib.dump(self.model, file)
-            name, content = "model.joblib", file.getvalue()
-        facts = json.dumps(self.facts(), indent=1, ensure_ascii=False) + "\n"
-        paths = [folder / part for part in ("arm.json", name, "correction.json")]
-        write_whole(dict(zip(paths, (self.arm.to_json(), content, facts), strict=True)))
-        return paths
+            name, model = "model.joblib", file.getvalue()
+        contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
+        return write_correction(folder, self.facts(), contents)
 
-    def facts(self):
+    @staticmethod
+    def load(folder: str | PathLike[str]) -> SavedCorrection:
+        """Load what `save` wrote, without the data: see `SavedCorrection`.
+
+        Parameters
+        ----------
+        folder : str or path-like
+
+        Returns
+        -------
+        SavedCorrection
+            The arm, the model, the base, and the facts of ``correction.json``.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import LearnedCorrection
+        >>> saved = LearnedCorrection.load("my_arm")  # doctest: +SKIP
+        """
+        return SavedCorrection.load(folder)
+
+    @property
+    def saved(self) -> Any:
+        """The same without the data: what `save` writes and `load` reads."""
+        turned = self.calibration.base_rotation
+        base = None if turned is None else (turned, self.calibration.base_translation)
+        return SavedCorrection(self.arm, self.model, base, self.facts())
+
+    def _deviations(self):
+        return {
+            "noise_mm": self.noise,
+            "std_factor": self.scores.std_factor,
+            "scale_sd": self.calibration.scale_sd,
+        }
+
+    def facts(self) -> dict[str, Any]:
         """Scores and verdict as plain values, fit for JSON."""
-        scores = self.scores
+        scores, found = self.scores, self.calibration
         return {
             "written_by": f"sklearn_raacmm {__version__}",
             "verdict": scores.verdict,
             "helps": scores.helps,
+            "judged": scores.judged,
+            "findings": [finding.facts() for finding in scores.findings],
             "measure": scores.measure,
-            "noise_mm": self.noise,
-            "std_factor": scores.std_factor,
+            "base": base_as_facts((found.base_rotation, found.base_translation)),
+            **self._deviations(),
             "coverage": scores.coverage,
             "n_rows": len(self.angles),
+            "causes": self.causes,
             "n_folds": scores.n_folds,
             "summary": {name: list(values) for name, values in scores.summary.items()},
             "positions": {name: column.tolist() for name, column in scores.table.items()},
             "outliers": [list(row) for row in self.outliers.tolist()],
         }
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = [
             f"{self.arm!r}, {len(self.angles)} rows",
             f"calibration: mean scatter {self.calibration.scatter_before_mm:.3f} -> "
@@ -172,17 +284,20 @@ class LearnedCorrection:
 
 
 def learn_correction(
-    arm,
-    angles,
-    positions,
-    points=None,
-    lengths=(),
+    arm: Arm,
+    angles: ArrayLike,
+    positions: ArrayLike | None,
+    points: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
     *,
     angle_unit="rad",
     model=None,
     cv=None,
     n_jobs=None,
     progress=None,
+    extra=None,
+    in_order=False,
+    like=(),
 ):
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -209,6 +324,18 @@ def learn_correction(
         Folds computed at the same time, as in scikit-learn.
     progress : callable, default=None
         Called as ``progress(done, n_folds)`` when a fold is done.
+    extra : dict of str to array-like of shape (n_samples,), default=None
+        Causes that were written down with the angles, by the names that
+        :class:`ArmResidualRegressor` has for them. They are kept where the evidence asks for them.
+        "time" is refused where the angles tell the number of the row.
+    in_order : bool, default=False
+        Whether the rows are in the order in which they were measured. Then the directions from
+        which joints came are offered, too, and the findings say what they are worth at positions
+        left out.
+    like : list of ArmResidualRegressor, default=()
+        Models of earlier arms of the make, see :func:`transfer_correction`: what they have in
+        common is where this one starts, if the evidence for it is at least 4 nats. Not with
+        `model`; known lengths are then used by the calibration only.
 
     Returns
     -------
@@ -260,49 +387,67 @@ def learn_correction(
         n_jobs=n_jobs,
         progress=progress,
     )
-    data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-    calibration = _calibrated(data, angles, angle_unit)
-    scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-    kept = np.delete(np.arange(len(data.angles)), scores.outliers)
-    kept = data.without_lonely(kept)[0]
-    fitted, noise = data.fit(model, calibration, kept)
-    if data.points is None:  # of all rows: those after a step may be outliers
-        left = calibration.residuals_mm - fitted.predict(data.angles)
-        every = np.ones(len(left))
-        warn_of_moved_seats(left, data.angles, every, data.positions, noise**2)
+
+    def inside():
+        data = Data.checked(
+            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like
+        )
+        calibration = _calibrated(data, angles, angle_unit)
+        data = with_kept_causes(data, calibration)
+        scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+        if data.like and model is None:
+            say_make(fitted)
+        say_findings([_drift(data, calibration, fitted, scores.outliers)])
+        return data, calibration, scores, fitted, noise
+
+    (data, calibration, scores, fitted, noise), heard = hear(inside)
+    say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,
         model=fitted,
-        scores=scores,
+        scores=with_verdict(scores, heard),
         calibration=calibration,
-        outliers=_outliers(calibration, data.positions, scores.outliers),
+        outliers=_outliers(calibration, data, scores.outliers),
         noise=noise,
         angles=data.angles,
         positions=data.positions,
         points=data.points,
         lengths=data.lengths,
+        causes=usual_values(data.causes, data.values),
     )
+
+
+def _drift(data, calibration, model, outliers):
+    """By how much the run drifted, of what the model leaves of the rows that are no outliers."""
+    rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
+    left = data.residuals(calibration, rows) - model.predict(data.inputs[rows])
+    codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
+    return drift_of(calibration.arm, data.angles[rows], left, codes)
 
 
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
-    calibration, said = data.calibrate_all()
+    calibration = data.calibrate_all()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
     if scatter > SHARE_OF_REACH * reach:  # they belong to another table
         positions = data.positions if data.points is None else None
+        angles = np.asarray(angles)[data.rows]
         change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
         raise ValueError(
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
-    for warning in said:
-        warn_user(warning)
+    if scatter > _MUCH_SCATTER_MM:
+        said = f"The points scatter by {scatter:.1f} mm after calibration."
+        advice = "The table of the arm is probably wrong: look at it before you use the correction."
+        say_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
     return calibration
 
 
-def _outliers(calibration, positions, rows):
+def _outliers(calibration, data, poses):
     """Rows of outliers with their labels and distances, the farthest first."""
+    rows, positions = data.rows[poses], data.given[1]
     distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
     order = np.argsort(-distance, kind="stable")
     fields = [("row", "i8"), ("position", positions.dtype), ("distance", "f8")]

@@ -3,13 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
-from typing import NamedTuple
+from os import PathLike
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
 
@@ -17,10 +20,11 @@ from sklearn_raacmm.arm import Arm, one_warning
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.correction._records import append_record
-from sklearn_raacmm.error_model import LinearModel
-from sklearn_raacmm.inference import Whitened, best_cause, score_tests
+from sklearn_raacmm.error_model import ArmResidualRegressor, LinearModel
+from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
     Interval,
+    centred,
     encode_groups,
     group_means,
     listed,
@@ -41,13 +45,22 @@ _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 _USUAL = 0.95
 # Sets of poses drawn for the limits of the control chart: 5 lie beyond each limit at a rate of 1 %.
 _DRAWS = 1000
+# What is suspected, and what to do. A turn of the base about z is the same as an offset of joint 1.
 _ADVICE = {
     "nothing": "Nothing: the correction holds.",
+    "base": "The base or the tracker has moved: register again, by calibrate(..., "
+    "correction=model, free=['probe']).",
+    "drift": "Base or tracker move while you measure: let them settle, fix the stand, and measure "
+    "anew.",
     "probe": "Register again, by calibrate(..., correction=model, free=['probe']).",
     "scale": "Bring the arm to its usual temperature, or check its scale by a known length.",
     "noise": "Look for a loose probe, a dirty seat or an unsteady stand, and measure anew.",
+    "offset of joint 1": "Register again: a base that has turned looks the same. If that does not "
+    "hold, update the correction by update_correction.",
     "arm": "Update the correction by update_correction; if that does not hold, measure anew.",
 }
+# Beside what a correction that holds leaves, half of that adds an eighth to the error: a choice.
+_WORTH = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +75,18 @@ class CorrectionCheck:
         How often a correction that holds looks as bad as this, all tests together.
     suspect : str
         What explains the poses best: "nothing", "offset of joint 2", "harmonics of joint 2",
-        "probe", "scale", or "noise" if nothing else does.
+        "probe", "base", "drift" (a base that moves from the first row to the last), "scale", or
+        "noise" if nothing else does.
     advice : str
         What to do, in one sentence.
+    size_mm : float
+        What the suspect does to the probe at these poses, root mean square; of a single-point test
+        about the means of the positions. 0 for "nothing".
+    usual_mm : float
+        The same of what a correction that holds leaves.
+    matters : bool
+        Whether it is worth acting on: `size_mm` is more than half of `usual_mm`. Of many poses a
+        test finds changes that are real and harm nobody.
     tests : structured ndarray of shape (n_tests,)
         `cause`, `statistic`, `freedom` and `p_value` of each test, before they are put together.
     slipped : tuple of int
@@ -79,11 +101,14 @@ class CorrectionCheck:
     p_value: float
     suspect: str
     advice: str
+    size_mm: float
+    usual_mm: float
+    matters: bool
     tests: np.ndarray = field(repr=False)
-    slipped: tuple
-    record: dict = field(repr=False)
+    slipped: tuple[Any, ...]
+    record: dict[str, Any] = field(repr=False)
 
-    def append_to(self, path):
+    def append_to(self, path: str | PathLike[str]) -> None:
         """Append the record to a file, which is made where there is none.
 
         Parameters
@@ -115,18 +140,18 @@ class CorrectionCheck:
 )
 @one_warning()
 def check_correction(
-    model,
-    X,
-    y,
+    model: ArmResidualRegressor,
+    X: ArrayLike,
+    y: ArrayLike,
     *,
-    groups=None,
-    lengths=(),
-    arm=None,
-    sample_weight=None,
-    refitted=(),
-    false_alarm_rate=0.01,
-    date=None,
-):
+    groups: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
+    arm: Arm | None = None,
+    sample_weight: ArrayLike | None = None,
+    refitted: str | Sequence[str] = (),
+    false_alarm_rate: float = 0.01,
+    date: str | None = None,
+) -> CorrectionCheck:
     """Say from a few poses of today whether a fitted correction still holds.
 
     Parameters
@@ -150,7 +175,8 @@ def check_correction(
         ends: tuples or the rows of an array. They show a change of scale, as by temperature.
 
     arm : Arm, default=None
-        The arm with today's probe, which `lengths` are computed with; None: the model's.
+        The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
+        model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
 
     sample_weight : array-like of shape (n_samples,), default=None
         Weights.
@@ -186,13 +212,16 @@ def check_correction(
     the model's posterior and noise, both widened as positions that were left out of the fit ask for
     (`std_scale` and `noise_scale` of its linear model). A known length has one of the same form.
     One test is of the size of all against that; one of each cause, a score test of what that cause
-    would do to these poses: the offset and the two lowest harmonics of each joint, the probe, a
-    common scale. The smallest p-value times the number of tests is compared with the rate, so that
-    the rate is an upper bound (Bonferroni). Poses in regions that the model has not seen may raise
-    alarms of their own. A pose that lies farther off than 95 % do counts as though it lay there.
+    would do to these poses: the offset and the two lowest harmonics of each joint, the probe, the
+    base and its drift, a common scale. Where the widening comes from few positions, their number
+    are the freedoms of the denominator of Fisher's F. The smallest p-value times the number of
+    tests is compared with the rate, so that the rate is an upper bound (Bonferroni). Poses in
+    regions that the model has not seen may raise alarms of their own. A pose that lies farther off
+    than 95 % do counts as though it lay there.
 
     What cannot be seen is not tested: a single-point test without known lengths has no scale, and
-    joint 1 nothing but its harmonics.
+    joint 1 nothing but its harmonics. A base that has moved shows in residuals of a registration
+    that was made before; rows have to stand in the order of the measurement for a drift to show.
 
     Examples
     --------
@@ -210,11 +239,14 @@ def check_correction(
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
     """
-    linear = _widened(linear_model_of(model, "checked"))
-    labels = None if groups is None else encode_groups(groups, len(X))[0].tolist()
+    linear_model_of(model, "checked")
+    model = model if arm is None else model.with_arm(arm)
+    linear = _widened(model.linear_model_)
+    rows: Any = X
+    labels = None if groups is None else encode_groups(groups, len(rows))[0].tolist()
     lengths = _check_lengths(lengths, labels)
     today = NewPoses.checked(model, X, y, groups, sample_weight)
-    poses, slipped = _poses_of(linear, model, today, lengths, linear.arm if arm is None else arm)
+    poses, slipped = _poses_of(linear, model, today, lengths)
     nuisance = poses.nuisance(refitted)
     root = poses.root_of_covariance()
     whiten = Whitened(root, nuisance)
@@ -224,11 +256,20 @@ def check_correction(
             f"{len(poses.left)} poses have {n_rows} coordinates for {n_rows - whiten.freedom} "
             "freedoms of positions, base and probe: nothing is left to check the correction with."
         )
-    tests = score_tests(poses.causes(), whiten, poses.residual())
+    causes = poses.causes()
+    tests = score_tests(causes, whiten, poses.residual(), linear.n_positions)
     p_value = min(float(tests["p_value"].min()) * len(tests), 1.0)
     holds = p_value >= false_alarm_rate
     suspect = "nothing" if holds else best_cause(tests)
     n = 3 * len(poses.left)
+    usual_mm = poses.usual_mm()
+    size_mm = 0.0
+    if suspect in causes:
+        size_mm = poses.size_mm(explained(causes[suspect], whiten, poses.residual())[:n])
+    elif suspect == "noise":  # as much as all exceed what is expected of them
+        more = tests["statistic"][0] / tests["freedom"][0] - 1
+        size_mm = usual_mm * float(np.sqrt(max(more, 0.0)))
+    matters = size_mm > _WORTH * usual_mm
     record = {
         "date": calendar.today().isoformat() if date is None else str(date),
         "n_poses": len(poses.left),
@@ -236,9 +277,16 @@ def check_correction(
         "p_value": p_value,
         "suspect": suspect,
     }
-    kind = suspect if suspect in _ADVICE else "arm"
+    advice = _ADVICE.get(suspect, _ADVICE["arm"])
+    if not (holds or matters):
+        advice = (
+            f"It is real and small, {size_mm:.2g} mm beside the {usual_mm:.2g} mm that the "
+            f"correction leaves: nothing needs to be done. {advice}"
+        )
     rows = tuple(np.flatnonzero(slipped).tolist())
-    return CorrectionCheck(holds, p_value, suspect, _ADVICE[kind], tests, rows, record)
+    return CorrectionCheck(
+        holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, rows, record
+    )
 
 
 def _widened(linear):
@@ -256,7 +304,7 @@ def _widened(linear):
     )
 
 
-def _poses_of(linear, model, today, lengths, arm):
+def _poses_of(linear, model, today, lengths):
     """Today's poses that count, and which of the rows have slipped."""
     correction = copy(model).set_params(angle_unit="rad").predict(today.angles)
     left = today.residuals - correction
@@ -264,7 +312,7 @@ def _poses_of(linear, model, today, lengths, arm):
     kept = (today.weights > 0) & ~slipped
     angles, weights = today.angles[kept], today.weights[kept]
     codes = None if today.codes is None else today.codes[kept]
-    points = arm.forward(angles[:, : arm.n_joints]) - correction[kept]
+    points = linear.arm.forward(angles[:, : linear.arm.n_joints]) - correction[kept]
     known = _Lengths.between(points, codes, weights, lengths)
     return _Poses(linear, angles, left[kept], tamed[kept], weights, codes, known), slipped
 
@@ -354,6 +402,17 @@ class _Poses(NamedTuple):
         covariance[range(n, len(half)), range(n, len(half))] += np.square(noise.sd)
         return cholesky(covariance, lower=True, check_finite=False)
 
+    def usual_mm(self):
+        """Root mean square of what a correction that holds leaves of what the poses can show."""
+        spread = self.linear.predict(self.angles, return_std=True)[1]
+        noise = 3 * self.linear.noise_variance / self.weights
+        return float(np.sqrt(np.mean(np.square(spread).sum(axis=1) + noise)))
+
+    def size_mm(self, change):
+        """Root mean square of a change (3 n,); of positions with offsets about their means."""
+        change = centred(change.reshape(-1, 3), self.codes, self.weights)
+        return float(np.sqrt(np.mean(np.square(change).sum(axis=1))))
+
     def nuisance(self, refitted):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
         refitted = listed("refitted", refitted)
@@ -376,7 +435,12 @@ class _Poses(NamedTuple):
         arm = self.linear.arm
         angles = self.angles[:, : arm.n_joints]  # without extra columns
         jacobian = arm.jacobian(angles)
-        causes = {"probe": self.rows(place_columns(arm, angles, with_base=False))}
+        place = self.rows(place_columns(arm, angles, with_base=True))
+        time = np.repeat(np.linspace(-1, 1, len(angles)), 3)
+        time = np.r_[time, np.zeros(len(place) - len(time))][:, None]
+        causes = {"probe": place[:, :3], "drift": time * place[:, 3:6]}
+        if self.codes is None:  # of a single-point test the base shows nothing
+            causes["base"] = place[:, 3:]
         points = arm.forward(angles)
         if self.codes is not None:  # a position is one point: what it shows about it is no scale
             codes = np.unique(self.codes, return_inverse=True)[1]

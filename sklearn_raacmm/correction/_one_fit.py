@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from dataclasses import dataclass
 from inspect import ismethod
 
@@ -17,9 +16,12 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate, check_length
+from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
+from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge
+from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, unheard
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -35,13 +37,21 @@ class Data:
     positions: np.ndarray
     points: np.ndarray | None
     lengths: list
+    rows: np.ndarray  # first row of each pose among those given
+    given: tuple  # angles, positions and points of these
+    causes: tuple = ()  # names of the columns of `values`
+    values: np.ndarray | None = None  # (n, n_causes)
+    like: tuple = ()  # models of earlier arms of the make
 
     @classmethod
-    def checked(cls, arm, angles, positions, points, lengths, angle_unit):
+    def checked(
+        cls, arm, angles, positions, points, lengths, angle_unit,
+        extra=None, in_order=False, like=(),
+    ):  # fmt: skip
         check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit)
         # Within one turn, lest a warning of far angles be said again by everything that follows.
-        angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+        angles = within_turn(angles)
         lengths = listed("lengths", lengths)
         if points is not None:
             points = floats("points", points)
@@ -50,6 +60,8 @@ class Data:
             refuse_huge("points", points)
             if positions is None:
                 positions = _regions(points)
+        every = angles, encode_groups(positions, len(angles))[1], points
+        poses = find_poses(*every)
         labels, codes = encode_groups(positions, len(angles))
         tied = {i for entry in lengths for i in check_length(entry, labels.tolist())[:2]}
         for code in np.flatnonzero(np.bincount(codes) == 1) if points is None else ():
@@ -58,7 +70,19 @@ class Data:
                     f"position {labels[code].item()!r} has a single row, row "
                     f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
                 )
-        return cls(arm, angles, labels[codes], points, lengths)
+        causes, values = checked_causes(extra, in_order, angles)
+        refuse_told_time(causes, angles, positions)
+        values = values[poses.first]
+        angles, points = poses.mean_angles(angles), poses.mean(points)
+        given = (every[0], labels[codes], every[2])
+        labels = labels[codes][poses.first]
+        like = tuple(listed("like", like))
+        return cls(arm, angles, labels, points, lengths, poses.first, given, causes, values, like)
+
+    @property
+    def inputs(self):
+        """Angles, then the causes, of each row."""
+        return self.angles if self.values is None else np.hstack([self.angles, self.values])
 
     def without_lonely(self, rows):
         """Rows of positions with at least two, and the others: those have no residuals."""
@@ -93,11 +117,11 @@ class Data:
         return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
 
     def calibrate_all(self):
-        """Calibrate on all rows: the calibration, and the warnings that it has given."""
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", UserWarning)
-            calibration = self.calibrate(np.arange(len(self.angles)))
-        return calibration, [warning.message for warning in said]
+        """Calibrate on all rows, as they were given."""
+        angles, positions, points = self.given
+        if points is not None:
+            return calibrate(self.arm, angles, points=points)
+        return calibrate(self.arm, angles, positions, lengths=self.lengths)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
@@ -110,20 +134,36 @@ class Data:
 
         Calibration alone names too many: poses in which the arm bends most are not slipped probes.
         """
-        far = np.flatnonzero(calibration.sample_weight == 0)
+        far = np.flatnonzero(calibration.sample_weight[self.rows] == 0)
         if not len(far):
             return far
         every = np.arange(len(self.angles))
         rows, lonely = self.without_lonely(every)
-        model = ArmResidualRegressor(calibration.arm)
+        model = model_for(None, calibration.arm, self.causes)
         y = self.residuals(calibration, rows)
-        model.fit(self.angles[rows], y, groups=self.positions[rows])
+        with unheard():  # what there is to say is said of the rows that are learnt from
+            model.fit(self.inputs[rows], y, groups=self.positions[rows])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
         """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
-        fitted = model_for(model, calibration.arm)
         y = self.residuals(calibration, rows)
+        if self.like and model is None:
+            fitted = self._like_others(calibration.arm, rows, y)
+        else:
+            fitted = self._fit_alone(model, calibration, rows, y)
+        left = y - fitted.predict(self.inputs[rows])
+        if self.points is None:
+            left = position_residuals(left, self.positions[rows])
+        return fitted, float(np.sqrt(np.mean(np.square(left))))
+
+    def _like_others(self, arm, rows, y):
+        """A model that starts from earlier arms of the make, where these are believed."""
+        X, groups = self.inputs[rows], self.positions[rows]
+        return transfer_correction(list(self.like), arm, X, y, groups=groups)
+
+    def _fit_alone(self, model, calibration, rows, y):
+        fitted = model_for(model, calibration.arm, self.causes)
         # Of a pipeline, what its last step takes.
         prefix, last = "", fitted
         while isinstance(last, Pipeline):
@@ -136,11 +176,7 @@ class Data:
             for name, value in extra.items()
             if len(value) and has_fit_parameter(last, name)
         }
-        fitted.fit(self.angles[rows], y, **extra)
-        left = y - fitted.predict(self.angles[rows])
-        if self.points is None:
-            left = position_residuals(left, self.positions[rows])
-        return fitted, float(np.sqrt(np.mean(np.square(left))))
+        return fitted.fit(self.inputs[rows], y, **extra)
 
 
 def _regions(points):
@@ -152,16 +188,18 @@ def _regions(points):
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 
-def model_for(model, arm):
+def model_for(model, arm, causes=()):
     """Copy of a model, or the default one, for this arm and for angles in rad."""
     if model is None:
-        return ArmResidualRegressor(arm)
+        return ArmResidualRegressor(arm, extra=causes)
     model = clone(model)
     changes = {}
     for name, value in model.get_params(deep=True).items():
         last = name.rsplit("__")[-1]
         if last == "arm":
             changes[name] = arm
+        elif last == "extra" and causes:
+            changes[name] = causes
         elif last == "angle_unit":
             changes[name] = "rad"
         elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):

@@ -3,14 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.calibration import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._new_poses import linear_model_of, place_columns
-from sklearn_raacmm.error_model import check_poses
+from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
 from sklearn_raacmm.inference import narrowed
 from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means, listed, show
 
@@ -25,7 +26,7 @@ _MOST_TARGETS = 200
 class _Design(NamedTuple):
     """What measurements are to find out, in factors that are standard normal before them."""
 
-    columns: object  # angles (n, n_joints) -> (n, 3, p), mm
+    columns: Any  # angles (n, n_joints) -> (n, 3, p), mm
     half: np.ndarray  # (p, k) root of the covariance of the columns' coefficients
     noise_sd: float  # mm
     offsets: bool  # whether each position has an unknown offset
@@ -42,8 +43,16 @@ def _times(rows, matrix):
 
 
 def next_poses(
-    model, X, n_poses, *, groups=None, targets=None, criterion="I", free=None, measured=None
-):
+    model: ArmResidualRegressor | Arm,
+    X: ArrayLike,
+    n_poses: int,
+    *,
+    groups: ArrayLike | None = None,
+    targets: ArrayLike | None = None,
+    criterion: str = "I",
+    free: str | list[Any] | None = None,
+    measured: ArrayLike | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Choose the poses whose measurement would tell most, one after another.
 
     The posterior of a linear model says before any measurement how much it would narrow: what is
@@ -229,7 +238,7 @@ def _greedy(rows, aim, n_poses, criterion):
     """
     identity = np.eye(rows.shape[1])
     if len(aim) > aim.shape[1]:  # no more rows than there are columns: the same A' A
-        aim = np.linalg.qr(aim, mode="r")
+        aim = np.asarray(np.linalg.qr(aim, mode="r"))
     K, T = rows @ rows.swapaxes(1, 2), _times(rows, aim.T)
     variance, chosen, taken = [np.square(aim).sum()], [], []
     open_ = np.ones(len(rows), bool)
@@ -252,7 +261,7 @@ def _greedy(rows, aim, n_poses, criterion):
     return chosen, np.array(variance)
 
 
-def _check_poses(model, X):
+def _check_poses(model, X) -> np.ndarray:
     """Rows of X in rad, for an arm or a fitted model."""
     if isinstance(model, Arm):
         return check_angles(X, model.n_joints, "rad")

@@ -5,6 +5,8 @@
 
 import csv
 import json
+from os import PathLike
+from typing import Any
 
 from sklearn_raacmm.utils import check_path
 
@@ -39,7 +41,7 @@ def append_record(path, record):
         writer.writerow(record)
 
 
-def read_check_records(path):
+def read_check_records(path: str | PathLike[str]) -> list[Any]:
     """Read the records of checks that :meth:`~sklearn_raacmm.CorrectionCheck.append_to` wrote.
 
     Parameters
@@ -69,7 +71,7 @@ def read_check_records(path):
         raise ValueError(f"{path} is not the record of checks: it is no text in UTF-8.") from None
     records = []
     is_csv = path.suffix.lower() == ".csv"
-    lines = csv.DictReader(text.splitlines()) if is_csv else text.splitlines()
+    lines: Any = csv.DictReader(text.splitlines()) if is_csv else text.splitlines()
     for number, line in enumerate(lines, start=2 if is_csv else 1):
         try:
             line = line if is_csv else json.loads(line)

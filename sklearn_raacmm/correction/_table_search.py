@@ -3,15 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import warnings
 from dataclasses import dataclass
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, dh_theta, frame_columns
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.utils import align, centred, encode_groups
+from sklearn_raacmm.utils import align, centred, encode_groups, unheard
 
 # Rows that candidates are ranked on, and how many of them are then calibrated: for speed. With all
 # numbers here the tables of tests/correction/test_table_search.py, of one and of two faults, are
@@ -48,17 +49,24 @@ class TableChange:
     scatter_mm: float
     scatter_given_mm: float
     arm: Arm
-    columns: tuple
+    columns: tuple[Any, ...]
     angle_unit: str
 
-    def __str__(self):
+    def __str__(self) -> str:
         return (
             f"With {self.change} the points scatter by {self.scatter_mm:.2g} mm instead of "
             f"{self.scatter_given_mm:.3g}."
         )
 
 
-def search_table(arm, angles, positions=None, points=None, *, angle_unit="rad"):
+def search_table(
+    arm: Arm,
+    angles: ArrayLike,
+    positions: ArrayLike | None = None,
+    points: ArrayLike | None = None,
+    *,
+    angle_unit: str = "rad",
+) -> TableChange | None:
     """Search for what is wrong with an arm whose points scatter much after calibration.
 
     Tried are all senses of the joints, two joints exchanged and all in reverse order, the other
@@ -126,9 +134,7 @@ def search_table(arm, angles, positions=None, points=None, *, angle_unit="rad"):
 
 
 def _scatter(arm, angles, positions, points, unit):
-    with warnings.catch_warnings():
-        # Of the wrong tables, nearly all have something to be warned of.
-        warnings.simplefilter("ignore", UserWarning)
+    with unheard():  # of the wrong tables, nearly all have something to be said
         radians = check_angles(angles, arm.n_joints, unit)
         where = {"groups": positions} if points is None else {"points": points}
         return calibrate(arm, radians, **where).scatter_after_mm

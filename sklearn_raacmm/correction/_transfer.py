@@ -5,8 +5,10 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, clone
 
 from sklearn_raacmm.arm import Arm
@@ -22,14 +24,20 @@ from sklearn_raacmm.correction._change import (
 )
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.correction._update import record_of
-from sklearn_raacmm.error_model import Fading, order_price, smooth_shares
+from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
-from sklearn_raacmm.utils import centred, listed, one_blas_thread, warn_user
+from sklearn_raacmm.utils import Finding, centred, listed, one_blas_thread, say_findings
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
 # benchmarks/bench_transfer.py judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
+# Nats of evidence for the earlier arms from which on they are believed: one draw of a Panda lost a
+# third at 0.5, the sixteen draws with at least 5 gained (``benchmarks/bench_transfer.py --panda``).
+LEAST_GAIN_NATS = 4.0
+# Factor of the fading of a believed start: Wiener's is 1, and half of it leaves as little on Pandas
+# as none (``benchmarks/bench_transfer.py --panda``), for the mean of the make is known beside it.
+_FADING = 0.5
 # The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
 # may be better, too.
 _LOG_NOISE = (-4.0, 4.0)
@@ -40,7 +48,16 @@ _CHOSEN = 0.5
 
 
 @one_blas_thread
-def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weight=None, date=None):
+def transfer_correction(
+    models: ArmResidualRegressor | list[Any],
+    arm: Arm,
+    X: ArrayLike | None = None,
+    y: ArrayLike | None = None,
+    *,
+    groups: ArrayLike | None = None,
+    sample_weight: ArrayLike | None = None,
+    date: str | None = None,
+) -> ArmResidualRegressor:
     """Correct a new arm from few poses, starting from earlier arms of the same make.
 
     Arms of one make share the orders of their gears, the compliance of their links and the size of
@@ -83,7 +100,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
         With the options of the first model. Without poses it is the mean of the earlier arms, with
         their spread as standard deviation. ``updates_`` holds one dictionary: `date`, `n_poses`,
         `tau` and `noise_sd_mm` as of :func:`update_correction`, `n_arms`, and `gain_nats`, the
-        evidence for the earlier arms; where that is not positive, the model is the one that was
+        evidence for the earlier arms; where that is less than 4, the model is the one that was
         fitted to the new poses alone, and `tau` is empty.
 
     Raises
@@ -141,7 +158,7 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     True
     """
     models = [models] if isinstance(models, BaseEstimator) else listed("models", models)
-    linears = _checked(models, arm)
+    linears = _without_copies(_checked(models, arm))
     prior = _pooled(linears, arm)
     template = clone(models[0]).set_params(arm=arm)
     if X is None and y is None:
@@ -152,19 +169,20 @@ def transfer_correction(models, arm, X=None, y=None, *, groups=None, sample_weig
     groups = groups if own.linear_model_.offsets else None
     poses = NewPoses.checked(own, X, y, groups, sample_weight)
     if poses.too_few:
-        warn_user(f"{poses.too_few}: the correction is the mean of the earlier arms.")
+        said = f"{poses.too_few}: the correction is the mean of the earlier arms."
+        say_findings([Finding("few-poses", said)])
         return _of_prior(own, prior)
     changed = changed_model(prior, poses, _LOG_NOISE)
     entry = record_of(changed, len(poses.angles), date)
     poses = poses._replace(weights=poses.weights * changed.pose_weight * own.pose_weight_)
     gain = _evidence_of_change(prior, changed, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
-    if gain > 0:
-        new.linear_model_ = replace(changed.model, offsets=poses.codes is not None)
+    if gain >= LEAST_GAIN_NATS:
+        linear = replace(changed.model, offsets=poses.codes is not None)
+        new.linear_model_ = replace(linear, fading_half=linear.gauge_free_half)
+        new.fading_ = replace(own.fading_, factor=_FADING)
         new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
         new.pose_weight_ = changed.pose_weight
-        # Where the new poses say nothing, the mean of the make stands.
-        new.fading_ = replace(own.fading_, factor=0.0)
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
     new.updates_ = (entry | {"n_arms": len(linears), "gain_nats": float(gain)},)
@@ -196,6 +214,19 @@ def _checked(models, arm):
                 "causes and extra columns, with orientations or without."
             )
     return linears
+
+
+def _without_copies(linears):
+    """Each linear model once: two copies of an arm are no two arms."""
+    kept = []
+    for linear in linears:
+        known = (one for one in kept if one.coef.shape == linear.coef.shape)
+        if not any(np.array_equal(one.coef, linear.coef) for one in known):
+            kept.append(linear)
+    if len(kept) < len(linears):
+        said = f"Of {len(linears)} models {len(linears) - len(kept)} are copies: they count once."
+        say_findings([Finding("copied-models", said)])
+    return kept
 
 
 def _families(terms):
@@ -252,13 +283,17 @@ def _pooled(linears, arm):
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
 
     def pooled_root(roots):
-        return np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r").T
+        return np.asarray(
+            np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r")
+        ).T
 
+    gauge_free = pooled_root([one.gauge_free_half for one in aligned])
     return replace(
         model,
         coef=trust * mean,
         half=pooled_root([one.half for one in aligned]),
-        gauge_free_half=pooled_root([one.gauge_free_half for one in aligned]),
+        gauge_free_half=gauge_free,
+        fading_half=gauge_free,
     )
 
 

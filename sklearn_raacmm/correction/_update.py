@@ -4,15 +4,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from copy import deepcopy
-from dataclasses import replace
 from datetime import date as calendar
+from typing import Any
 
-import numpy as np
+from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import one_warning
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, poses_in_range
+from sklearn_raacmm.arm import Arm, one_warning
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
-from sklearn_raacmm.utils import one_blas_thread, validate_params, warn_user
+from sklearn_raacmm.correction._update_gate import what_is_wrong
+from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.utils import Finding, one_blas_thread, say_findings, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
@@ -20,11 +22,21 @@ _STRANGE = 10.0
 
 
 @one_blas_thread
-@validate_params({"date": [str, calendar, None]}, prefer_skip_nested_validation=True)
+@validate_params(
+    {"arm": [Arm, None], "date": [str, calendar, None]}, prefer_skip_nested_validation=True
+)
 @one_warning()
 def update_correction(
-    model, X, y, *, groups=None, sample_weight=None, orientation_residuals=None, date=None
-):
+    model: ArmResidualRegressor,
+    X: ArrayLike,
+    y: ArrayLike,
+    *,
+    arm: Arm | None = None,
+    groups: ArrayLike | None = None,
+    sample_weight: ArrayLike | None = None,
+    orientation_residuals: ArrayLike | None = None,
+    date: str | None = None,
+) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     The linear model keeps its columns. Its coefficients may change by a part tau of what they were
@@ -46,6 +58,10 @@ def update_correction(
         Their residuals in mm, in the arm's base frame, without the correction:
         ``result.residuals(angles, points)`` of ``result = calibrate(..., correction=model,
         free=["probe"])``, or :func:`position_residuals` of a single-point test.
+
+    arm : Arm, default=None
+        The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
+        model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
 
     groups : array-like of shape (n_samples,), default=None
         Label of the position of each sample, where each position has an unknown offset: needed
@@ -119,26 +135,36 @@ def update_correction(
     >>> bool(np.abs(left[1]).mean() < 0.4 * np.abs(left[0]).mean())
     True
     """
-    linear = linear_model_of(model, "updated")
-    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(X) == 0:
+    linear_model_of(model, "updated")
+    model = model if arm is None else model.with_arm(arm)
+    linear = model.linear_model_
+    rows: Any = X
+    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(rows) == 0:
         return deepcopy(model)
     poses = NewPoses.checked(model, X, y, groups, sample_weight, orientation_residuals)
     if poses.too_few:
-        warn_user(
-            f"{poses.too_few}: the model is kept as it was. Register only, or measure more poses."
-        )
+        said = f"{poses.too_few}: the model is kept as it was."
+        say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return deepcopy(model)
+    found = what_is_wrong(model, poses)
+    say_findings(found)
     left = poses.residuals - model.second_stage(poses.angles)
     changed = changed_model(linear, poses._replace(residuals=left))
     if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
-        warn_user(
+        said = (
             f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
-            f"model, the old ones did by {linear.noise_sd:.3g} mm: are they of this arm, and "
-            "residuals in its base frame, registered through the correction?"
+            f"model, the old ones did by {linear.noise_sd:.3g} mm:"
         )
-    updated = deepcopy(model)
+        advice = (
+            "are they of this arm, and residuals in its base frame, registered through the "
+            "correction?"
+        )
+        strange = Finding("strange-poses", said, advice, size_mm=changed.noise_sd)
+        found.append(strange)
+        say_findings([strange])
+    updated: Any = deepcopy(model)
+    updated.findings_ = tuple(found)
     updated.linear_model_ = changed.model
-    updated.fading_ = _same_fading(model, changed.model, poses.angles[poses.weights > 0])
     before = vars(model).get("updates_", ())
     updated.updates_ = (*before, record_of(changed, len(poses.angles), date))
     return updated
@@ -152,20 +178,3 @@ def record_of(changed, n_poses, date):
         "tau": changed.tau,
         "noise_sd_mm": changed.noise_sd,
     }
-
-
-def _same_fading(model, linear, angles):
-    """Fading that lets the updated correction fade where the old one did.
-
-    What few poses leave open of base, tool and change adds to every standard deviation. The change
-    is shrunk to the old model for that already, so that it is no reason to take the whole
-    correction back. It is measured at poses whose joints stand anywhere in the ranges that the new
-    poses are from.
-    """
-    tried = poses_in_range(angles, linear.arm.n_joints)
-    old, new = (
-        np.square(one.predict(tried, return_std=True)[1]).sum(axis=1)
-        for one in (model.linear_model_, linear)
-    )
-    added = max(np.max(new - old), 0.0)
-    return replace(model.fading_, known_mm=float(np.sqrt(model.fading_.known_mm**2 + added)))

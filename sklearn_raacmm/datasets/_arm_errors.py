@@ -108,7 +108,7 @@ class ArmErrors:
     slip_share: float = 0.0
     slip_mm: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in fields(self):
             value, pair = getattr(self, field.name), isinstance(field.default, tuple)
             numbers = np.asarray(value)
@@ -139,7 +139,9 @@ class ArmErrors:
         ArmErrors
             The sizes.
         """
-        off = {f.name: (0.0, 0.0) if isinstance(f.default, tuple) else 0.0 for f in fields(cls)}
+        off: dict[str, Any] = {
+            f.name: (0.0, 0.0) if isinstance(f.default, tuple) else 0.0 for f in fields(cls)
+        }
         del off["counterbalance"], off["slip_mm"]
         return cls(**off | sizes)
 

@@ -102,9 +102,9 @@ def _read(response, deadline):
     return bytes(content)
 
 
-def _download(url, n_retries, delay):
-    deadline = time.monotonic() + _TOTAL_S
-    for left in range(n_retries, -1, -1):
+def _download(url, n_retries, delay) -> bytes:
+    deadline, left = time.monotonic() + _TOTAL_S, n_retries
+    while True:
         try:
             with urlopen(url, timeout=_TIMEOUT_S) as response:
                 return _read(response, deadline)
@@ -117,3 +117,4 @@ def _download(url, n_retries, delay):
                 raise OSError(f"{url} cannot be downloaded: {error}.") from error
             warn_user(f"{url}: {error}; trying again.")
             time.sleep(delay)
+            left -= 1

@@ -5,6 +5,7 @@
 
 from numbers import Integral, Real
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -97,16 +98,16 @@ _CONSTRAINTS = {
     _CONSTRAINTS | {"arm": [StrOptions(set(PANDA))]}, prefer_skip_nested_validation=True
 )
 def fetch_panda_ball_socket(
-    arm="panda_3",
+    arm: str = "panda_3",
     *,
-    data_home=None,
-    download_if_missing=True,
-    return_X_y=False,
-    as_frame=False,
-    n_retries=3,
-    delay=1.0,
-    base_url=None,
-):
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+    return_X_y: bool = False,
+    as_frame: bool = False,
+    n_retries: int = 3,
+    delay: float = 1.0,
+    base_url: str | None = None,
+) -> Any:
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
 
     Downloads up to 100 kB the first time. The data are those of the MUKCa project [1]_ (MIT
@@ -234,14 +235,14 @@ def fetch_panda_ball_socket(
 @validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def fetch_ur10_tracker(
     *,
-    data_home=None,
-    download_if_missing=True,
-    return_X_y=False,
-    as_frame=False,
-    n_retries=3,
-    delay=1.0,
-    base_url=None,
-):
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+    return_X_y: bool = False,
+    as_frame: bool = False,
+    n_retries: int = 3,
+    delay: float = 1.0,
+    base_url: str | None = None,
+) -> Any:
     """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
 
     Downloads 2.4 MB the first time. The data were published with [1]_ (MIT licence) and are not
@@ -347,7 +348,7 @@ def fetch_ur10_tracker(
     directions = np.empty_like(angles)
     directions[order] = directions_of(angles[order])
     nominal = Arm.from_name("ur10", probe=(0, 0, 93))
-    result = calibrate(nominal, angles, points=tracker_points)
+    result: Any = calibrate(nominal, angles, points=tracker_points)
     points = result.arm.forward(angles)
     data = Bunch(
         data=angles,

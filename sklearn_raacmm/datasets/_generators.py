@@ -24,6 +24,8 @@ _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
 # The reference temperature of dimensional metrology (ISO 1).
 _CALIBRATED_AT_DEGC = 20.0
+# A usual standard uncertainty of a gauge with cones at its ends.
+_LENGTH_SD_MM = 0.01
 # Numbers and lengths are checked with the machine at hand.
 _CONSTRAINTS = {
     "machine": [SimulatedArm, ArmErrors, str],
@@ -38,6 +40,7 @@ def make_single_point(
     n_positions: int = 10,
     n_poses: int = 100,
     *,
+    bars: ArrayLike = (),
     machine: SimulatedArm | ArmErrors | str = "typical",
     random_state: int | np.random.RandomState | None = 0,
     return_X_y: bool = False,
@@ -52,6 +55,8 @@ def make_single_point(
         azimuths.
     n_poses : int, default=100
         Number of poses at each position, at least 2.
+    bars : array-like of shape (n_bars,), default=()
+        Lengths in mm of bars with a cone at each end, which are two more positions each.
     machine : SimulatedArm or ArmErrors or str, default="typical"
         The arm; or the sizes of its error sources, or the name of a mix of them ("typical",
         "gravity", "eccentricity", "none"), of which `random_state` draws an individual.
@@ -75,6 +80,9 @@ def make_single_point(
             Residuals dx, dy, dz, mm: point minus mean point of its position.
         groups : ndarray or Series of shape (n_positions * n_poses,)
             Number of the position.
+        lengths : list of (int, int, float, float)
+            Known lengths, as :func:`calibrate` takes them: the two ends of each bar, its length
+            with an error, and the standard deviation of that, 0.01 mm.
         points : ndarray of shape (n_positions * n_poses, 3)
             Points that the calibrated arm shows, mm.
         arm : Arm
@@ -130,7 +138,16 @@ def make_single_point(
     check_whole_number("n_poses", n_poses, 2)
     machine, rng = _machine_and_stream(machine, random_state, stream=1)
     positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
+    known = []
+    if np.size(bars):
+        bars = _check_lengths(bars, machine)
+        ends, more = _draw_gauges(machine, bars, n_poses, rng)
+        positions, poses = np.vstack([positions, ends]), poses + more
+        given = (bars + _LENGTH_SD_MM * rng.normal(size=len(bars))).tolist()
+        first = range(n_positions, n_positions + len(ends), 2)
+        known = [(i, i + 1, size, _LENGTH_SD_MM) for i, size in zip(first, given, strict=True)]
     data = _measure(machine, positions, poses, rng)
+    data.update(lengths=known)
     return pack(data, return_X_y, as_frame)
 
 
@@ -217,8 +234,9 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
             machine.nominal_arm,
             angles,
             groups,
-            # 0.01 mm: a usual standard uncertainty of a gauge with cones at its ends.
-            lengths=[(a, b, length, 0.01) for (a, b), length in zip(pairs, lengths, strict=True)],
+            lengths=[
+                (a, b, length, _LENGTH_SD_MM) for (a, b), length in zip(pairs, lengths, strict=True)
+            ],
             # Fixed, so that the simulated data stay what they are.
             prior_length_mm=2.0,
             prior_angle_rad=0.02,
@@ -226,7 +244,7 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
     return result.arm.replace(name="calibrated (simulated)")
 
 
-def _readings(machine, cones, poses, rng, warming_k=0.0, slipped=False, payload_n=0.0):
+def _readings(machine, cones, poses, rng, warming_k=0.0, slipped: Any = 0.0, payload_n: Any = 0.0):
     """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
     groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
     seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
@@ -301,6 +319,7 @@ def _draw_cones(machine, n, n_poses, rng):
     low, high = _SHARE_OF_REACH
     cones, poses = [], []
     for stratum in range(n):
+        share = 0.0
         for _ in range(100):
             share = low + (high - low) * (stratum + rng.uniform()) / n
             cone = _in_direction(machine, share, rng)
@@ -375,7 +394,7 @@ def _machine_and_stream(machine, random_state, stream):
     return machine, np.random.RandomState([seed, stream])
 
 
-def _check_lengths(lengths, machine):
+def _check_lengths(lengths, machine) -> np.ndarray:
     lengths = np.atleast_1d(floats("lengths", lengths))
     # Both ends in the shell: the longest gauge spans it.
     longest = 2 * _SHARE_OF_REACH[1] * machine.reach

@@ -3,7 +3,10 @@
 Public in `sklearn_raacmm.datasets`.
 """
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_angles
@@ -79,19 +82,21 @@ class SimulatedArm:
         errors: ArmErrors | str = "typical",
         *,
         random_state: int | np.random.RandomState | None = 0,
-    ):
-        self.errors = errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
+    ) -> None:
+        self.errors: ArmErrors = (
+            errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
+        )
         # RandomState, not Generator: its stream is frozen, so a seed means the same data for ever.
         rng = check_random_state(random_state)
-        self.nominal_arm = Arm.from_name("aacmm6")
-        self.reach = float(
+        self.nominal_arm: Arm = Arm.from_name("aacmm6")
+        self.reach: float = float(
             self.nominal_arm.d[[2, 4]].sum() + np.linalg.norm(self.nominal_arm.probe)
         )
-        self.shoulder = np.array([0.0, 0.0, self.nominal_arm.d[0]])
+        self.shoulder: np.ndarray = np.array([0.0, 0.0, self.nominal_arm.d[0]])
         length, angle = self.errors.length_mm, np.deg2rad(self.errors.angle_deg)
         # Base height and the first encoder's zero define the base frame: they have no error.
         free = np.arange(6) > 0
-        self.true_arm = self.nominal_arm.replace(
+        self.true_arm: Arm = self.nominal_arm.replace(
             a=self.nominal_arm.a + length * rng.normal(size=6),
             d=self.nominal_arm.d + length * rng.normal(size=6) * free,
             alpha=self.nominal_arm.alpha + angle * rng.normal(size=6),
@@ -101,15 +106,22 @@ class SimulatedArm:
         )
         self._amplitudes = rng.uniform(0.5, 1.5, size=(2, 6))
         self._phases = rng.uniform(-np.pi, np.pi, size=(4, 6))
-        self.calibration_seed = rng.randint(2**31 - 1)
+        self.calibration_seed: int = rng.randint(2**31 - 1)
         # A stream of its own: sources that are off by default do not move the draws of the others.
         own = np.random.RandomState([self.calibration_seed, 1])
         self._play = own.uniform(0.5, 1.5, size=6) * self.errors.play_arcsec * _ARCSEC
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"SimulatedArm({self.errors})"
 
-    def deviations(self, angles, *, warming_k=None, directions=None, payload_n=0.0):
+    def deviations(
+        self,
+        angles: ArrayLike,
+        *,
+        warming_k: ArrayLike | None = None,
+        directions: ArrayLike | None = None,
+        payload_n: ArrayLike = 0.0,
+    ) -> dict[str, Any]:
         """How far each source moves the probe from where the true geometry alone would have it.
 
         Parameters
@@ -177,7 +189,7 @@ class SimulatedArm:
             "payload": turned(compliance * pulled) + self._bending(origin, probe, 0, payload),
         }
 
-    def gravity_torques(self, angles):
+    def gravity_torques(self, angles: ArrayLike) -> np.ndarray:
         """Torque of the arm's own weight about each joint, before any counterbalance.
 
         Parameters
@@ -215,7 +227,7 @@ class SimulatedArm:
             torques[:, :k] += (axes[:, :k] * moments).sum(axis=2)
         return torques
 
-    def _bending(self, origin, probe, own_weight=1, payload=0.0):
+    def _bending(self, origin, probe, own_weight=1, payload: Any = 0.0):
         """How far the tubes bend under their own weight (0 or 1 times) and a payload in N."""
         upper, elbow, forearm, wrist = self._loads()
         moved = np.zeros_like(probe)
@@ -234,7 +246,14 @@ class SimulatedArm:
             moved += np.cross(slope * np.cross(along, across), probe - origin[:, end])
         return moved
 
-    def forward(self, angles, *, warming_k=None, directions=None, payload_n=0.0):
+    def forward(
+        self,
+        angles: ArrayLike,
+        *,
+        warming_k: Any = None,
+        directions: np.ndarray | None = None,
+        payload_n: float = 0.0,
+    ) -> np.ndarray:
         """Where the probe really is.
 
         Parameters
@@ -254,7 +273,9 @@ class SimulatedArm:
         )
         return self.true_arm.forward(angles) + sum(deviations.values())
 
-    def read(self, angles, random_state=None):
+    def read(
+        self, angles: ArrayLike, random_state: int | np.random.RandomState | None = None
+    ) -> np.ndarray:
         """Read the encoders: noise and quantisation on top of the angles.
 
         Parameters
@@ -277,7 +298,12 @@ class SimulatedArm:
         step = self.errors.quantisation_arcsec * _ARCSEC
         return np.round(readings / step) * step if step else readings
 
-    def find_poses(self, point, n_poses, random_state=None):
+    def find_poses(
+        self,
+        point: ArrayLike,
+        n_poses: int,
+        random_state: int | np.random.RandomState | None = None,
+    ) -> np.ndarray:
         """Find poses that a person would take with the probe in a cone, elbow from left to right.
 
         Parameters
@@ -319,7 +345,15 @@ class SimulatedArm:
             f"it is {np.linalg.norm(point - self.shoulder) / self.reach:.0%} of the reach away."
         )
 
-    def solve(self, angles, points, *, warming_k=None, directions=None, payload_n=0.0):
+    def solve(
+        self,
+        angles: np.ndarray,
+        points: np.ndarray,
+        *,
+        warming_k: Any = None,
+        directions: np.ndarray | None = None,
+        payload_n: float = 0.0,
+    ) -> np.ndarray:
         """Move poses a little until the true probe is at the points.
 
         Parameters
@@ -408,7 +442,7 @@ def directions_of(angles):
     return np.concatenate([signs[:1], signs])
 
 
-def _points(name, points, shape):
+def _points(name, points, shape) -> np.ndarray:
     points = floats(name, points)
     if points.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {points.shape}.")

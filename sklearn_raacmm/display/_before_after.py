@@ -3,7 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any, Self
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import (
     AFTER,
@@ -92,29 +95,42 @@ class RepeatabilityDisplay:
     >>> plt.close(display.figure_)
     """
 
+    ax_: Any
+    figure_: Any
+    unit_: str
+
     def __init__(
         self,
         *,
-        before,
-        after,
-        positions=None,
-        floor=None,
-        statistic="2s",
-        name="after",
-        before_interval=None,
-        after_interval=None,
-    ):
+        before: np.ndarray,
+        after: np.ndarray,
+        positions: ArrayLike | None = None,
+        floor: np.ndarray | None = None,
+        statistic: str = "2s",
+        name: str = "after",
+        before_interval: np.ndarray | None = None,
+        after_interval: np.ndarray | None = None,
+    ) -> None:
         self.before = before
         self.after = after
         self.positions = positions
         self.floor = floor
         self.statistic = statistic
-        self.name = check_name(name)
+        self.name: str = check_name(name)
         self.before_interval = before_interval
         self.after_interval = after_interval
 
     @classmethod
-    def from_estimator(cls, estimator, X, points, *, groups, ax=None, **options):
+    def from_estimator(
+        cls,
+        estimator: Any,
+        X: ArrayLike,
+        points: ArrayLike,
+        *,
+        groups: ArrayLike,
+        ax: Any = None,
+        **options: Any,
+    ) -> Self:
         """Draw the repeatability of points corrected by a fitted model.
 
         Parameters
@@ -150,17 +166,17 @@ class RepeatabilityDisplay:
     @classmethod
     def from_predictions(
         cls,
-        points,
-        y_pred,
+        points: ArrayLike,
+        y_pred: ArrayLike,
         *,
-        groups,
-        perfect=None,
-        statistic="2s",
-        name="after",
-        interval=0.95,
-        random_state=0,
-        ax=None,
-    ):
+        groups: ArrayLike,
+        perfect: ArrayLike | None = None,
+        statistic: str = "2s",
+        name: str = "after",
+        interval: float | None = 0.95,
+        random_state: int | np.random.RandomState | None = 0,
+        ax: Any = None,
+    ) -> Self:
         """Draw the repeatability of points before and after a given correction.
 
         Parameters
@@ -204,7 +220,7 @@ class RepeatabilityDisplay:
             is not between 0 and 1.
         """
         points = check_points(points, n_coordinates=3)
-        options = {"statistic": statistic, "aggregate": None}
+        options: dict = {"statistic": statistic, "aggregate": None}
 
         def spread(points):
             return single_point_repeatability(points, groups, **options)
@@ -224,7 +240,13 @@ class RepeatabilityDisplay:
             **values,
         ).plot(ax)
 
-    def plot(self, ax=None, *, before_kwargs=None, after_kwargs=None):
+    def plot(
+        self,
+        ax: Any = None,
+        *,
+        before_kwargs: dict[str, Any] | None = None,
+        after_kwargs: dict[str, Any] | None = None,
+    ) -> Self:
         """Draw the figure.
 
         Parameters
@@ -308,15 +330,38 @@ class LengthErrorDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(self, *, before, after, lengths, floor=None, name="after"):
+    axes_: Any
+    figure_: Any
+    unit_: str
+
+    def __init__(
+        self,
+        *,
+        before: np.ndarray,
+        after: np.ndarray,
+        lengths: np.ndarray,
+        floor: np.ndarray | None = None,
+        name: str = "after",
+    ) -> None:
         self.before = before
         self.after = after
         self.lengths = lengths
         self.floor = floor
-        self.name = check_name(name)
+        self.name: str = check_name(name)
 
     @classmethod
-    def from_estimator(cls, estimator, X, points, *, groups, pairs, lengths, axes=None, **options):
+    def from_estimator(
+        cls,
+        estimator: Any,
+        X: ArrayLike,
+        points: np.ndarray,
+        *,
+        groups: ArrayLike,
+        pairs: ArrayLike,
+        lengths: ArrayLike,
+        axes: Any = None,
+        **options: Any,
+    ) -> Self:
         """Draw the length errors of gauges corrected by a fitted model.
 
         Parameters
@@ -351,8 +396,17 @@ class LengthErrorDisplay:
 
     @classmethod
     def from_predictions(
-        cls, points, y_pred, *, groups, pairs, lengths, perfect=None, name="after", axes=None
-    ):
+        cls,
+        points: ArrayLike,
+        y_pred: ArrayLike,
+        *,
+        groups: ArrayLike,
+        pairs: ArrayLike,
+        lengths: ArrayLike,
+        perfect: ArrayLike | None = None,
+        name: str = "after",
+        axes: Any = None,
+    ) -> Self:
         """Draw the length errors of gauges before and after a given correction.
 
         Parameters
@@ -416,7 +470,13 @@ class LengthErrorDisplay:
             name=name,
         ).plot(axes)
 
-    def plot(self, axes=None, *, before_kwargs=None, after_kwargs=None):
+    def plot(
+        self,
+        axes: Any = None,
+        *,
+        before_kwargs: dict[str, Any] | None = None,
+        after_kwargs: dict[str, Any] | None = None,
+    ) -> Self:
         """Draw the figure.
 
         Parameters

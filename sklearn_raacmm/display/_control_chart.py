@@ -3,6 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from os import PathLike
+from typing import Any, Self
+
 import numpy as np
 
 from sklearn_raacmm.correction import read_check_records
@@ -53,17 +56,20 @@ class ControlChartDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(self, *, records):
-        self.records = listed("records", records)
+    axes_: Any
+    figure_: Any
+
+    def __init__(self, *, records: list[Any]) -> None:
+        self.records: list[Any] = listed("records", records)
         if not self.records:
             raise ValueError("There are no records to draw: append those of some checks first.")
         if not all(isinstance(record, dict) and "suspect" in record for record in self.records):
             raise ValueError("records must be those of check_correction or read_check_records.")
         suspects = [record["suspect"] for record in self.records]
-        self.alarms = np.flatnonzero([suspect != "nothing" for suspect in suspects])
+        self.alarms: np.ndarray = np.flatnonzero([suspect != "nothing" for suspect in suspects])
 
     @classmethod
-    def from_file(cls, path, *, axes=None):
+    def from_file(cls, path: str | PathLike[str], *, axes: Any = None) -> Self:
         """Draw the records of a file.
 
         Parameters
@@ -86,7 +92,7 @@ class ControlChartDisplay:
         """
         return cls(records=read_check_records(path)).plot(axes)
 
-    def plot(self, axes=None, *, line_kwargs=None):
+    def plot(self, axes: Any = None, *, line_kwargs: dict[str, Any] | None = None) -> Self:
         """Draw.
 
         Parameters

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any, Self
+
 import numpy as np
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
@@ -69,20 +71,23 @@ class HarmonicDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(self, *, harmonics, n_joints):
+    axes_: Any
+    figure_: Any
+
+    def __init__(self, *, harmonics: np.ndarray, n_joints: int) -> None:
         self.harmonics = harmonics
         self.n_joints = n_joints
         cos, sin = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
         cos_sd, sin_sd = harmonics["cos_sd_arcsec"], harmonics["sin_sd_arcsec"]
-        self.gear_ratios = _likely_gear_ratios(
+        self.gear_ratios: np.ndarray = _likely_gear_ratios(
             harmonics["joint"], harmonics["order"], harmonics["log_bayes_factor"], n_joints
         )
         size = np.hypot(cos, sin)
-        self.amplitude_sd = np.hypot(cos * cos_sd, sin * sin_sd) / size
-        self.phase_sd = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
+        self.amplitude_sd: np.ndarray = np.hypot(cos * cos_sd, sin * sin_sd) / size
+        self.phase_sd: np.ndarray = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
 
     @classmethod
-    def from_estimator(cls, estimator, *, axes=None):
+    def from_estimator(cls, estimator: ArmResidualRegressor, *, axes: Any = None) -> Self:
         """Draw the harmonics that a fitted model found.
 
         Parameters
@@ -113,7 +118,7 @@ class HarmonicDisplay:
         harmonics, n_joints = estimator.harmonics_, estimator.arm_.n_joints
         return cls(harmonics=harmonics, n_joints=n_joints).plot(axes)
 
-    def plot(self, axes=None, *, errorbar_kwargs=None):
+    def plot(self, axes: Any = None, *, errorbar_kwargs: dict[str, Any] | None = None) -> Self:
         """Draw.
 
         Parameters

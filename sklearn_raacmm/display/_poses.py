@@ -4,10 +4,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Real
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import arm_or_built_in, check_arm
+from sklearn_raacmm.arm import Arm, arm_or_built_in, check_arm
 from sklearn_raacmm.display._drawing import AFTER, BEFORE, check_model, check_name, pyplot, subtract
 from sklearn_raacmm.utils import (
     check_option,
@@ -75,14 +77,34 @@ class ArmPosesDisplay:
     >>> plt.close(display.figure_)
     """
 
-    def __init__(self, *, chains, before, after=None, name="after"):
+    ax_: Any
+    figure_: Any
+    magnification_: Any
+
+    def __init__(
+        self,
+        *,
+        chains: np.ndarray,
+        before: np.ndarray,
+        after: np.ndarray | None = None,
+        name: str = "after",
+    ) -> None:
         self.chains = chains
         self.before = before
         self.after = after
-        self.name = check_name(name)
+        self.name: str = check_name(name)
 
     @classmethod
-    def from_estimator(cls, estimator, X, y, *, arm=None, ax=None, **options):
+    def from_estimator(
+        cls,
+        estimator: Any,
+        X: ArrayLike,
+        y: ArrayLike,
+        *,
+        arm: Arm | None = None,
+        ax: Any = None,
+        **options: Any,
+    ) -> Self:
         """Draw poses, their residuals, and what a fitted model leaves of them.
 
         Parameters
@@ -107,17 +129,17 @@ class ArmPosesDisplay:
     @classmethod
     def from_predictions(
         cls,
-        X,
-        y,
-        y_pred=None,
+        X: ArrayLike,
+        y: ArrayLike,
+        y_pred: ArrayLike | None = None,
         *,
-        arm=None,
-        groups=None,
-        angle_unit="rad",
-        name="after",
-        ax=None,
-        **options,
-    ):
+        arm: Arm | None = None,
+        groups: ArrayLike | None = None,
+        angle_unit: str = "rad",
+        name: str = "after",
+        ax: Any = None,
+        **options: Any,
+    ) -> Self:
         """Draw poses, their residuals, and what a given correction leaves of them.
 
         Parameters
@@ -175,14 +197,14 @@ class ArmPosesDisplay:
 
     def plot(
         self,
-        ax=None,
+        ax: Any = None,
         *,
-        max_poses=12,
-        magnification="auto",
-        arm_kwargs=None,
-        before_kwargs=None,
-        after_kwargs=None,
-    ):
+        max_poses: int = 12,
+        magnification: float | str = "auto",
+        arm_kwargs: dict[str, Any] | None = None,
+        before_kwargs: dict[str, Any] | None = None,
+        after_kwargs: dict[str, Any] | None = None,
+    ) -> Self:
         """Draw the figure.
 
         Parameters

@@ -3,8 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Any, Self
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.display._drawing import (
     AFTER,
     BEFORE,
@@ -71,23 +76,36 @@ class ResidualDisplay:
     >>> plt.close(display.figure_)
     """
 
+    axes_: Any
+    figure_: Any
+    unit_: str
+
     def __init__(
         self,
         *,
-        pose,
-        before,
-        after=None,
-        feature_names=("theta3", "theta4", "theta_dis"),
-        name="after",
-    ):
+        pose: np.ndarray,
+        before: np.ndarray,
+        after: np.ndarray | None = None,
+        feature_names: Sequence[Any] = ("theta3", "theta4", "theta_dis"),
+        name: str = "after",
+    ) -> None:
         self.pose = pose
         self.before = before
         self.after = after
         self.feature_names = feature_names
-        self.name = check_name(name)
+        self.name: str = check_name(name)
 
     @classmethod
-    def from_estimator(cls, estimator, X, y, *, arm=None, axes=None, **options):
+    def from_estimator(
+        cls,
+        estimator: Any,
+        X: ArrayLike,
+        y: ArrayLike,
+        *,
+        arm: Arm | None = None,
+        axes: Any = None,
+        **options: Any,
+    ) -> Self:
         """Draw the residuals and what a fitted model leaves of them.
 
         Parameters
@@ -112,16 +130,16 @@ class ResidualDisplay:
     @classmethod
     def from_predictions(
         cls,
-        X,
-        y,
-        y_pred=None,
+        X: ArrayLike,
+        y: ArrayLike,
+        y_pred: ArrayLike | None = None,
         *,
-        arm=None,
-        groups=None,
-        angle_unit="rad",
-        name="after",
-        axes=None,
-    ):
+        arm: Arm | None = None,
+        groups: ArrayLike | None = None,
+        angle_unit: str = "rad",
+        name: str = "after",
+        axes: Any = None,
+    ) -> Self:
         """Draw the residuals and what a given correction leaves of them.
 
         Parameters
@@ -176,11 +194,17 @@ class ResidualDisplay:
             pose=columns[:, :3],
             before=cartesian_to_cylindrical(y, azimuth),
             after=after,
-            feature_names=features.get_feature_names_out()[:3],
+            feature_names=features.get_feature_names_out()[:3].tolist(),
             name=name,
         ).plot(axes)
 
-    def plot(self, axes=None, *, before_kwargs=None, after_kwargs=None):
+    def plot(
+        self,
+        axes: Any = None,
+        *,
+        before_kwargs: dict[str, Any] | None = None,
+        after_kwargs: dict[str, Any] | None = None,
+    ) -> Self:
         """Draw the figure.
 
         Parameters

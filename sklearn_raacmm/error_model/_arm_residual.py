@@ -3,38 +3,59 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from numbers import Integral, Real
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn import config_context
-from sklearn.base import MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model._checks import check_fit, check_poses, check_turns
+from sklearn_raacmm.error_model._checks import (
+    check_fit,
+    check_turns,
+    poses_of,
+)
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
+from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._fit import fit_linear_model
-from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._in_use import ModelInUseMixin
+from sklearn_raacmm.error_model._left_out import (
+    judge,
+    leave_out,
+    too_few_positions,
+    with_honest_intervals,
+)
+from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
     HasMethods,
     Interval,
+    MultiOutputMixin,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
     centred,
     check_flags,
     encode_groups,
     fit_context,
+    heard_findings,
+    many_without_weight,
     one_blas_thread,
+    say_findings,
     whole_fit,
 )
 
 
 class ArmResidualRegressor(
-    PointCorrectionMixin, MultiOutputMixin, RegressorMixin, VersionedEstimator
+    ModelInUseMixin, PointCorrectionMixin, MultiOutputMixin, RegressorMixin, VersionedEstimator
 ):
     r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
@@ -69,7 +90,7 @@ class ArmResidualRegressor(
         evidence.
 
         - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
-          and zero offsets drift in proportion to it.
+          and zero offsets drift in proportion to it. "time" is one more of the whole arm.
         - "direction J": the direction from which joint J came, 1 from smaller angles and -1 from
           larger ones: its backlash.
         - "payload": a weight at the probe. "force x", "force y", "force z": a force on the probe in
@@ -81,25 +102,25 @@ class ArmResidualRegressor(
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. The higher an order, the more it has to explain to be taken. A
-        joint is offered no more orders than it shows different angles. 0 offers none. A list offers
-        these orders only, for all joints or for each.
+        joint is offered no more orders than it shows different angles, and those above 72 where its
+        angles are scattered. 0 offers none. A list offers these orders only, for all joints or for
+        each.
 
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
 
     offsets : bool or "auto", default="auto"
-        Whether each position (`groups` of `fit`) has an unknown constant offset. It has where `y`
-        are deviations from the position's own mean, as in a single-point test; it has not where
-        `y` was measured against a tracker. "auto" finds out: the positions' mean residuals are
-        zero, or not.
+        Whether each position (`groups` of `fit`) has an unknown constant offset, of any size: it
+        has where `y` are deviations from the position's own mean. "auto": where the positions'
+        means are zero; else the evidence finds how large the constants of their references are.
+        False: there are none.
 
     fade : float or "auto", default="auto"
-        Shrink the correction by ``r^2 / (r^2 + fade^2 max(0, s^2 - t^2))``, with s its posterior
-        standard deviation at this pose and r the root mean square of the training residuals, both
-        as lengths of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at
-        all. "auto": 1, or where positions have offsets half of the factor by which errors at
-        positions left out widen s, up to 1. There t is twice the deviation that 99 % of the
-        training poses stay below; elsewhere 0.
+        Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s its posterior standard
+        deviation at this pose and r the root mean square of the training residuals, both as lengths
+        of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at all. "auto":
+        1, or where four positions or more have offsets 0.3 times the factor by which errors at
+        positions left out widen s, up to 1.
 
     regressor : estimator, default=None
         A second stage: fitted on joint angles in rad to what the linear model leaves, in the
@@ -148,7 +169,7 @@ class ArmResidualRegressor(
         The fitted second stage.
 
     fading_ : Fading
-        How corrections fade: `factor`, `size_mm` (r) and `known_mm` (t).
+        How corrections fade: `factor` and `size_mm` (r).
 
     helps_ : bool
         Whether the linear model helped at positions left out; `predict` returns 0 where it did not.
@@ -164,6 +185,9 @@ class ArmResidualRegressor(
 
     arm_ : Arm
         The arm in use.
+
+    findings_ : tuple of Finding
+        What there is to say about the data.
 
     n_features_in_ : int
         Number of joints, and of extra columns.
@@ -200,8 +224,9 @@ class ArmResidualRegressor(
     The posterior's standard deviations suppose that the model is complete. Of ten blocks of
     neighbouring positions, left out in turn, the errors show how much larger they have to be. The
     same errors say whether the correction helps: if their mean over positions is less than without
-    correction by more than the standard error of the difference. With fewer than four positions
-    intervals stay as they are, and the correction has to help at each of them.
+    correction by more than the standard error of the difference. With P < 4 positions that have
+    offsets, intervals are 1 + 2 / P times as wide, and the correction has to help at each of them.
+    Where it is not used, intervals are at least as wide as the residuals ask for.
 
     The harmonic form is that of encoder eccentricity; the composition of the model is our own.
 
@@ -248,16 +273,16 @@ class ArmResidualRegressor(
 
     def __init__(
         self,
-        arm=None,
+        arm: Arm | None = None,
         *,
-        angle_unit="rad",
-        extra=(),
-        orders=400,
-        causes=CAUSES,
-        offsets="auto",
-        fade="auto",
-        regressor=None,
-    ):
+        angle_unit: str = "rad",
+        extra: Sequence[str] = (),
+        orders: ArrayLike = 400,
+        causes: Sequence[str] = CAUSES,
+        offsets: bool | str = "auto",
+        fade: float | str = "auto",
+        regressor: Any = None,
+    ) -> None:
         self.arm = arm
         self.angle_unit = angle_unit
         self.extra = extra
@@ -272,14 +297,14 @@ class ArmResidualRegressor(
     @whole_fit
     def fit(
         self,
-        X,
-        y,
+        X: ArrayLike,
+        y: ArrayLike,
         *,
-        sample_weight=None,
-        groups=None,
-        lengths=(),
-        orientation_residuals=None,
-    ):
+        sample_weight: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+        lengths: Iterable[Sequence[Any]] = (),
+        orientation_residuals: ArrayLike | None = None,
+    ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
         Parameters
@@ -325,42 +350,46 @@ class ArmResidualRegressor(
 
         Warns
         -----
-        UserWarning
-            If the angles are most likely in the other unit: larger than two turns in rad, or all
-            within one turn of radians in degrees; if positions have offsets but neither kinematics
-            nor `lengths` are given; if ``offsets="auto"`` finds none although the positions' means
-            are smaller than chance makes them; if the weights add up to less than a tenth or more
-            than a hundred times the number of rows; if nearly all of `y` is one motion of the base:
-            the reference is then most likely in another frame.
+        FindingWarning
+            Of what is found in the data, such as a wrong sign or unit of `y`, an arm that is not
+            calibrated, a reference in another frame, or an extra column without variation; see
+            `findings_`. Rows in which the arm stood still are merged to one pose.
         """
         rows = check_fit(self, X, y, sample_weight, groups, lengths)
         arm, used = rows.arm, rows.weights > 0
         turns = check_turns(orientation_residuals, len(used), rows.codes)
         positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
-        positions = np.unique(positions[used], return_inverse=True)[1].ravel()
-        rows = rows.at(used)
+        rows, turns = rows.at(used), None if turns is None else turns[used]
+        dwells, rows, turns = poses_of(rows, self.extra, turns)
+        positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
+        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra=extra)
         with_field = isinstance(self.orders, Integral)
-        fitted = fit_linear_model(rows, terms, with_field, None if turns is None else turns[used])
+        known = groups is None or self.offsets is False  # or nobody says which rows are of one
+        of_constants = None if known else positions
+        fitted = fit_with_constants(rows, of_constants, terms, with_field, turns)
+        rows = fitted.rows if turns is None else rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
-        mean, std = model.predict(rows.X, return_std=True)
+        model = replace(model, n_positions=float(positions.max() + 1))
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        self.fading_ = find_fading(rows.y, std, *rest, self.fade, model.std_scale)
+        widening = None if too_few_positions(left_out, positions) else model.std_scale
+        self.fading_ = find_fading(rows.y, *rest, self.fade, widening)
         self.judgement_ = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
-        self.helps_ = self.judgement_ is None or self.judgement_.helps
-        self.linear_model_ = model
-        self.pose_weight_ = np.zeros(len(used))
-        self.pose_weight_[used] = fitted.pose_weight
-        self.regressor_ = None
+        self.helps_: bool = self.judgement_ is None or self.judgement_.helps
+        self.linear_model_: LinearModel = model
+        self.pose_weight_: np.ndarray = np.zeros(len(used))
+        self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
+        say_findings(many_without_weight(fitted.pose_weight))
+        self.regressor_: Any = None
         if self.regressor is not None:
-            left = centred(rows.y - mean * self.helps_, rows.codes, robust)
+            left = centred(rows.y - model.predict(rows.X)[0] * self.helps_, rows.codes, robust)
             self.regressor_ = self._fitted_second_stage(rows, left, robust)
+        return self
 
     def _fitted_second_stage(self, rows, left, weights):
         """The second stage, fitted to what the linear model leaves where no pose is an outlier."""
@@ -371,52 +400,60 @@ class ArmResidualRegressor(
         if rows.codes is not None:
             options["groups"] = rows.codes[kept]
         # These weights are the model's own, not metadata that a user routes.
-        with config_context(enable_metadata_routing=False):
+        with config_context(enable_metadata_routing=False), heard_findings():
             return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
     @property
-    def harmonics_(self):
+    def harmonics_(self) -> Any:
         return self.linear_model_.harmonic_table()
 
     @property
-    def terms_(self):
+    def terms_(self) -> Any:
         return self.linear_model_.term_table()
 
     @property
-    def column_harmonics_(self):
+    def column_harmonics_(self) -> Any:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
     @property
-    def coef_(self):
+    def coef_(self) -> Any:
         return self.linear_model_.coef
 
     @property
-    def coef_sd_(self):
+    def coef_sd_(self) -> Any:
         return self.linear_model_.coef_sd
 
     @property
-    def prior_sd_(self):
+    def prior_sd_(self) -> Any:
         return self.linear_model_.prior_sd
 
     @property
-    def noise_sd_(self):
+    def noise_sd_(self) -> float:
         return self.linear_model_.noise_sd
 
     @property
-    def n_determined_(self):
+    def n_determined_(self) -> Any:
         return self.linear_model_.n_determined
 
     @property
-    def offsets_(self):
+    def offsets_(self) -> Any:
         return self.linear_model_.offsets
 
     @property
-    def arm_(self):
+    def arm_(self) -> Arm:
         return self.linear_model_.arm
 
-    def predict(self, X, return_std=False, with_noise=False):
+    def predict(
+        self,
+        X: ArrayLike,
+        return_std: bool = False,
+        with_noise: bool = False,
+        *,
+        return_cov: bool = False,
+        with_unseen: bool = False,
+    ) -> Any:
         """Predict residuals.
 
         Parameters
@@ -431,6 +468,13 @@ class ArmResidualRegressor(
             Add the noise of a measured coordinate to the standard deviation: of the residual that
             a new measurement shows, rather than of the correction.
 
+        return_cov : bool, default=False
+            Instead of standard deviations, return the covariance of all coordinates of all poses.
+
+        with_unseen : bool, default=False
+            Whether the covariance contains what a single-point test cannot show, such as a common
+            scale, as far as the model knows it: for lengths over several positions.
+
         Returns
         -------
         residuals : ndarray of shape (n_samples, 3)
@@ -443,13 +487,19 @@ class ArmResidualRegressor(
             test can show: a motion of the base is left out. They are those of the linear model; a
             second stage does not change them.
 
+        covariance : ndarray of shape (3 n_samples, 3 n_samples)
+            In mm^2, where asked for: x, y and z of the first pose, then of the next. With g the
+            derivatives of a length or a diameter by these coordinates, ``g @ covariance @ g`` is
+            its variance.
+
         Raises
         ------
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
             If X has another number of columns than in `fit`, holds NaN or infinity, or has a tool
-            that the training data did not have.
+            that the training data did not have; if `arm` is not the one that the model was fitted
+            with: `with_arm` moves it; if `return_std` and `return_cov` are both asked for.
 
         Warns
         -----
@@ -458,19 +508,33 @@ class ArmResidualRegressor(
             within one turn of radians in degrees; if most of the corrections
             are reduced to less than a tenth.
         """
-        check_flags(return_std=return_std, with_noise=with_noise)
+        check_flags(
+            return_std=return_std,
+            with_noise=with_noise,
+            return_cov=return_cov,
+            with_unseen=with_unseen,
+        )
+        if return_std and return_cov:
+            raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
         X = check_poses(self, X)
-        fades = self.fading_.factor > 0
-        # What is known does not fade, however well it is known.
-        enough = 0.0 if return_std else self.fading_.known_mm
-        mean, std = self.linear_model_.predict(X, return_std or fades, enough)
+        model, fading = self.linear_model_, self.fading_
+        if fading.factor > 0:
+            mean, std, doubt = model.predict_with_doubt(X, return_std)
+        else:
+            mean, std = model.predict(X, return_std)
         mean = mean * self.helps_ + self.second_stage(X)
-        if fades:
-            share = self.fading_.share(std)
+        if fading.factor > 0:
+            share = fading.share(doubt)
             if self.helps_:
                 warn_where_unknown(share)
             mean = share[:, None] * mean
-        return (mean, self.linear_model_.widened(std, with_noise)) if return_std else mean
+        if return_cov:
+            return mean, model.joint_covariance(X, with_noise, with_unseen)
+        if not return_std:
+            return mean
+        std = model.widened(std, with_noise)
+        # Without a correction the errors are at least those that the residuals had.
+        return mean, std if self.helps_ else np.maximum(std, fading.size_mm / np.sqrt(3))
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""
@@ -479,7 +543,7 @@ class ArmResidualRegressor(
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def second_stage(self, angles):
+    def second_stage(self, angles: np.ndarray) -> np.ndarray:
         """What the second stage adds, before it fades.
 
         Parameters
@@ -496,90 +560,7 @@ class ArmResidualRegressor(
             return np.zeros((len(angles), 3))
         return self.regressor_.predict(angles[:, : self.arm_.n_joints])
 
-    def predict_orientation(self, X, return_std=False, with_noise=False):
-        """Predict how far the last link is turned from where the arm shows it.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            As for `predict`.
-
-        return_std : bool, default=False
-            Also return standard deviations.
-
-        with_noise : bool, default=False
-            Add the noise of a measured component to them, where orientations were in the fit.
-
-        Returns
-        -------
-        turns : ndarray of shape (n_samples, 3)
-            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
-            times the orientation that the arm shows is the corrected one. Faded as the correction
-            of the points is, and 0 where that is.
-
-        std : ndarray of shape (n_samples, 3)
-            Standard deviations in rad, where asked for.
-
-        Notes
-        -----
-        A model that was fitted to points only knows of the orientation what the same causes do to
-        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
-        goes through the probe.
-        """
-        check_flags(return_std=return_std, with_noise=with_noise)
-        X, model = check_poses(self, X), self.linear_model_
-        mean, std = model.predict_turn(X, return_std)
-        mean = mean * self.helps_
-        if self.fading_.factor > 0:
-            share = self.fading_.share(model.predict(X, return_std=True)[1])
-            if self.helps_:
-                warn_where_unknown(share)
-            mean = share[:, None] * mean
-        if not return_std:
-            return mean
-        noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
-        return mean, np.hypot(model.std_scale * std, noise)
-
-    def fading(self, X):
-        """Share of the correction that `predict` returns at each pose.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-
-        Returns
-        -------
-        share : ndarray of shape (n_samples,)
-            1 where nothing is faded, towards 0 where nothing is known.
-        """
-        X = check_poses(self, X)
-        return self.fading_.share(self.linear_model_.predict(X, return_std=True)[1])
-
-    def distance_std(self, X1, X2):
-        """Standard deviation of corrected lengths between two poses each, without noise.
-
-        Parameters
-        ----------
-        X1, X2 : array-like of shape (n_samples, n_joints + n_extra)
-            As for `predict`, at the two ends.
-
-        Returns
-        -------
-        std : ndarray of shape (n_samples,)
-            In mm, before the correction fades.
-
-        Raises
-        ------
-        ValueError
-            If X1 and X2 have different numbers of rows, or as in `predict`.
-        """
-        X1, X2 = check_poses(self, X1), check_poses(self, X2)
-        if len(X1) != len(X2):
-            raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
-        return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)
-
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = False
         tags.regressor_tags.poor_score = True

@@ -3,28 +3,29 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import numpy as np
-from sklearn.utils.validation import check_is_fitted
+from typing import Any
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
+import numpy as np
+
+from sklearn_raacmm.arm import arm_for, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
-from sklearn_raacmm.error_model._extra import check_extra, check_tools, warn_of_constants
+from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
-from sklearn_raacmm.residuals import refuse_large, refuse_points, warn_of_another_frame
+from sklearn_raacmm.error_model._poses import in_rad
+from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
     CENTRED,
-    centred,
+    Finding,
     check_data,
-    check_features,
     check_weights,
     encode_groups,
     floats,
     listed,
     refuse_huge,
+    say_findings,
     share_of_means,
     show,
-    warn_user,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -34,9 +35,6 @@ _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 _LARGEST_REACHES = 10.0
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
-# A share between that and 1 is worth a warning where independent rows have one as small in fewer
-# fits than one of a thousand. Against a reference it is above 1, as neighbours err alike.
-_BY_CHANCE = 1e-3
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths):
@@ -44,7 +42,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
 
     Parameters
     ----------
-    estimator : ArmResidualRegressor
+    estimator : Any
     X, y, sample_weight, groups, lengths
         As for its `fit`.
 
@@ -60,13 +58,15 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
     unknown = [name for name in estimator.causes if name not in CAUSES]
     if unknown:
         raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {show(unknown[0])}.")
-    X = _in_rad(X, arm.n_joints, estimator.angle_unit)
+    X = in_rad(X, arm.n_joints, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
-    codes = _check_offsets(estimator.offsets, y, weights, groups)
-    points = points_of(arm, X[:, : arm.n_joints])
-    _check_residuals(y, points, weights, codes, reach_mm(arm))
+    of_offsets = _check_offsets(estimator.offsets, y, weights, groups)
+    codes = None if groups is None else encode_groups(groups, len(y))[1]
+    targets = Targets(y, weights, arm, X[:, : arm.n_joints], codes, of_offsets is not None)
+    say_findings(check_targets(targets))
+    codes = of_offsets
     lengths = _check_lengths(lengths, codes, groups, "kinematics" in estimator.causes)
     return Rows(arm, X, y, weights, codes, tuple(lengths))
 
@@ -80,10 +80,12 @@ def _check_repeats(weights):
         )
     n = np.count_nonzero(weights)
     if not _LEAST_WORTH * n <= weights.sum() <= _LARGEST_WORTH * n:
-        warn_user(
+        said = (
             f"By their sample_weight the {n} rows are worth {weights.sum():.3g} rows: too little "
-            "or too much will be learnt. A weight counts repeats: give weights of about 1.",
+            "or too much will be learnt."
         )
+        advice = "A weight counts repeats: give weights of about 1."
+        say_findings([Finding("worth-of-rows", said, advice)])
     return weights
 
 
@@ -103,27 +105,20 @@ def _check_vectors(y, arm):
     return y
 
 
-def _check_residuals(y, points, weights, codes, reach):
-    """Refuse what is no residual, and warn of what is one in another frame."""
-    used = weights > 0
-    refuse_points(y[used], points[used], reach)
-    if codes is None:
-        refuse_large(y[used], reach)
-        warn_of_another_frame(y[used], points[used], reach)
-    else:  # offsets may be of any size
-        refuse_large(centred(y, codes, weights)[used], reach)
-
-
 def _check_lengths(lengths, codes, groups, kinematics):
     """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
     lengths = listed("lengths", lengths)
     if not lengths:
         if codes is not None and not kinematics:
-            warn_user(
+            said = (
                 "Without the cause kinematics nothing holds the distances between positions with "
-                "offsets: they may come out worse than without correction. Keep it among causes, "
-                "give known lengths, or do not measure lengths with this model.",
+                "offsets: they may come out worse than without correction."
             )
+            advice = (
+                "Keep it among causes, give known lengths, or do not measure lengths with this "
+                "model."
+            )
+            say_findings([Finding("distances-not-held", said, advice)])
         return []
     if codes is None:
         raise ValueError(
@@ -142,24 +137,47 @@ def _check_offsets(offsets, y, weights, groups):
         return None
     _, codes = encode_groups(groups, len(y))
     if offsets == "auto":
-        share, of_most, by_chance = share_of_means(y, codes, weights)
-        offsets = share < CENTRED
-        if not offsets and by_chance < _BY_CHANCE:
-            warn_user(
-                f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those "
-                "of independent rows of this scatter: y may be deviations from the means of more "
-                "rows than these. No offsets are fitted; set offsets to True or False.",
-            )
-        elif not offsets and of_most < 0.1 * CENTRED:
-            warn_user(
-                "Most positions' mean residuals are zero, but not all: y looks like deviations "
-                "from means of other rows than these. No offsets are fitted; set offsets to True "
-                "or False.",
-            )
+        offsets = share_of_means(y, codes, weights) < CENTRED
     return codes if offsets else None
 
 
-def check_turns(turns, n_rows, codes):
+def poses_of(rows, extra, *others):
+    """Rows in which the arm stood still as one pose each.
+
+    Parameters
+    ----------
+    rows : Rows
+        Of weights above 0.
+    extra : tuple of str
+        Names of the extra columns: a pose has one tool and one direction.
+    *others : ndarray of shape (n, ...) or None
+        What goes with the rows.
+
+    Returns
+    -------
+    dwells : Dwells
+    rows : Rows
+    *others : ndarray of shape (n_poses, ...) or None
+    """
+    n_joints = rows.arm.n_joints
+    kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith(("tool", "direction"))]
+    codes = np.zeros(len(rows.X)) if rows.codes is None else rows.codes
+    codes = np.unique(np.column_stack([codes, rows.X[:, kinds]]), axis=0, return_inverse=True)[1]
+    dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)
+    if not dwells.merges:
+        return dwells, rows, *others
+    say_findings(dwells.findings())
+    angles = dwells.mean_angles(rows.X[:, :n_joints])
+    rows = rows._replace(
+        X=np.hstack([angles, dwells.mean(rows.X[:, n_joints:])]),
+        y=dwells.mean(rows.y),
+        weights=dwells.mean(rows.weights),
+        codes=None if rows.codes is None else rows.codes[dwells.first],
+    )
+    return dwells, rows, *(dwells.mean(other) for other in others)
+
+
+def check_turns(turns: Any, n_rows: int, codes: np.ndarray | None) -> Any:
     """Residuals of the orientation (n, 3) in rad, or None where there are none."""
     if turns is None:
         return None
@@ -182,40 +200,3 @@ def check_turns(turns, n_rows, codes):
             "unknown offsets."
         )
     return turns
-
-
-def check_poses(model, X):
-    """Rows of X as a fitted `LinearModel` takes them.
-
-    Parameters
-    ----------
-    model : ArmResidualRegressor
-        Fitted.
-    X : array-like of shape (n, n_features_in_)
-        As for its `predict`.
-
-    Returns
-    -------
-    ndarray of shape (n, n_features_in_)
-        Angles in rad, then the extra columns.
-
-    Raises
-    ------
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-    ValueError
-        If X has another number of columns than in the fit, holds NaN or infinity, or has a tool
-        that the training data did not have.
-    """
-    check_is_fitted(model)
-    X = check_features(model, X, dtype=np.float64, reset=False)
-    linear = model.linear_model_
-    n_joints = linear.arm.n_joints
-    check_tools(linear.terms.extra, X[:, n_joints:])
-    return _in_rad(X, n_joints, model.angle_unit)
-
-
-def _in_rad(X, n_joints, angle_unit):
-    """The same rows with their first columns, the angles, in rad."""
-    angles = check_angles(X[:, :n_joints], n_joints, angle_unit)
-    return angles if n_joints == X.shape[1] else np.hstack([angles, X[:, n_joints:]])

@@ -9,11 +9,11 @@ the export to C writes the same table into its source.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, axis_vectors, reach_mm
+from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, reach_mm
 from sklearn_raacmm.error_model._extra import force_on_probe, parsed
 
 ARCSEC = np.pi / 180 / 3600
@@ -54,7 +54,7 @@ class Terms(NamedTuple):
     gravity: bool
     kinematics: bool
     wobble: bool
-    extra: tuple = ()
+    extra: tuple[Any, ...] = ()
     target: bool = False
 
 
@@ -175,7 +175,7 @@ def _extra(arm, extra):
         yield from _force(arm)
     for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
-        if kind == "temperature":
+        if kind in ("temperature", "time"):
             yield from _temperature(arm, name, by)
         elif kind == "direction":
             unit, frame = arm.joint_signs[joint] * ARCSEC, joint + _first_frame(arm)
@@ -216,7 +216,7 @@ def term_names(arm, terms):
     return [c.name for c in others], np.array([c.family for c in others], dtype=int)
 
 
-def column_table(arm, terms):
+def column_table(arm: Arm, terms: Terms) -> ColumnTable:
     """What each column of the model is, in the order of `term_columns`.
 
     Parameters
@@ -257,7 +257,7 @@ class GivenFactors(NamedTuple):
     of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
 
 
-def given_factors(arm, terms):
+def given_factors(arm: Arm, terms: Terms) -> GivenFactors:
     """Columns that an extra column of X multiplies, see `GivenFactors`."""
     others = other_columns(arm, terms)
     given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)
@@ -274,7 +274,7 @@ class _Plan(NamedTuple):
 
     which: np.ndarray  # (n_columns,) into the vectors of `axis_vectors`
     unit: np.ndarray  # (n_columns,)
-    runs: tuple  # of (first, last column, vector, unit) where many waves share one vector
+    runs: tuple[Any, ...]  # of (first, last column, vector, unit) where many waves share one vector
     rest: int  # columns from here on are selected by `which`
     waves: np.ndarray  # (n_waves,) columns that are cosines and sines by turns
     wave_joint: np.ndarray  # (n_pairs,) of all waves: those of the runs, then the others
@@ -333,18 +333,8 @@ class FactoredColumns(NamedTuple):
     with the columns are therefore taken with the waves first: one number for each pose, not three.
     """
 
-    runs: list  # of (first, last column, vector (n, 3), waves (n, k))
+    runs: list[Any]  # of (first, last column, vector (n, 3), waves (n, k))
     rest: np.ndarray  # (n, 3, m) the columns after the runs
-
-    def map(self, function):
-        """The same with a function of every number."""
-        runs = [(first, last, function(v), function(w)) for first, last, v, w in self.runs]
-        return FactoredColumns(runs, function(self.rest))
-
-    def at(self, rows):
-        """The same at some of the poses."""
-        runs = [(first, last, v[rows], w[rows]) for first, last, v, w in self.runs]
-        return FactoredColumns(runs, self.rest[rows])
 
     def dot(self, coef):
         """``columns @ coef``, (n, 3)."""
@@ -401,7 +391,7 @@ def factored_columns(arm, angles, terms, of_turns=False):
     return _factored(arm, angles, _plan_of(arm, terms), terms, of_turns, None)
 
 
-def term_columns(arm, angles, terms):
+def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
     """Columns of the model at some poses.
 
     Parameters
@@ -436,7 +426,7 @@ def turn_columns(arm, angles, terms):
     return _columns(arm, angles, terms, True)
 
 
-def observed_columns(arm, angles, terms, turn_mm):
+def observed_columns(arm: Arm, angles: np.ndarray, terms: Terms, turn_mm: float) -> Any:
     """Columns of the residuals that a fit has: (n, 3, n_columns), or (n, 6, n_columns).
 
     Parameters

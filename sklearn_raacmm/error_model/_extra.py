@@ -5,21 +5,24 @@
 
 import numpy as np
 
-from sklearn_raacmm.utils import show, warn_user
+from sklearn_raacmm.utils import Finding, say_findings, show
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
     "temperature": ("", "joint"),
+    "time": ("",),
     "direction": ("joint",),
     "payload": ("",),
     "force": ("axis",),
     "tool": ("",),
 }
 _FORMS = (
-    '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "payload", '
-    '"force x", "force y", "force z", "tool"'
+    '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "time", '
+    '"payload", "force x", "force y", "force z", "tool"'
 )
 
+# Part of the range of a column in the fit by which values may lie beyond it without a word.
+_BEYOND = 0.5
 # For names that are read before the arm is known.
 _MOST_JOINTS = 10**6
 
@@ -70,33 +73,32 @@ def with_references(extra, values, weights):
     Returns
     -------
     tuple of (str, tuple of float)
-        The numbers are the weighted mean, from which the model counts; of a tool, the numbers of
-        all tools. Rows of weight 0 do not count.
+        The numbers are the weighted mean, from which the model counts, the least and the largest
+        value; of a tool, the numbers of all tools. Rows of weight 0 do not count.
     """
-    used = weights > 0
-    return tuple(
-        (
-            name,
-            tuple(np.unique(column[used]).tolist())
-            if name == "tool"
-            else (float(np.average(column[used], weights=weights[used])),),
-        )
-        for name, column in zip(extra, values.T, strict=True)
-    )
+    used, found = weights > 0, []
+    for name, column in zip(extra, values[used].T, strict=True):
+        if name == "tool":
+            numbers = np.unique(column).tolist()
+        else:
+            numbers = np.average(column, weights=weights[used]), column.min(), column.max()
+        found.append((name, tuple(map(float, numbers))))
+    return tuple(found)
 
 
 def warn_of_constants(extra, values, weights):
     """Warn of extra columns from which nothing can be learnt."""
     for name, column in zip(extra, values[weights > 0].T, strict=True):
         if np.ptp(column) == 0:
-            warn_user(
+            said = (
                 f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
                 "of it, and predictions will not depend on it."
             )
+            say_findings([Finding("constant-column", said, "Is the sensor alive?")])
 
 
-def check_tools(extra, values):
-    """Refuse tools that the training data did not have.
+def check_values(extra, values):
+    """Refuse tools that the training data did not have, and name values far beyond the others.
 
     Parameters
     ----------
@@ -105,12 +107,28 @@ def check_tools(extra, values):
     values : ndarray of shape (n, n_extra)
     """
     for (name, known), column in zip(extra, values.T, strict=True):
+        if name != "tool" and len(known) == 3 and len(column):  # not so for the mean of many arms
+            say_findings(_beyond(name, known, column))
         new = np.setdiff1d(column, known) if name == "tool" else ()
         if len(new):
             raise ValueError(
                 f"X has tool {new[0]:g}, of which the model knows nothing: it was fitted with "
                 f"{', '.join(f'{tool:g}' for tool in known)}."
             )
+
+
+def _beyond(name, known, column):
+    """Values that lie far beyond those of the fit."""
+    _, low, high = known
+    room = _BEYOND * (high - low)
+    far = np.flatnonzero((column < low - room) | (column > high + room))
+    if room > 0 and len(far):
+        said = (
+            f"The column {name!r} is {column[far[0]]:g} in row {far[0]}, and in the fit it was "
+            f"from {low:g} to {high:g}."
+        )
+        advice = "Is the sensor alive, and the unit that of the fit?"
+        yield Finding("column-out-of-range", said, advice, rows=far)
 
 
 def force_on_probe(extra, values):

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -54,6 +54,7 @@ class Rows(NamedTuple):
     codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
     lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
     turn_mm: float = 0.0  # see `observed_columns`
+    known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
 
     def at(self, which):
         """Some of the rows, with positions counted from 0 and the lengths that are left."""
@@ -82,8 +83,8 @@ class Rows(NamedTuple):
     def sums(self, terms):
         """Sums over the rows, the harmonics of `terms` being the candidates; known lengths."""
         rows = self.arm, self.X, self.y, self.weights, self.codes
-        sums = candidate_sums(*rows, terms.harmonics, terms, self.turn_mm)
-        if self.codes is None:
+        sums = candidate_sums(*rows, terms.harmonics, terms, self.turn_mm, self.known)
+        if self.codes is None or self.known:
             return sums, None
         sums, lengths = without_motions(sums, self.arm, terms), None
         if self.lengths:
@@ -117,7 +118,7 @@ class Fitted(NamedTuple):
 
 
 @stage("linear error model")
-def fit_linear_model(rows, terms, with_field, turns=None):
+def fit_linear_model(rows, terms, with_field, turns=None) -> Any:
     """Fit the model, with robust weights of the poses.
 
     Parameters
@@ -182,7 +183,7 @@ def _share_of_noise(n):
     return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
 
 
-def _fit(rows, terms, structures):
+def _fit(rows, terms, structures) -> tuple[Any, Any]:
     """Choose structures and weights by turns: the state, and the factors of the weights."""
     factor = np.ones(len(rows.weights))
     sums, state = rows.sums(terms), None
@@ -281,10 +282,11 @@ def model_of(rows, terms, state):
         half=half,
         noise_variance=state.noise_variance,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
-        offsets=rows.codes is not None,
+        offsets=rows.codes is not None and not rows.known,
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
         gauge_free_half=half,
+        fading_half=half,
         turn_mm=rows.turn_mm,
     )
     poses = rows.X, rows.weights, rows.codes

@@ -10,6 +10,7 @@ that reach a point by the same vector. Known lengths between positions show a pa
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from sklearn_raacmm.error_model._columns import Terms, scale_direction, term_col
 from sklearn_raacmm.inference import Extra
 from sklearn_raacmm.utils import chunks, group_means, group_sums, group_weights
 
-# Columns that move the arm as a whole: the first axis stands still in the base.
+# Columns that move the arm as a whole, the first axis standing still in the base.
 _BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
 # Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
 _CHUNK = 512
@@ -28,6 +29,10 @@ _POSES = 150
 # joint's axis is one only nearly where that axis is not quite horizontal
 # (``tests/error_model/test_place_fields.py``).
 _LEFT = 0.01
+# A combination of fields that moves the positions of a test by less than this share of what the one
+# that is shown best does is not taken out of standard deviations: few positions would make a large
+# multiple of it out of what imitates it there (``benchmarks/bench_few_poses.py``).
+_LEAST_SHOWN = 0.05
 # Size of a column, relative to the largest, that moves nothing.
 _NOTHING = 1e-6
 
@@ -113,7 +118,13 @@ def _mean_columns(arm, angles, weights, codes, terms):
     return sums / total[:, None, None]
 
 
-def constrained(model, X, weights, codes, keep_scale=True):
+def constrained(
+    model: Any,
+    X: np.ndarray,
+    weights: np.ndarray,
+    codes: np.ndarray | None,
+    keep_scale: bool = True,
+) -> Any:
     """Model without what positions with offsets cannot show: the scale, and where the base stands.
 
     Positions with offsets do not show a common scale of all lengths, and whatever the prior makes
@@ -124,7 +135,8 @@ def constrained(model, X, weights, codes, keep_scale=True):
     Along the fields that the positions do not show the posterior is the prior, and other columns
     imitate them at the positions of the test. With M the mean columns over the positions and
     F = M W those of the fields W, ``G = lstsq(F, M)`` is the field in every column, and
-    ``A - A W G`` are the columns without it: `gauge_free_half` is the root with these.
+    ``A - A W G`` are the columns without it: `gauge_free_half` is the root with these. Fields
+    that the positions hardly tell from others are left: with few positions G would explode.
 
     Parameters
     ----------
@@ -156,20 +168,39 @@ def constrained(model, X, weights, codes, keep_scale=True):
             coef = model.coef - unit * (scale_of @ model.coef)
             half = model.half - np.outer(unit, scale_of @ model.half)
             model = replace(model, coef=coef, half=half)
-    fields = place_fields(arm, terms) if keep_scale else _base_motions(model)
+    fields = place_fields(arm, terms)
     half = model.half
     if fields.shape[1]:
         flat = columns.reshape(-1, columns.shape[2])
-        half = half - fields @ np.linalg.lstsq(flat @ fields, flat @ half, rcond=1e-9)[0]
-    return replace(model, gauge_free_half=half)
+        half = half - fields @ np.linalg.lstsq(flat @ fields, flat @ half, rcond=_LEAST_SHOWN)[0]
+    return replace(model, gauge_free_half=half, fading_half=half)
 
 
-def _base_motions(model):
-    """Coefficients of the six motions of the base, (n_columns, 6)."""
-    names, _ = term_names(model.arm, model.terms)
-    n_waves = 2 * len(model.terms.harmonics)
-    base = [n_waves + names.index(name) for name in _BASE_MOTIONS if name in names]
-    return np.eye(len(model.coef))[:, base]
+def unseen_variance(model, X):
+    """Variance of each coordinate that positions with offsets do not show, (n, 3), mm^2.
+
+    What the posterior has beside `gauge_free_half`, without the motions of the base: the frame is
+    the arm's own. What is left is how the arm gives way as a function of the place.
+
+    Parameters
+    ----------
+    model : LinearModel
+    X : ndarray of shape (n, n_joints + n_extra)
+
+    Returns
+    -------
+    ndarray of shape (n, 3)
+    """
+    variance = np.zeros((len(X), 3))
+    if not model.offsets:
+        return variance
+    names, half = term_names(model.arm, model.terms)[0], model.half.copy()
+    half[[i - len(names) for i, name in enumerate(names) if name in _BASE_MOTIONS]] = 0
+    for rows in chunks(len(X), _CHUNK):
+        columns = model.columns(X[rows])
+        every, seen = (np.square(columns @ h).sum(axis=2) for h in (half, model.gauge_free_half))
+        variance[rows] = np.maximum(every - seen, 0.0)
+    return variance
 
 
 def place_fields(arm, terms):

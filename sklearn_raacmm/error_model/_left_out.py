@@ -17,7 +17,7 @@ from sklearn.cluster import KMeans
 
 from sklearn_raacmm.arm import points_of
 from sklearn_raacmm.error_model._fit import model_of
-from sklearn_raacmm.error_model._structures import structures_of
+from sklearn_raacmm.error_model._structures import HIGHEST_OF_FEW, structures_of
 from sklearn_raacmm.inference import Problem, combined, interval_scales, search_at
 from sklearn_raacmm.utils import centred, group_means, group_weights, stage
 
@@ -32,13 +32,13 @@ N_BLOCKS, LEAST_POSITIONS = 10, 4
 # prior 94 % of all true errors lie inside, and 15 of the 128 tests hold less than 85 %; with 0 it
 # is 92 %, and 26. Where the model is complete the deviations are then 7 % too large.
 _USUAL_LOG_B = 0.7
-# Orders offered to the models without a block, beside those that the whole has chosen: the choice
-# of low orders is made anew, high ones take most of the time. On 22 simulated sets (tracker,
-# single-point, causes without columns, weak gears) the models without a block were the same to the
-# last digit with all orders offered again.
-_HIGHEST_ORDER = 72
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0
+# With fewer than four positions nothing can be left out, and noise and standard deviation are
+# multiplied by one and so much of the inverse of their number. Of errors at other placements 0.85
+# and 0.67 (of a single position) were inside 95 % without it, 0.98 and 0.94 with it
+# (``benchmarks/bench_few_poses.py``).
+_PER_FEW_POSITIONS = 2.0
 # A gain of less than this share of the deviation is none.
 _LEAST_GAIN = 1e-3
 
@@ -51,7 +51,7 @@ class LeftOut(NamedTuple):
     """
 
     correction: np.ndarray
-    std: np.ndarray  # of the correction, as `LinearModel.predict` gives it
+    doubt: np.ndarray  # (n,) what the correction fades by
     errors: np.ndarray  # of the residuals that were measured
     spread: np.ndarray  # what the models say of the errors, without noise
 
@@ -94,7 +94,10 @@ def leave_out(fitted, terms, positions, weights):
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
-    low = terms.harmonics[:, 1] <= _HIGHEST_ORDER
+    # High orders beside the chosen ones take most of the time: on 22 simulated sets (tracker,
+    # single-point, causes without columns, weak gears) the models without a block were the same to
+    # the last digit with all of them offered again.
+    low = terms.harmonics[:, 1] <= HIGHEST_OF_FEW
     low[state.lines] = True
     if not low.any():  # only high ones are offered
         low[:] = True
@@ -107,7 +110,8 @@ def leave_out(fitted, terms, positions, weights):
         for block in np.unique(blocks[kept]).tolist()
     }
     whole = combined(list(parts.values()), np.ones(len(parts)))
-    found = LeftOut(*(np.empty((len(points), 3)) for _ in LeftOut._fields))
+    n = len(points)
+    found = LeftOut(*(np.empty(n if name == "doubt" else (n, 3)) for name in LeftOut._fields))
     for block in np.unique(blocks).tolist():
         # A block of outliers alone teaches nothing, but its errors are asked for.
         sums = combined((whole, parts[block]), (1, -1)) if block in parts else whole
@@ -121,14 +125,14 @@ def leave_out(fitted, terms, positions, weights):
 
 def _errors(model, rows, weights):
     """The fields of `LeftOut` at some rows by a model that has not seen them."""
-    mean, std = model.predict(rows.X, return_std=True)
+    mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
     y = rows.y[:, :3]
     if rows.codes is None:
-        return mean, std, y - mean, std
+        return mean, doubt, y - mean, std
     columns = centred(model.columns(rows.X), rows.codes, weights)
     dots = columns @ model.half
     spread = np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
-    return mean, std, centred(y - mean, rows.codes, weights), spread
+    return mean, doubt, centred(y - mean, rows.codes, weights), spread
 
 
 def _blocks(points, positions, weights):
@@ -145,13 +149,19 @@ def _blocks(points, positions, weights):
     return blocks[place.ravel()[positions]]
 
 
+def too_few_positions(left_out, positions):
+    """Whether errors at positions left out say too little of intervals."""
+    return left_out is None or len(np.unique(positions)) < LEAST_POSITIONS
+
+
 def with_honest_intervals(model, left_out, weights, codes, positions):
     """Model whose intervals are as wide as its errors at positions left out ask for.
 
     Errors in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the posterior standard deviation,
     say what a and b are (see :func:`interval_scales`). Weak priors about a = b = 1 keep these
     values where there is no evidence against them; in a single-point test, which shows little of b,
-    its prior is about 2.
+    its prior is about 2. A single-point test of fewer than four positions has its factors by their
+    number alone.
 
     Parameters
     ----------
@@ -167,11 +177,12 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
     Returns
     -------
     LinearModel
-        The same one where there are too few positions to leave some out.
+        The same one where a tracker gave too few positions to leave some out.
     """
     n_positions = len(np.unique(positions))
-    if left_out is None or n_positions < LEAST_POSITIONS:
-        return model
+    if too_few_positions(left_out, positions):
+        wider = 1.0 if codes is None else 1 + _PER_FEW_POSITIONS / n_positions
+        return replace(model, noise_scale=wider, std_scale=wider)
     noise = np.full(left_out.errors.shape, model.noise_sd)
     if codes is not None:  # the position's own mean has taken its share of the noise
         share = 1 / np.maximum(group_weights(codes, weights)[codes], 1.0)
@@ -207,7 +218,7 @@ def judge(left_out, fading, y, weights, codes, positions):
     Judgement
     """
     kept = weights > 0
-    after = y - fading.share(left_out.std)[:, None] * left_out.correction
+    after = y - fading.share(left_out.doubt)[:, None] * left_out.correction
     places = np.unique(positions[kept], return_inverse=True)[1].ravel()
     before, after = (
         group_means(

@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +18,11 @@ from sklearn_raacmm.error_model._columns import (
     term_columns,
     term_names,
 )
-from sklearn_raacmm.error_model._variance_bound import bounded_std, single_root
 from sklearn_raacmm.utils import check_shapes, chunks
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
 # 2^18 with 177 and 769 columns.
 _CHUNK = 2**17
-# Poses from which on a bound of standard deviations pays: of one, calls cost more than products.
-_FEWEST_TO_BOUND = 8
 # A root of which more than this share is not zero is worth being made a triangle.
 _FULL = 0.6
 
@@ -86,9 +84,16 @@ class LinearModel:
         Equal to `half` where positions have no offsets. Standard deviations of predictions are made
         of it; those of lengths are made of `half`.
 
+    fading_half : ndarray of shape (n_columns, r)
+        Root of the covariance by which corrections fade: `gauge_free_half`, and after an update
+        what the new poses leave of it.
+
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out (see :func:`with_honest_intervals`); 1 where that is not known.
+
+    n_positions : float
+        From how many positions these factors are; infinity where that is not known.
 
     turn_mm : float
         The noise of a coordinate over that of a component of the orientation, mm per rad; 0 where
@@ -100,26 +105,29 @@ class LinearModel:
     coef: np.ndarray
     half: np.ndarray
     noise_variance: float
-    prior_sd: dict
+    prior_sd: dict[str, Any]
     offsets: bool
     n_determined: float
     log_bayes_factor: np.ndarray
     gauge_free_half: np.ndarray
+    fading_half: np.ndarray
     std_scale: float = 1.0
     noise_scale: float = 1.0
+    n_positions: float = float("inf")
     turn_mm: float = 0.0
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
-        for made_of_others in ("_std_root", "_single_root"):
+        for made_of_others in ("_std_root", "_fading_root"):
             state.pop(made_of_others, None)
         return state
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         pairs = np.asarray(self.terms.harmonics)
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
         shapes["gauge_free_half"] = ("columns", "rank")
+        shapes["fading_half"] = ("columns", "fading")
         check_shapes("LinearModel", {"harmonics": pairs}, {"harmonics": ("pairs", 2)}, {})
         if len(pairs) and not (0 <= pairs[:, 0].min() <= pairs[:, 0].max() < self.arm.n_joints):
             raise ValueError(
@@ -130,26 +138,26 @@ class LinearModel:
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
 
     @property
-    def covariance(self):
+    def covariance(self) -> np.ndarray:
         """Covariance of the coefficients, (n_columns, n_columns)."""
         return self.half @ self.half.T
 
     @property
-    def coef_sd(self):
+    def coef_sd(self) -> np.ndarray:
         """Standard deviations of the coefficients, (n_columns,)."""
         return np.sqrt(np.square(self.half).sum(axis=1))
 
     @property
-    def noise_sd(self):
+    def noise_sd(self) -> float:
         """Standard deviation of a coordinate about the model, mm."""
         return float(np.sqrt(self.noise_variance))
 
     @property
-    def turn_noise(self):
+    def turn_noise(self) -> Any:
         """Widened standard deviation of a component of the orientation, rad; NaN without any."""
         return self.noise_scale * self.noise_sd / self.turn_mm if self.turn_mm else float("nan")
 
-    def columns(self, angles):
+    def columns(self, angles: np.ndarray) -> np.ndarray:
         """Columns of the model at some poses.
 
         Parameters
@@ -164,7 +172,7 @@ class LinearModel:
         """
         return term_columns(self.arm, angles, self.terms)
 
-    def predict(self, angles, return_std=False, enough=0.0):
+    def predict(self, angles, return_std=False):
         """Posterior of the correction at some poses.
 
         Parameters
@@ -175,10 +183,6 @@ class LinearModel:
         return_std : bool, default=False
             Also return standard deviations.
 
-        enough : float, default=0.0
-            Standard deviations of poses where their length is at most this may be left 0, mm: what
-            fades no correction need not be known exactly, see `_variance_bound`.
-
         Returns
         -------
         mean : ndarray of shape (n, 3)
@@ -188,51 +192,54 @@ class LinearModel:
             That of the posterior, mm, without noise, of what the test can show; None where it is
             not asked for. :meth:`widened` makes intervals of it that hold.
         """
-        return self._posterior(angles, return_std, False, enough)
+        mean, found = self._posterior(angles, [self._std_root] * return_std)
+        return mean, found[0] if return_std else None
 
-    def predict_turn(self, angles, return_std=False):
+    def predict_with_doubt(self, angles, return_std=False):
+        """As `predict`, and what corrections fade by.
+
+        Returns
+        -------
+        mean : ndarray of shape (n, 3)
+        std : ndarray of shape (n, 3) or None
+        doubt : ndarray of shape (n,)
+            Length of the standard deviation by `fading_half`, mm.
+        """
+        roots = [self._fading_root]
+        if return_std and roots[0] is not self._std_root:
+            roots = [self._std_root, *roots]
+        mean, found = self._posterior(angles, roots)
+        return mean, found[0] if return_std else None, np.linalg.norm(found[-1], axis=1)
+
+    def predict_turn(self, angles: np.ndarray, return_std: bool = False) -> Any:
         """As `predict`, of the orientation of the last link: rotation vectors in rad."""
-        return self._posterior(angles, return_std, True)
+        mean, found = self._posterior(angles, [self._std_root] * return_std, of_turns=True)
+        return mean, found[0] if return_std else None
 
-    def _posterior(self, angles, return_std, of_turns, enough=0.0):
+    def _posterior(self, angles, roots, of_turns=False):
+        """Mean (n, 3), and standard deviations (n, 3) by each of some roots."""
         mean = np.empty((len(angles), 3))
-        std = np.empty((len(angles), 3)) if return_std else None
-        pays = enough > 0
+        found = [np.empty((len(angles), 3)) for _ in roots]
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = factored_columns(self.arm, angles[rows], self.terms, of_turns)
             mean[rows] = columns.dot(self.coef)
-            if return_std and pays and len(columns.rest) >= _FEWEST_TO_BOUND:
-                part = np.zeros((len(columns.rest), 3))
-                doubtful = bounded_std(columns, self._single_root) > enough
-                part[doubtful] = np.sqrt(columns.at(doubtful).squares(self._std_root))
-                std[rows] = part
-                pays = np.mean(doubtful) < 0.5  # not where most poses are far away
-            elif return_std:
-                std[rows] = np.sqrt(columns.squares(self._std_root))
-        return mean, std
-
-    @cached_property
-    def _single_root(self):
-        """The same root in single precision, for a bound."""
-        return single_root(self._std_root)
+            for std, root in zip(found, roots, strict=True):
+                std[rows] = np.sqrt(columns.squares(root))
+        return mean, found
 
     @cached_property
     def _std_root(self):
-        """Root of the covariance that standard deviations are made of, with many zeros.
+        """Root that standard deviations are made of."""
+        return _triangle(self.gauge_free_half, len(self.terms.harmonics))
 
-        The columns that are multiplied for x, y and z each, those after the harmonics, have the
-        shortest rows of a triangle.
-        """
-        half = self.gauge_free_half
-        if np.count_nonzero(half) <= _FULL * half.size:
-            return half
-        n_waves = 2 * len(self.terms.harmonics)
-        order = np.roll(np.arange(len(half)), -n_waves)
-        root = np.empty((len(half), min(half.shape)))
-        root[order] = np.linalg.qr(half[order].T, mode="r").T
-        return root
+    @cached_property
+    def _fading_root(self):
+        """Root that corrections fade by."""
+        if np.array_equal(self.fading_half, self.gauge_free_half):
+            return self._std_root
+        return _triangle(self.fading_half, len(self.terms.harmonics))
 
-    def widened(self, std, with_noise=False):
+    def widened(self, std: np.ndarray, with_noise: bool = False) -> np.ndarray:
         """Standard deviations whose intervals hold at positions that were left out of the fit.
 
         Parameters
@@ -250,7 +257,40 @@ class LinearModel:
         noise = self.noise_scale * self.noise_sd if with_noise else 0.0
         return np.hypot(self.std_scale * std, noise)
 
-    def distance_std(self, first, second):
+    def root_at(self, angles: np.ndarray, with_unseen: bool = False) -> np.ndarray:
+        """Root of the posterior covariance of the coordinates of some poses.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n, n_joints + n_extra)
+            In rad; then the extra columns of `terms`.
+
+        with_unseen : bool, default=False
+            Whether to take `half` in place of `gauge_free_half`.
+
+        Returns
+        -------
+        ndarray of shape (3 n, r)
+            In mm, not widened.
+        """
+        half = self.half if with_unseen else self.gauge_free_half
+        out = np.empty((len(angles), 3, half.shape[1]))
+        for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
+            out[rows] = self.columns(angles[rows]) @ half
+        return out.reshape(-1, half.shape[1])
+
+    def joint_covariance(
+        self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = False
+    ) -> np.ndarray:
+        """Widened covariance (3 n, 3 n) of the coordinates of some poses, mm^2: see `root_at`."""
+        root = self.std_scale * self.root_at(angles, with_unseen)
+        covariance = root @ root.T
+        if with_noise:
+            noise = self.noise_scale**2 * self.noise_variance
+            covariance[np.diag_indices(len(covariance))] += noise
+        return covariance
+
+    def distance_std(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Posterior standard deviation of a corrected length between two poses each.
 
         Parameters
@@ -274,7 +314,7 @@ class LinearModel:
             out[rows] = np.linalg.norm(along @ self.half, axis=1)
         return out
 
-    def harmonic_table(self):
+    def harmonic_table(self) -> np.ndarray:
         """Harmonics as a structured array, the largest first: see `ArmResidualRegressor`."""
         n = 2 * len(self.terms.harmonics)
         pairs, sds = self.coef[:n].reshape(-1, 2), self.coef_sd[:n].reshape(-1, 2)
@@ -287,7 +327,7 @@ class LinearModel:
         table["log_bayes_factor"] = self.log_bayes_factor
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
-    def term_table(self):
+    def term_table(self) -> Any:
         """The other causes as a structured array: see `ArmResidualRegressor`."""
         names, family = term_names(self.arm, self.terms)
         n = 2 * len(self.terms.harmonics)
@@ -298,3 +338,17 @@ class LinearModel:
         table["name"] = names
         table["value"], table["sd"] = self.coef[n:], self.coef_sd[n:]
         return table
+
+
+def _triangle(half, n_pairs):
+    """Root of the same covariance with many zeros.
+
+    The columns that are multiplied for x, y and z each, those after the harmonics, have the
+    shortest rows of a triangle.
+    """
+    if np.count_nonzero(half) <= _FULL * half.size:
+        return half
+    order = np.roll(np.arange(len(half)), -2 * n_pairs)
+    root = np.empty((len(half), min(half.shape)))
+    root[order] = np.linalg.qr(half[order].T, mode="r").T
+    return root

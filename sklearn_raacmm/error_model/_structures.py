@@ -8,6 +8,7 @@ function of every joint's angle, all low orders together, is the field.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,10 @@ _IDLE_VARIANCE = 1e-12
 _LARGEST_VARIANCE = 3600.0**2
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6
+# Orders above this are offered where scattered angles see them: where a joint's angles, those
+# nearer to each other than 0.001 rad counted as one, are at least half as many as the poses.
+# Waves of fewer angles than orders are not the same there (``benchmarks/bench_few_poses.py``).
+HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
 
 def offered_harmonics(angles, orders):
@@ -41,8 +46,9 @@ def offered_harmonics(angles, orders):
     angles : ndarray of shape (n, n_joints)
         Of the training poses, in rad.
     orders : int, array-like of int, or one array-like per joint
-        Highest order: a joint at m different angles is offered none above m, for there the waves of
-        lower orders are the same. Or the orders themselves, for all joints or for each.
+        Highest order: a joint at m different angles is offered none above m, for on a grid the
+        waves of lower orders are the same there; but all above 72 where its angles are scattered.
+        Or the orders themselves, for all joints or for each.
 
     Returns
     -------
@@ -56,12 +62,20 @@ def offered_harmonics(angles, orders):
     """
     n_joints = angles.shape[1]
     if isinstance(orders, Integral):
-        steps = np.round(angles / _SAME_ANGLE)
-        named = [range(1, min(orders, len(np.unique(column))) + 1) for column in steps.T]
+        n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
+        named = [_seen_orders(column, orders, n_poses) for column in angles.T]
     else:
         named = _named_orders(orders, n_joints)
     pairs = [(joint, order) for joint, own in enumerate(named) for order in own]
     return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _seen_orders(angles, most, n_poses):
+    """Orders up to `most` that the angles of a joint can tell apart."""
+    n, n_teeth = (len(np.unique(np.round(angles / same))) for same in (_SAME_ANGLE, _SAME_TOOTH))
+    low = list(range(1, min(most, n) + 1))
+    high = range(max(HIGHEST_OF_FEW, len(low)) + 1, most + 1)
+    return [*low, *high] if n_teeth >= _SCATTERED * n_poses else low
 
 
 def _named_orders(orders, n_joints):
@@ -121,7 +135,7 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
     )
 
 
-def order_price(order):
+def order_price(order: Any) -> Any:
     """Price of a harmonic of order k in nats: ``2 log(k)``, for the odds fall with its square.
 
     Every encoder is a little eccentric, so that order 1 is free; an order of 400 costs 12 nats. On
@@ -139,7 +153,7 @@ def order_price(order):
     return _PRICE_PER_LOG_ORDER * np.log(order)
 
 
-def smooth_shares(order):
+def smooth_shares(order: np.ndarray) -> np.ndarray:
     """Prior variance of each order as a part of the field, relative to that of order 0.
 
     ``(1 + (k / 16)^2)^-2``, the spectrum of functions that can be differentiated; 0 above order 48.
@@ -169,5 +183,5 @@ def least_of_the_idle(state, family, idle):
     """
     there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - idle
     gains = {f: state.gain_of(np.flatnonzero(family == f)) for f in there}
-    least = min(gains, key=gains.get, default=None)
+    least = min(gains, key=lambda name: gains[name], default=None)
     return least if least is not None and gains[least] < _PRICE_OF_EXTRA else None

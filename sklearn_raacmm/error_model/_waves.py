@@ -23,7 +23,7 @@ References
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
@@ -50,7 +50,7 @@ _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
 _NODES = 64
 
 
-def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
+def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0, known=0.0):
     """Sum up what the choice of harmonics needs.
 
     Parameters
@@ -71,31 +71,36 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
         The columns that are always in; its harmonics are not used.
     turn_mm : float, default=0
         See :func:`observed_columns`.
+    known : float, default=0
+        Noise variance over that of the offsets: as rows of this weight would, it draws them to 0.
 
     Returns
     -------
     Sums
         The first column of a pair is the cosine.
     """
-    poses = _sorted_poses(angles, y, weights, codes)
+    poses = _sorted_poses(angles, y, weights, codes, known)
     spans = _joint_spans(offered)
     n_joints = len(arm.a)
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
     terms = terms._replace(harmonics=every_turn)
     turns = np.empty((*y.shape, n_joints))
-    gram, own = 0.0, np.zeros((3, len(offered)))
+    own = np.zeros((3, len(offered)))
+    gram: Any = 0.0
     cross = [_WaveSums(orders, len(y)) for _, orders, _ in spans]
     for rows, starts in poses.parts:
         columns = observed_columns(arm, poses.angles[rows], terms, turn_mm)
         turns[rows] = columns[:, :, : 2 * n_joints : 2]  # the cosines of order 0
         columns = np.concatenate([columns[:, :, 2 * n_joints :], poses.y[rows, :, None]], axis=2)
-        weighted = _weighted_deviations(columns, poses.weights[rows], starts)
+        weighted = _weighted_deviations(columns, poses.weights[rows], starts, known)
         flat = columns.reshape(-1, columns.shape[2])
         gram = gram + flat.T @ weighted.reshape(flat.shape)
         for sums, (joint, _, _) in zip(cross, spans, strict=True):
             share = np.einsum("ncm,nc->nm", weighted, turns[rows, :, joint])
             sums.add(poses.angles[rows, joint], share)
-        own += _own_blocks(turns[rows], poses.angles[rows], poses.weights[rows], starts, spans)
+        own += _own_blocks(
+            turns[rows], poses.angles[rows], poses.weights[rows], starts, spans, known
+        )
     cross = _products(cross, len(gram))
 
     def rows_of(pairs):
@@ -103,7 +108,8 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0):
         parts = [pairs[i : i + size] for i in range(0, len(pairs), size)]
         return np.concatenate([_gram_rows(poses, turns, spans, part) for part in parts])
 
-    n_observations = float(y.shape[1]) * (poses.weights.sum() - poses.n_groups)
+    n_taken = 0 if known else poses.n_groups
+    n_observations = float(y.shape[1]) * (poses.weights.sum() - n_taken)
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
@@ -124,13 +130,14 @@ class _Poses(NamedTuple):
     weights: np.ndarray
     parts: list  # (rows, first row of each position in the chunk or None)
     n_groups: int
+    known: float  # weight by which offsets are drawn to 0
 
 
-def _sorted_poses(angles, y, weights, codes):
+def _sorted_poses(angles, y, weights, codes, known):
     """Whole positions stay together, so that a chunk knows the means that it takes out."""
     if codes is None:
         parts = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
-        return _Poses(angles, y, weights, parts, 0)
+        return _Poses(angles, y, weights, parts, 0, known)
     order = np.argsort(codes, kind="stable")
     first = np.flatnonzero(np.diff(codes[order], prepend=-1))
     ends, parts, begin = np.append(first[1:], len(angles)), [], 0
@@ -140,7 +147,7 @@ def _sorted_poses(angles, y, weights, codes):
         if last or ends[i + 1] - first[begin] > limit:
             parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
             begin = i + 1
-    return _Poses(angles[order], y[order], weights[order], parts, len(first))
+    return _Poses(angles[order], y[order], weights[order], parts, len(first), known)
 
 
 def _joint_spans(offered):
@@ -155,11 +162,11 @@ def _joint_spans(offered):
     return spans
 
 
-def _weighted_deviations(columns, weights, starts):
+def _weighted_deviations(columns, weights, starts, known):
     """Weights times deviations from the position's mean: one side of a product is enough."""
     weighted = weights[:, None, None] * columns
     if starts is not None:
-        total = np.maximum(np.add.reduceat(weights, starts), _TINY)[:, None, None]
+        total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)[:, None, None]
         mean = np.add.reduceat(weighted, starts, axis=0) / total
         counts = np.diff(starts, append=len(weights))
         weighted -= weights[:, None, None] * np.repeat(mean, counts, axis=0)
@@ -173,7 +180,7 @@ def _products(sums, n_columns):
     return np.concatenate([joint_sums.result() for joint_sums in sums], axis=1)
 
 
-def _own_blocks(turns, angles, weights, starts, spans):
+def _own_blocks(turns, angles, weights, starts, spans, known):
     """cos'cos, sin'sin and cos'sin of each candidate, (3, n_pairs)."""
     out = np.empty((3, sum(len(orders) for _, orders, _ in spans)))
     for joint, orders, pairs in spans:
@@ -184,7 +191,7 @@ def _own_blocks(turns, angles, weights, starts, spans):
         cs = 0.5 * double.imag
         if starts is not None:
             means = waves(theta, orders)
-            total = np.maximum(np.add.reduceat(weights, starts), _TINY)
+            total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)
             for component in range(turn.shape[1]):
                 sums = np.add.reduceat((weights * turn[:, component])[:, None] * means, starts)
                 sums /= np.sqrt(total)[:, None]
@@ -205,7 +212,8 @@ def _gram_rows(poses, turns, spans, pairs):
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
         columns = None
         if starts is not None:
-            columns = _weighted_deviations(turn[:, :, twice] * wave[:, None], weights, starts)
+            columns = turn[:, :, twice] * wave[:, None]
+            columns = _weighted_deviations(columns, weights, starts, poses.known)
         for sums, (joint, _, _) in zip(found, spans, strict=True):
             if columns is None:  # the turns of the joints alone are contracted
                 along = np.einsum("ncj,nc->nj", turn, weights[:, None] * turn[:, :, joint])
@@ -228,7 +236,8 @@ class _WaveSums:
     """
 
     def __init__(self, orders, n_poses):
-        self.orders, self._total = orders, 0.0
+        self.orders = orders
+        self._total: Any = 0.0
         self._grid = _grid(int(orders[-1])) if _on_grid(orders, n_poses) else None
 
     def add(self, theta, columns):
@@ -262,7 +271,7 @@ def _on_grid(orders, n_poses):
 def waves(theta, orders):
     """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
     n = np.count_nonzero(orders == np.arange(1, len(orders) + 1))
-    out = np.empty((len(theta), len(orders)), dtype=complex)
+    out: Any = np.empty((len(theta), len(orders)), dtype=complex)
     if n:
         out[:, 0] = np.exp(1j * theta)
     have = 1

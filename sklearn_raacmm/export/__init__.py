@@ -5,20 +5,18 @@
 
 import contextlib
 
+from sklearn_raacmm.correction import TRUSTED_TYPES
 from sklearn_raacmm.export._export import (
-    TRUSTED_TYPES,
-    describe,
     export_c,
     fingerprint,
     from_json,
-    load_c,
     register_onnx,
     to_json,
     to_onnx,
 )
 from sklearn_raacmm.export._json import ExportedModel
-from sklearn_raacmm.export._load_c import CompiledModel
-from sklearn_raacmm.export._model_card import ModelCard
+from sklearn_raacmm.export._load_c import CompiledModel, load_c
+from sklearn_raacmm.export._model_card import ModelCard, describe
 
 __all__ = [
     "TRUSTED_TYPES",

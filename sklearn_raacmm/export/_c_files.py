@@ -17,6 +17,13 @@ STATUS = ("OK", "FADED", "NOT_FINITE")
 # A pose is called faded where less than this share of a stage is left: its uncertainty is then
 # larger than the residuals that it was fitted on.
 _FADED_BELOW = 0.5
+# What the standard deviation of a correction is of, and what it is not.
+_DEVIATIONS = """ It is of a coordinate within a
+   position. Where {upper}_SCALE_SD is defined, one reading has, in mm:
+   within a position w = {upper}_STD_FACTOR * hypot(std_mm, {upper}_NOISE_MM);
+   of a coordinate in the base frame at least hypot(w, {upper}_SCALE_SD * (P - S)),
+   P the point and S the shoulder;
+   of a distance L the root of w^2 of both ends along it and ({upper}_SCALE_SD * L)^2."""
 
 
 class Function(NamedTuple):
@@ -102,6 +109,7 @@ def _macros(program, name, digest, card, tables):
         "DATE": _quoted(card.get("date")),
         "DATA_FINGERPRINT": _quoted(card.get("training", {}).get("data_fingerprint")),
     }
+    values |= {k.upper(): repr(float(v)) for k, v in card.get("standard_deviation", {}).items()}
     values |= {status: i for i, status in enumerate(STATUS)}
     return "".join(f"#define {name.upper()}_{k} {v}\n" for k, v in values.items() if v is not None)
 
@@ -193,7 +201,9 @@ def _functions(program, name, real):
             Function(
                 f"int {name}_{verb}_std({given}, {result}, {real} {spread}[{q}])",
                 "The same with its standard deviation, as predict(return_std=True) gives it: it "
-                "grows\n   away from the poses that the model was fitted on.",
+                "grows\n   away from the poses that the model was fitted on."
+                + _DEVIATIONS.format(upper=upper)
+                * corrects,
                 body(*[f"{real} trust[1];"] * fades, then=f"return evaluate_std({call});"),
             )
         )

@@ -9,7 +9,6 @@ once. The others have a loop of their own.
 
 import numpy as np
 
-from sklearn_raacmm.error_model import single_root
 from sklearn_raacmm.export._c_templates import (
     ALL_FINITE,
     EXP,
@@ -48,13 +47,12 @@ class Tables:
         self.numbers, self.texts, self.helpers, self._names = numbers, [], {}, {}
 
     def __call__(self, name, array, note=""):
-        """Name of a table: of whole numbers, or in single precision, if its type is such."""
+        """Name of a table: of whole numbers, if its type is such."""
         array = np.asarray(array)
         key = (array.dtype.str, array.shape, array.tobytes())
         if key not in self._names:
             self._names[key] = f"{name}_{len(self._names)}"
             write = self.numbers.table if array.dtype.kind == "f" else self.numbers.integers
-            write = self.numbers.single if array.dtype == np.float32 else write
             self.texts.append(write(self._names[key], array, note))
         return self._names[key]
 
@@ -349,61 +347,16 @@ class _Writer:
 
     def _variances(self, number, op):
         self.declare(number)
-        self.put(*self._squares(f"v{number}", op, op.given["root"], self.real))
-
-    def _squares(self, name, op, root, of):
-        """Lines that compute squared lengths of ``root' columns`` in some precision."""
+        root = op.given["root"]
         n, packed, length = _packed(root)
         note = "of the coefficients' covariance, row by row"
-        return VARIANCES.format(
-            real=self.real, of=of, cast=f"({of})" if of != self.real else "",
-            wide=f"({self.real})" if of != self.real else "", v=name, m=len(root),
-            r=n, axes=self.ops[op.inputs[0]].size // 3, length=length,
+        self.put(*VARIANCES.format(
+            real=self.real, v=f"v{number}", m=len(root), r=n,
+            axes=self.ops[op.inputs[0]].size // 3, length=length,
             vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),
             vector=self.tables("vector", op.given["vector"], "of each column"),
             root=self.tables("root", packed.ravel(), note),
-        ).splitlines()  # fmt: skip
-
-    def _doubt(self, number, op):
-        root, known, v = op.given["root"], float(op.given["known"]), f"v{number}"
-        same = (
-            i
-            for i, other in enumerate(self.ops[:number])
-            if (other.name, other.inputs) == ("variances", op.inputs)
-            and other.given["root"] is root
-        )
-        found = next(same, None)
-        of = f"v{number}_of" if found is None else f"v{found}"
-        self.put(f"{self.real} {v}[1] = {{0}};")
-        lines = [f"{v}[0] = {of}[0] + {of}[1] + {of}[2] - {self.numbers.literal(known)};"]
-        lines += [f"if ({v}[0] < 0)", f"    {v}[0] = 0;"]
-        if found is None:
-            exact = [f"{self.real} {of}[3];", *self._squares(of, op, root, self.real), *lines]
-            lines = self._where_needed(v, op, known, exact)
-        self.put(*lines)
-
-    def _where_needed(self, name, op, known, exact):
-        """Lines of an exact variance, computed where a bound does not show that it is known."""
-        if self.real == "float" or known == 0:
-            return ["{", *(f"    {line}" for line in exact), "}"]
-        single, vectors = single_root(op.given["root"]), self.array(op.inputs[0])
-        gamma = self.numbers.literal(single.rounding)
-        limit = self.numbers.literal(np.sqrt(known))
-        lengths = self.tables("length", single.lengths.astype(float), "of the rows of the root")
-        n, m = self.ops[op.inputs[0]].size // 3, len(single.lengths)
-        vector = self.tables("vector", op.given["vector"], "of each column")
-        squares = self._squares("in_single", op, single.root, "float")
-        return [
-            "{ /* Single precision with a bound of its error shows that most poses are known. */",
-            f"    {self.real} in_single[3], error = 0;", *(f"    {line}" for line in squares),
-            f"    for (int c = 0; c < {m}; ++c) {{",
-            f"        const {self.real} *u = {vectors} + {vector}[c];",
-            f"        error += {lengths}[c] * fabs({self.array(op.inputs[1])}[c])",
-            f"            * (fabs(u[0]) + fabs(u[{n}]) + fabs(u[{2 * n}]));", "    }",
-            f"    if ((1 + {gamma}) * sqrt(in_single[0] + in_single[1] + in_single[2])",
-            f"            + {gamma} * error > {limit}) {{",
-            *(f"        {line}" for line in exact), "    }", "}",
-        ]  # fmt: skip
+        ).splitlines())  # fmt: skip
 
 
 def function(program, tables, name, faded_below):

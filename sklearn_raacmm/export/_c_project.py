@@ -152,7 +152,7 @@ def project_files(rows, gap, name, path, dtype, corrects):
     functions = "".join(
         _HPP_FUNCTION.format(short=verb, about=about, **names) for verb, about in verbs.items()
     )
-    version = re.match(r"\d+(\.\d+)*", __version__)[0]
+    version = re.findall(r"^\d+(?:\.\d+)*", __version__)[0]
     return {
         path.with_name(f"{path.stem}_test.c"): _test(rows, gap, names, next(iter(verbs))),
         path.with_suffix(".hpp"): _HPP.format(functions=functions, **names),

@@ -66,15 +66,15 @@ TURNS = {
 # Columns that share a vector are summed first: that leaves one product of each entry, not three.
 VARIANCES = """\
 {{
-    {of} dot[3][{r}] = {{{{0}}}};
-    const {of} *row = {root};
+    {real} dot[3][{r}] = {{{{0}}}};
+    const {real} *row = {root};
     for (int c = 0; c < {m};) {{
         const int a = {vector}[c];
-        {of} shared[{r}] = {{0}};
+        {real} shared[{r}] = {{0}};
         int filled = 0;
         do {{
             {length}
-            const {of} size = {cast}{sizes}[c];
+            const {real} size = {sizes}[c];
             for (int i = 0; i < n; ++i)
                 shared[i] += size * row[i];
             filled = n;
@@ -82,7 +82,7 @@ VARIANCES = """\
             ++c;
         }} while (c < {m} && {vector}[c] == a);
         for (int k = 0; k < 3; ++k) {{
-            const {of} along = {cast}{vectors}[{axes} * k + a];
+            const {real} along = {vectors}[{axes} * k + a];
             for (int i = 0; i < filled; ++i)
                 dot[k][i] += along * shared[i];
         }}
@@ -90,7 +90,7 @@ VARIANCES = """\
     for (int k = 0; k < 3; ++k) {{
         {real} sum = 0;
         for (int i = 0; i < {r}; ++i)
-            sum += {wide}dot[k][i] * {wide}dot[k][i];
+            sum += dot[k][i] * dot[k][i];
         {v}[k] = sum;
     }}
 }}

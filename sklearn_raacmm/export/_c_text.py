@@ -97,11 +97,6 @@ class Numbers:
         self.n_bytes += 4 * array.size
         return _table("int", name, array, str, note)
 
-    def single(self, name, array, note=""):
-        """A table of real numbers in single precision, whatever that of the others is."""
-        self.n_bytes += 4 * array.size
-        return _table("float", name, array, Numbers("float").literal, note)
-
 
 def _table(kind, name, array, literal, note):
     shape = "".join(f"[{n}]" for n in array.shape)

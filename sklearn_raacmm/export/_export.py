@@ -5,46 +5,27 @@
 
 import json
 import re
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.export import _onnx, _reader
+from sklearn_raacmm.export._any_probe import AnyProbe
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._json import ExportedModel, content_of, program_of_text, text_of
-from sklearn_raacmm.export._load_c import NAME, answers_in_c, compiled
-from sklearn_raacmm.export._model_card import card_of
+from sklearn_raacmm.export._load_c import NAME, answers_in_c
+from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
-from sklearn_raacmm.export._steps import check_fitted
-from sklearn_raacmm.network import Network, RBFNetRegressor
-from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import check_path, show, write_whole
-
-#: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
-#: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
-TRUSTED_TYPES = [
-    f"{kind.__module__}.{kind.__qualname__}"
-    for kind in (
-        Arm,
-        Arm.azimuth,
-        ArmResidualRegressor,
-        CylindricalResidualTarget,
-        Fading,
-        Judgement,
-        LinearModel,
-        Network,
-        PoseFeatures,
-        RBFNetRegressor,
-        Terms,
-    )
-]
-
+from sklearn_raacmm.export._steps import check_fitted, check_std
+from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
 
 # Numbers of a JSON file that plain Python goes through for its proof: a second or so.
 _PLAIN_NUMBERS = 3_000_000
@@ -54,11 +35,6 @@ def _check_card(card):
     """Refuse what `describe` does not give, and is no text either."""
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
-
-
-def _check_std(std):
-    if not isinstance(std, bool):
-        raise ValueError(f"std must be True or False, got {show(std)}.")
 
 
 def _check_dtype(dtype):
@@ -82,7 +58,17 @@ def _rows_of(model, poses, std, n_inputs, dtype="double"):
     return rows
 
 
-def export_c(model, path, *, name=None, dtype="double", std=False, card=None, poses=None):
+def export_c(
+    model: Any,
+    path: str | PathLike[str],
+    *,
+    name: str | None = None,
+    dtype: str = "double",
+    std: bool = False,
+    card: ModelCard | str | None = None,
+    poses: ArrayLike | None = None,
+    any_probe: bool = False,
+) -> tuple[Path, Path]:
     r"""Write a fitted model as one C99 file and its header.
 
     The file needs nothing but the mathematical library: no memory is allocated, nothing static
@@ -147,6 +133,12 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
         ``predict`` gives (20 of these, 8 corners of their ranges, 4 with NaN or infinity);
         ``CMakeLists.txt``, which builds, runs and installs; and ``<stem>.hpp``, for C++17.
 
+    any_probe : bool, default=False
+        Whether the functions take the vector of the probe: three more numbers in mm after the
+        joint angles and the extra columns. They then give what ``model.with_arm`` of an arm with
+        this probe predicts. For an :class:`ArmResidualRegressor` without a second stage and without
+        temperatures.
+
     Returns
     -------
     source, header : pathlib.Path
@@ -197,11 +189,16 @@ def export_c(model, path, *, name=None, dtype="double", std=False, card=None, po
         )
     name = check_name(path.stem if name is None else name)
     _check_dtype(dtype)
-    _check_std(std)
+    check_std(std)
     _check_card(card)
-    program = program_of(model, std)
+    check_flags(any_probe=any_probe)
     given = None if isinstance(poses, str) and poses == "random" else poses
-    rows = _rows_of(model, given, std, program.n_inputs, dtype)
+    judge = model
+    if any_probe:
+        judge = AnyProbe.of(model)
+        given = judge.rows(given)
+    program = program_of(model, std, any_probe)
+    rows = _rows_of(judge, given, std, program.n_inputs, dtype)
     extra = {}
     if poses is not None:
         gap = np.abs(run(program, rows["X"])["y"] - rows["y"])
@@ -233,59 +230,14 @@ def _proved_in_c(model, program, rows, dtype):
     return notes
 
 
-def load_c(model, *, std=False, compiler=None, cache_dir=None):
-    """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
-
-    The source is what :func:`export_c` writes. It is compiled once, and kept for the next time.
-
-    Parameters
-    ----------
-    model : estimator
-        Fitted, of a kind that :func:`export_c` writes.
-
-    std : bool, default=False
-        Whether ``predict_std`` is there.
-
-    compiler : str, default=None
-        C compiler, called as gcc is; None: the environment variable CC, or cc, gcc or clang.
-
-    cache_dir : str or path-like, default=None
-        Folder to keep the library in, which must be the user's own. None: the environment variable
-        SKLEARN_RAACMM_CACHE, or ``sklearn_raacmm`` in the user's cache folder; where that cannot be
-        written, nothing is kept.
-
-    Returns
-    -------
-    CompiledModel
-        Has ``predict(X)``, ``correct(angles)``, ``point(angles)``, ``status(angles)`` and
-        ``predict_std(X)``: on one row, the first two on many rows, too. Threads may share it; a
-        pickle holds the source and compiles it where it is loaded.
-
-    Raises
-    ------
-    ValueError
-        If the model cannot be exported, or others may write to the folder.
-    RuntimeError
-        If there is no compiler, or it fails: the first lines of what it says are shown.
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-
-    Notes
-    -----
-    Inputs are not checked but for their number. Where ``predict`` raises, the result is NaN.
-
-    Examples
-    --------
-    ::
-
-        compiled = load_c(model)
-        compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
-    """
-    _check_std(std)
-    return compiled(model, std, compiler, cache_dir)
-
-
-def to_json(model, path=None, *, std=False, card=None, poses=None):
+def to_json(
+    model: Any,
+    path: str | PathLike[str] | None = None,
+    *,
+    std: bool = False,
+    card: ModelCard | str | None = None,
+    poses: ArrayLike | None = None,
+) -> str:
     """Write a fitted model as JSON: for other languages, and for an archive of twenty years.
 
     Parameters
@@ -332,7 +284,7 @@ def to_json(model, path=None, *, std=False, card=None, poses=None):
     True
     """
     path = None if path is None else check_path("path", path)
-    _check_std(std)
+    check_std(std)
     _check_card(card)
     program = program_of(model, std)
     rows = _rows_of(model, poses, std, program.n_inputs)
@@ -363,7 +315,7 @@ def _proved_by_reader(content, rows):
     return proved("the JSON text, read by plain Python,", rows, found["y"], found.get("std"))
 
 
-def from_json(source):
+def from_json(source: str | PathLike[str]) -> ExportedModel:
     """Read a model that :func:`to_json` wrote. Nothing in it is run but the listed operations.
 
     Parameters
@@ -400,7 +352,7 @@ def from_json(source):
     return ExportedModel(program, rows)
 
 
-def fingerprint(model):
+def fingerprint(model: Any) -> str:
     """Fingerprint of what a fitted model computes.
 
     Parameters
@@ -422,7 +374,7 @@ def fingerprint(model):
     return fingerprint_of(program_of(model))
 
 
-def register_onnx():
+def register_onnx() -> None:
     """Register the package's converters with skl2onnx, as the import of this module does.
 
     After that ``skl2onnx.to_onnx`` converts this package's estimators wherever they stand: in
@@ -437,8 +389,15 @@ def register_onnx():
 
 
 def to_onnx(
-    model, path=None, *, dtype="double", std=False, target_opset=None, card=None, poses=None
-):
+    model: Any,
+    path: str | PathLike[str] | None = None,
+    *,
+    dtype: str = "double",
+    std: bool = False,
+    target_opset: int | None = None,
+    card: ModelCard | str | None = None,
+    poses: ArrayLike | None = None,
+) -> Any:
     """Convert a fitted model to ONNX, for every language that has a runtime for it.
 
     Parameters
@@ -491,7 +450,7 @@ def to_onnx(
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
     _check_dtype(dtype)
-    _check_std(std)
+    check_std(std)
     if target_opset is not None and not isinstance(target_opset, int | dict):
         raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
     _check_card(card)
@@ -511,7 +470,8 @@ def to_onnx(
         found = _onnx.run_onnx(made, rows["X"])
         if found is not None:
             found = [out.astype(float) for out in found]
-            notes = proved("the ONNX file", rows, *found, dtype=dtype)
+            spread = found[1] if std else None
+            notes = proved("the ONNX file", rows, found[0], spread, dtype)
             facts |= {"accuracy": "; ".join(notes)} if notes else {}
         facts["test_rows"] = json.dumps(dict_of_rows(rows))
     if card is not None:
@@ -522,72 +482,3 @@ def to_onnx(
     if path is not None:
         write_whole({path: made.SerializeToString()})
     return made
-
-
-def describe(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None, date=None):
-    """Say what a fitted model is, so that whoever receives its file knows.
-
-    A fitted model does not keep the poses that it was fitted on: give them here, and pass the card
-    on with the file.
-
-    Parameters
-    ----------
-    model : estimator
-        Fitted.
-
-    X : array-like of shape (n_samples, n_features), default=None
-        What the model was fitted on, usually joint angles in the unit it takes: for the number of
-        rows, the range of every joint and the hull of the probe's positions.
-
-    y : array-like of shape (n_samples, 3) or (n_samples,), default=None
-        Residuals in mm that it was fitted on: for the error before and after.
-
-    groups : array-like of shape (n_samples,), default=None
-        Label of the position of each row.
-
-    n_folds : int, default=5
-        Where `groups` are given, the error after the correction is that at positions left out, a
-        copy of the model having been fitted on the others, in so many folds. 0, or without
-        `groups`, or of a model that :func:`update_correction` has changed: that at the rows given,
-        and the card says so.
-
-    serial_number : str, default=None
-        Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
-
-    date : str or datetime.date, default=None
-        Of the measurement, or of the model.
-
-    Returns
-    -------
-    ModelCard
-        A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
-        the single-point repeatability, the mean over positions. Where `y` are deviations from the
-        means of their positions, the means are taken off what is left, too: neither data nor
-        model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
-        ``updates`` lists what :func:`update_correction` has recorded.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit together or the model, or hold NaN or infinity.
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
-    >>> from sklearn_raacmm.datasets import make_single_point
-    >>> from sklearn_raacmm.export import describe
-    >>> from sklearn.pipeline import make_pipeline
-    >>> test = make_single_point(n_positions=6, n_poses=20, random_state=0)  # simulated
-    >>> model = make_pipeline(
-    ...     PoseFeatures(test.arm, append_azimuth=True),
-    ...     CylindricalResidualTarget(RBFNetRegressor(20)),
-    ... ).fit(test.data, test.target)
-    >>> card = describe(model, test.data, test.target, test.groups, n_folds=3)
-    >>> card["training"]["positions"], card["input"]
-    (6, '6 joint angles in rad')
-    >>> print(str(card)[:32])
-    # Residual correction of an arm
-    """
-    return card_of(model, X, y, groups, n_folds=n_folds, serial_number=serial_number, date=date)

@@ -5,8 +5,10 @@
 
 import hashlib
 import json
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._program import Builder, fingerprint_of, run
@@ -37,12 +39,15 @@ class ExportedModel:
         it refuses.
     """
 
-    def __init__(self, program, test_rows):
-        self._program, self.test_rows = program, test_rows
-        self.about, self.fingerprint = program.about, fingerprint_of(program)
-        self.n_features_in_, self.n_outputs_ = program.n_inputs, program.n_outputs
+    def __init__(self, program: Any, test_rows: dict[str, Any]) -> None:
+        self._program = program
+        self.test_rows: dict[str, Any] = test_rows
+        self.about: dict[str, Any] = program.about
+        self.fingerprint: str = fingerprint_of(program)
+        self.n_features_in_: int = program.n_inputs
+        self.n_outputs_: int = program.n_outputs
 
-    def predict(self, X, return_std=False):
+    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
         """What ``predict`` of the model gave.
 
         Parameters
@@ -70,7 +75,7 @@ class ExportedModel:
             raise ValueError("The file has no standard deviation: write it with std=True.")
         return (found["y"], found["std"]) if return_std else found["y"]
 
-    def trust(self, X):
+    def trust(self, X: ArrayLike) -> Any:
         """Share of each correction that its fading leaves, (n_samples,); 1 where nothing fades."""
         found = self._run(X)
         return found["trust"][:, 0] if "trust" in found else np.ones(len(found["y"]))

@@ -13,13 +13,17 @@ import subprocess
 import tempfile
 import threading
 from functools import partial
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
+from sklearn_raacmm.export._steps import check_std
 from sklearn_raacmm.utils import check_path, show, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
@@ -50,7 +54,11 @@ class CompiledModel:
         Number of outputs.
     """
 
-    def __init__(self, text, facts, compiler, folder):
+    fingerprint: str
+    n_features_in_: int
+    n_outputs_: int
+
+    def __init__(self, text: Any, facts: Any, compiler: Any, folder: Any) -> None:
         self._state = text, facts, compiler, folder
         self.fingerprint, self.n_features_in_, self.n_outputs_ = facts[:3]
         self._verb, self._flat, self._has_point, self._has_std = facts[3:]
@@ -65,16 +73,16 @@ class CompiledModel:
         self._many.restype = ctypes.c_int
         self._local = threading.local()
 
-    def __reduce__(self):
+    def __reduce__(self) -> Any:
         return CompiledModel, self._state
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return (
             f"<CompiledModel {self.fingerprint[:12]}: {self.n_features_in_} inputs, "
             f"{self.n_outputs_} outputs>"
         )
 
-    def predict(self, X):
+    def predict(self, X: ArrayLike) -> np.ndarray:
         """What ``predict`` of the model gives, without its checks.
 
         Parameters
@@ -96,7 +104,7 @@ class CompiledModel:
         out = self._rows(X) if X.ndim == 2 else self._row(X, self._verb)[1]
         return out[..., 0] if self._flat else out
 
-    def correct(self, angles):
+    def correct(self, angles: ArrayLike) -> np.ndarray:
         """Correction in mm, to be subtracted from the measured point; as :meth:`predict`.
 
         Parameters
@@ -112,7 +120,7 @@ class CompiledModel:
             raise ValueError("The model has no arm and three outputs, so predict is all it has.")
         return self.predict(angles)
 
-    def point(self, angles):
+    def point(self, angles: ArrayLike) -> np.ndarray:
         """Corrected centre of the probe in the base frame, mm.
 
         Parameters
@@ -128,7 +136,7 @@ class CompiledModel:
             raise ValueError("The model has no arm and three outputs, so it has no point.")
         return self._row(angles, "point")[1]
 
-    def status(self, angles):
+    def status(self, angles: ArrayLike) -> int:
         """What the C function returns for one row: 0 fine, 1 faded, 2 not finite.
 
         Parameters
@@ -141,7 +149,7 @@ class CompiledModel:
         """
         return self._row(angles, self._verb)[0]
 
-    def predict_std(self, X):
+    def predict_std(self, X: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Prediction and standard deviation of one row.
 
         Parameters
@@ -154,8 +162,8 @@ class CompiledModel:
         """
         if not self._has_std:
             raise ValueError("The model was compiled without standard deviation: std=True.")
-        _, out, spread = self._row(X, f"{self._verb}_std", results=2)
-        return out, spread
+        found: Any = self._row(X, f"{self._verb}_std", results=2)
+        return found[1], found[2]
 
     def _row(self, row, name, results=1):
         """Status and results of one row, through buffers that each thread has for itself."""
@@ -202,8 +210,61 @@ class CompiledModel:
         )
 
 
-def compiled(model, std=False, compiler=None, cache_dir=None):
-    """See `sklearn_raacmm.export.load_c`."""
+def load_c(
+    model: Any,
+    *,
+    std: bool = False,
+    compiler: str | None = None,
+    cache_dir: str | PathLike[str] | None = None,
+) -> CompiledModel:
+    """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
+
+    The source is what :func:`export_c` writes. It is compiled once, and kept for the next time.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted, of a kind that :func:`export_c` writes.
+
+    std : bool, default=False
+        Whether ``predict_std`` is there.
+
+    compiler : str, default=None
+        C compiler, called as gcc is; None: the environment variable CC, or cc, gcc or clang.
+
+    cache_dir : str or path-like, default=None
+        Folder to keep the library in, which must be the user's own. None: the environment variable
+        SKLEARN_RAACMM_CACHE, or ``sklearn_raacmm`` in the user's cache folder; where that cannot be
+        written, nothing is kept.
+
+    Returns
+    -------
+    CompiledModel
+        Has ``predict(X)``, ``correct(angles)``, ``point(angles)``, ``status(angles)`` and
+        ``predict_std(X)``: on one row, the first two on many rows, too. Threads may share it; a
+        pickle holds the source and compiles it where it is loaded.
+
+    Raises
+    ------
+    ValueError
+        If the model cannot be exported, or others may write to the folder.
+    RuntimeError
+        If there is no compiler, or it fails: the first lines of what it says are shown.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Notes
+    -----
+    Inputs are not checked but for their number. Where ``predict`` raises, the result is NaN.
+
+    Examples
+    --------
+    ::
+
+        compiled = load_c(model)
+        compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
+    """
+    check_std(std)
     program = program_of(model, std)
     text = sources(program, NAME, NAME, "double")
     facts = (

@@ -8,9 +8,11 @@ import hashlib
 import json
 import re
 import unicodedata
+from typing import Any
 
 import numpy as np
 import sklearn
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
@@ -35,23 +37,23 @@ from sklearn_raacmm.utils import (
 # A position's mean residuals count as taken off where they are this share of what chance would
 # leave of them: those of a single-point test are zero but for the digits of a file.
 _CENTRED = 0.3
-# Characters shown of a text that comes from outside.
-_LONGEST = 200
+# Characters shown of a text that comes from outside, and of a finding.
+_LONGEST, _LONG = 200, 1000
 
 
-class ModelCard(dict):
+class ModelCard(dict[str, Any]):
     """Facts about a model: plain numbers, text, lists and dicts, fit for ``json.dumps``.
 
     ``str(card)`` is Markdown, in which what is long, such as the hull's corners, is left out. Text
     is escaped there and stays on its line: a name cannot pass for another fact.
     """
 
-    def __str__(self):
+    def __str__(self) -> str:
         lines = ["# Residual correction of an arm", ""]
         for key, value in self.items():
-            if key == "updates":
-                lines += ["", "## updates", ""]
-                lines += [f"- {_short(entry)}" for entry in value]
+            if key in ("updates", "findings"):
+                lines += ["", f"## {key}", ""]
+                lines += [f"- {_short(entry, longest=_LONG)}" for entry in value]
                 continue
             if not isinstance(value, dict):
                 lines.append(f"- {_words(key)}: {_short(value)}")
@@ -72,7 +74,7 @@ def _words(key):
     return " ".join(words) + unit
 
 
-def _short(value, digits=6):
+def _short(value, digits=6, longest=None):
     if isinstance(value, float):
         return repr(value) if digits >= 17 else f"{value:.{digits}g}"
     if isinstance(value, list):
@@ -80,34 +82,109 @@ def _short(value, digits=6):
     if isinstance(value, dict):
         facts = (f"{_words(name)}: {_short(fact, digits)}" for name, fact in value.items())
         return "; ".join(facts)
-    return "unknown" if value is None else escaped(value)
+    return "unknown" if value is None else escaped(value, longest or _LONGEST)
 
 
-def escaped(text):
+def escaped(text, longest=_LONGEST):
     """Text on one line, without control characters, that neither Markdown nor HTML reads as code.
 
     Parameters
     ----------
     text : object
         Its ``str`` is taken.
+    longest : int, default=200
+        Characters that are shown.
 
     Returns
     -------
     str
-        At most 200 characters of it, then "...".
+        At most so many characters of it, then "...".
     """
     # C: control, format (it may turn the direction of writing), surrogates; Zl, Zp: ends of line.
     line = "".join(
         " " if unicodedata.category(c)[0] == "C" or unicodedata.category(c) in ("Zl", "Zp") else c
         for c in str(text)
     )
-    line = line if len(line) <= _LONGEST else line[:_LONGEST] + "..."
+    line = line if len(line) <= longest else line[:longest] + "..."
     line = re.sub(r"([\\`*\[\]|~#!]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", line)
     return line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").strip()
 
 
-def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None, date=None):
-    """See `sklearn_raacmm.export.describe`."""
+def describe(
+    model: Any,
+    X: ArrayLike | None = None,
+    y: ArrayLike | None = None,
+    groups: ArrayLike | None = None,
+    *,
+    n_folds: int = 5,
+    serial_number: str | None = None,
+    date: Any = None,
+) -> ModelCard:
+    """Say what a fitted model is, so that whoever receives its file knows.
+
+    A fitted model does not keep the poses that it was fitted on: give them here, and pass the card
+    on with the file.
+
+    Parameters
+    ----------
+    model : estimator
+        Fitted.
+
+    X : array-like of shape (n_samples, n_features), default=None
+        What the model was fitted on, usually joint angles in the unit it takes: for the number of
+        rows, the range of every joint and the hull of the probe's positions.
+
+    y : array-like of shape (n_samples, 3) or (n_samples,), default=None
+        Residuals in mm that it was fitted on: for the error before and after.
+
+    groups : array-like of shape (n_samples,), default=None
+        Label of the position of each row.
+
+    n_folds : int, default=5
+        Where `groups` are given, the error after the correction is that at positions left out, a
+        copy of the model having been fitted on the others, in so many folds. 0, or without
+        `groups`, or of a model that :func:`update_correction` has changed: that at the rows given,
+        and the card says so.
+
+    serial_number : str, default=None
+        Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
+
+    date : str or datetime.date, default=None
+        Of the measurement, or of the model.
+
+    Returns
+    -------
+    ModelCard
+        A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
+        the single-point repeatability, the mean over positions. Where `y` are deviations from the
+        means of their positions, the means are taken off what is left, too: neither data nor
+        model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
+        ``updates`` lists what :func:`update_correction` has recorded.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together or the model, or hold NaN or infinity.
+    sklearn.exceptions.NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm.export import describe
+    >>> from sklearn.pipeline import make_pipeline
+    >>> test = make_single_point(n_positions=6, n_poses=20, random_state=0)  # simulated
+    >>> model = make_pipeline(
+    ...     PoseFeatures(test.arm, append_azimuth=True),
+    ...     CylindricalResidualTarget(RBFNetRegressor(20)),
+    ... ).fit(test.data, test.target)
+    >>> card = describe(model, test.data, test.target, test.groups, n_folds=3)
+    >>> card["training"]["positions"], card["input"]
+    (6, '6 joint angles in rad')
+    >>> print(str(card)[:32])
+    # Residual correction of an arm
+    """
     check_fitted(model)
     if X is None and (y is not None or groups is not None):
         raise ValueError("y and groups describe rows of X, which is None.")
@@ -135,7 +212,11 @@ def card_of(model, X=None, y=None, groups=None, *, n_folds=5, serial_number=None
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
-    updates = getattr(list(leaves(model))[-1].estimator, "updates_", ())
+    last = list(leaves(model))[-1].estimator
+    findings = vars(model).get("findings_") or vars(last).get("findings_", ())
+    if findings:
+        card["findings"] = [f"{finding.weight}: {finding}" for finding in findings]
+    updates = getattr(last, "updates_", ())
     if updates:
         card["updates"] = [dict(entry) for entry in updates]
     if X is not None:

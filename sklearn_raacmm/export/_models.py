@@ -18,7 +18,9 @@ from sklearn_raacmm.error_model import (
     column_table,
     force_on_probe,
     given_factors,
+    lever_mm,
 )
+from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder
 from sklearn_raacmm.export._steps import (
     KNOWN,
@@ -35,12 +37,6 @@ from sklearn_raacmm.export._steps import (
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, PoseFeatures
 
-# Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
-MOST_CENTERS = 2000
-# Variance of the noise over that of the signal from which on one matrix does for two: at 1e-6 it
-# was good to 1e-6 of a standard deviation, at 1e-11 to nothing: tests/export/test_c_network.py
-# tries both sides.
-_CLEAR = 1e-6
 # In place of a length that is nothing.
 _TINY = 1e-30
 
@@ -51,10 +47,11 @@ _TINY = 1e-30
 class _Chain:
     """A chain that adds its operations to a program, and the arm that its angles belong to."""
 
-    def __init__(self, model, p, std, x=None, unit=None):
+    def __init__(self, model, p, std, x=None, unit=None, any_probe=False):
         self.p, self.std, self.x = p, std, p.x if x is None else x
-        self.arm, self.unit = arm_of(model)
-        self.unit = self.unit if unit is None else unit
+        self.any_probe = any_probe
+        self.arm, own = arm_of(model)
+        self.unit = own if unit is None else unit
         self.trust = None
 
     def angles(self):
@@ -73,9 +70,24 @@ class _Chain:
     def probe(self):
         """Centre of the probe in the base frame, mm."""
         last = self.p.take(self.frames(), 12 * self.arm.n_joints + np.arange(12))
+        if self.any_probe:
+            axes = self.p.take(last, [0, 3, 6, 1, 4, 7, 2, 5, 8])
+            return self.p(
+                "add", self.p("dots", axes, self.probe_vector()), self.p.take(last, [9, 10, 11])
+            )
         axes, eye = self.arm.probe.reshape(3, 1, 1), np.eye(3)
         matrix = np.concatenate([*(axes * eye), eye], axis=1)
         return self.p("affine", last, matrix=matrix, shift=np.zeros(3))
+
+    def probe_vector(self):
+        """Vector of the probe in the last frame, mm: the last three inputs."""
+        return self.p.take(self.x, self.p.size(self.x) - 3 + np.arange(3))
+
+    def lever_ratio(self):
+        """By how much the lever of the last joint is longer than with the model's own probe."""
+        p, own = self.p, lever_mm(self.arm)
+        ratio = p("div", p("add", p.length(self.probe_vector()), lever_mm(self.arm, 0.0)), own)
+        return p("max", ratio, 1.0) if own > 0 else p.constant(1.0)
 
     def direction(self):
         """Cosine and sine of the probe's azimuth, and the probe's distance from the axis."""
@@ -87,7 +99,7 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
-def program_of(model, std=False):
+def program_of(model, std=False, any_probe=False):
     """The program of a fitted model.
 
     Parameters
@@ -96,6 +108,8 @@ def program_of(model, std=False):
         Fitted.
     std : bool, default=False
         Whether the standard deviation is among its outputs.
+    any_probe : bool, default=False
+        Whether the vector of the probe is its last three inputs.
 
     Returns
     -------
@@ -111,8 +125,8 @@ def program_of(model, std=False):
         If the model is not fitted.
     """
     check_fitted(model)
-    p = Builder(n_inputs(model))
-    chain, steps = _Chain(model, p, std), list(leaves(model))
+    p = Builder(n_inputs(model) + 3 * any_probe)
+    chain, steps = _Chain(model, p, std, any_probe=any_probe), list(leaves(model))
     y, v = _read(chain, steps, p.x)
     y = p("finite", y, p("join", p.x, y))
     outputs = {"y": y}
@@ -128,7 +142,9 @@ def program_of(model, std=False):
         label = f" {chain.arm.name}" if chain.arm.name else ""
         n = chain.arm.n_joints
         about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
-        about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_of(model)]}
+        extra = [name for name, _ in extra_of(model)]
+        extra += [f"probe {axis} in mm" for axis in "xyz"] * any_probe
+        about |= {"angle_unit": chain.unit, "extra": extra}
     about["flat"] = bool(p.size(y) == 1 and is_flat(model))
     return p.program(outputs, about)
 
@@ -314,151 +330,19 @@ def scaler(p, step, x):
     return x if clip is None else p("min", p("max", x, clip[0]), clip[1])
 
 
-# -- networks -------------------------------------------------------------------------------------
-
-
-def network(p, step, x, std, with_noise):
-    """Prediction and variance (or None) of an `RBFNetRegressor`."""
-    found = [_one_network(p, part, x, std, with_noise) for part in step.networks_]
-    if len(found) == 1:
-        return found[0]
-    place = np.argsort(np.concatenate([part.outputs for part in step.networks_]))
-    y = p.take(p("join", *(y for y, _ in found)), place)
-    return y, p.take(p("join", *(v for _, v in found)), place) if std else None
-
-
-def _one_network(p, net, x, std, with_noise):
-    """Prediction and variance (or None) of outputs that share centres."""
-    k, phi = len(net.centers), None
-    linear = net.polynomial[1:].T
-    y = p("add", p.constant(net.polynomial[0]), 0.0)
-    if np.any(linear):
-        y = p("affine", x, matrix=linear, shift=net.polynomial[0])
-    if k:
-        # Centred as predict does it: the rounding is the same.
-        shift = net.centers.mean(axis=0)
-        phi = p(
-            "radial", x, kernel=net.kernel, centers=(net.centers - shift) / net.length_scale,
-            shift=shift, inverse_width=1 / net.length_scale,
-        )  # fmt: skip
-        nothing = np.zeros(len(linear))
-        if np.any(linear):
-            y = p("add", y, p("affine", phi, matrix=net.coef.T, shift=nothing))
-        else:
-            y = p("affine", phi, matrix=net.coef.T, shift=net.polynomial[0])
-    return y, _network_variance(p, net, x, phi, with_noise) if std else None
-
-
-def _network_variance(p, net, x, phi, with_noise):
-    """Variances of a network's outputs, as `Network` has them, by the same two matrices.
-
-    The first of them has rows of very different sizes where data have little noise. It must not be
-    multiplied by another then: what is left of the prior's variance is small beside it, and 8 of
-    its digits would be lost.
-    """
-    k, parts = len(net.centers), []
-    if np.any(net.noise_variance < 0) or np.any(net.signal_variance < 0):
-        raise ValueError(
-            f"The network's variances must not be negative, got {net.noise_variance} of the noise "
-            f"and {net.signal_variance} of the signal: it cannot be exported."
-        )
-    if k > MOST_CENTERS:
-        raise ValueError(
-            f"The standard deviation of a network of {k} centres would need a table of "
-            f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
-            f"max_centers={MOST_CENTERS}."
-        )
-    if k and np.all(net.noise_variance > _CLEAR * net.signal_variance):
-        return _variance_by_one_matrix(p, net, x, phi, with_noise)
-    columns = [phi] if k else []
-    if len(net.tail_map):
-        slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
-        varies = np.any(slopes)
-        tail = p("affine", x, matrix=slopes, shift=constant) if varies else p.constant(constant)
-        columns.insert(0, tail)
-    for output in range(len(net.outputs)):
-        of_prior, of_weights = net.roots(output)
-        variance = p.constant(float(with_noise))
-        if len(of_weights):
-            # From the last row to the first, so that each column ends where its zeros begin.
-            seen = p(
-                "affine", p("join", *columns), matrix=of_weights[::-1], shift=_zeros(of_weights)
-            )
-            variance = p("add", p("dots", seen, seen), variance)
-        variance = p("mul", variance, net.noise_variance[output])
-        outside = p.constant(1.0)
-        if k:
-            seen = p("affine", phi, matrix=of_prior, shift=_zeros(of_prior))
-            outside = p("max", p("sub", 1.0, p("dots", seen, seen)), 0.0)
-        parts.append(p("add", p("mul", outside, net.signal_variance[output]), variance))
-    return p("join", *parts)
-
-
-def _variance_by_one_matrix(p, net, x, phi, with_noise):
-    r"""The same of data with noise, in a half or a third of the time.
-
-    With g the radial functions in coordinates in which prior and data are diagonal, 1 and s_i, and
-    t the polynomial's terms, the variance of an output is, given the weights first, then the
-    polynomial, ``signal (1 - sum(g^2)) + noise (sum(g^2 / (s + alpha)) + |R (t - J g)|^2)``. The
-    two sums are one.
-    """
-    noise, signal, size = net.noise_variance, net.signal_variance, len(net.tail_map)
-    rows, whiten = net.design_triangle(), net.prior_root
-    T, D = rows[:, :size], rows[:, size:] @ whiten.T
-    _, singular, turn = np.linalg.svd(D)
-    spectrum = np.zeros(len(turn))
-    spectrum[: len(singular)] = np.square(singular)
-    known = np.maximum(spectrum + net.alpha[:, None], np.finfo(float).tiny)
-    D, turn = D @ turn.T, turn @ whiten
-    variance = p.constant(noise * float(with_noise))
-    if size:
-        tails = [
-            _of_polynomial(p, net, x, phi, T, D, turn, *ridge)
-            for ridge in zip(net.alpha, known, strict=True)
-        ]
-        variance = p("add", variance, p("mul", p("join", *tails), noise))
-    weights = 1 - (noise / signal)[:, None] / known
-    distinct, which = np.unique(weights, axis=0, return_inverse=True)
-    if len(distinct) > 2 or np.any(distinct < 0):
-        g = p("affine", phi, matrix=turn, shift=_zeros(turn))
-        inside = p("affine", p("mul", g, g), matrix=weights, shift=_zeros(weights))
-    else:
-        roots = [np.linalg.qr(np.sqrt(row)[:, None] * turn, mode="r") for row in distinct]
-        g = [p("affine", phi, matrix=root, shift=_zeros(root)) for root in roots]
-        inside = p.take(p("join", *(p("dots", one, one) for one in g)), which.ravel())
-    outside = p("max", p("sub", 1.0, inside), 0.0)
-    return p("add", variance, p("mul", outside, signal))
-
-
-def _of_polynomial(p, net, x, phi, T, D, turn, alpha, known):
-    """Squared length of R (t - J g), see above: what T is beside D, by orthogonal columns."""
-    weights = D.T @ T / known[:, None]
-    left = np.vstack([T - D @ weights, -np.sqrt(alpha) * weights])
-    root = np.linalg.qr(left, mode="r").T
-    of_x, J = np.linalg.solve(root, net.tail_map), np.linalg.solve(root, weights.T @ turn)
-    u = p("sub", p.constant(of_x[:, 0]), p("affine", phi, matrix=J, shift=_zeros(J)))
-    if np.any(of_x[:, 1:]):
-        u = p("add", u, p("affine", x, matrix=of_x[:, 1:], shift=_zeros(J)))
-    return p("dots", u, u)
-
-
-def _zeros(matrix):
-    return np.zeros(len(matrix))
-
-
 # -- the arm's own error model --------------------------------------------------------------------
 
 
 def arm_model(chain, step):
     """Correction and variance (or None) of an `ArmResidualRegressor`: both stages, faded."""
     p, linear, fading = chain.p, step.linear_model_, step.fading_
-    for name in ("size_mm", "factor", "known_mm"):
+    for name in ("size_mm", "factor"):
         value = getattr(fading, name)
         if not 0 <= value < np.inf:
             raise ValueError(
                 f"{name} of Fading must be a finite number of at least 0, got {value}."
             )
-    y, v, doubt = linear_model(chain, linear, fading)
+    y, v, doubt = linear_model(chain, linear, fading.factor > 0)
     if not step.helps_:
         y = p.constant(np.zeros(3))
     if step.regressor_ is not None:
@@ -472,7 +356,10 @@ def arm_model(chain, step):
             share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
         chain.trust, y = share, p("mul", y, share)
     y = _known_tools(chain, linear.terms.extra, y)
-    return y, p("mul", v, linear.std_scale**2) if chain.std else None
+    if not chain.std:
+        return y, None
+    v = p("mul", v, linear.std_scale**2)
+    return y, v if step.helps_ else p("max", v, fading.size_mm**2 / 3)
 
 
 def _known_tools(chain, extra, y):
@@ -489,8 +376,8 @@ def _known_tools(chain, extra, y):
     return y
 
 
-def linear_model(chain, linear, fading):
-    """Correction of a `LinearModel`, variances (or None), and by how much these leave the known."""
+def linear_model(chain, linear, fades):
+    """Correction of a `LinearModel`, variances, and squared doubt; each None where not needed."""
     p, arm = chain.p, linear.arm
     table = column_table(arm, linear.terms)
     m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
@@ -507,13 +394,22 @@ def linear_model(chain, linear, fading):
     matrix[vector, np.arange(m)] = linear.coef[order]
     along = p("affine", sizes, matrix=matrix, shift=np.zeros(2 * n_axes))
     y = p("dots", vectors, along)
-    # Any root gives the same variances; a triangle has half the entries.
-    root = np.linalg.qr(linear.gauge_free_half[order].T, mode="r").T
-    v = p("variances", vectors, sizes, vector=vector, root=root) if chain.std else None
-    if not fading.factor > 0:
+
+    def variances(half):
+        # Any root gives the same variances; a triangle has half the entries.
+        root = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
+        return p("variances", vectors, sizes, vector=vector, root=root)
+
+    v = variances(linear.gauge_free_half) if chain.std else None
+    if not fades:
         return y, v, None
-    known = fading.known_mm**2
-    return y, v, p("doubt", vectors, sizes, vector=vector, root=root, known=known)
+    same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
+    of_fading = v if same else variances(linear.fading_half)
+    doubt = p("dots", of_fading, p.constant(np.ones(3)))
+    if chain.any_probe:
+        ratio = chain.lever_ratio()
+        doubt = p("div", doubt, p("mul", ratio, ratio))
+    return y, v, doubt
 
 
 def _vectors(chain):

@@ -8,6 +8,8 @@ has are converted by skl2onnx, to which this package's estimators are made known
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.export import _models, _steps
@@ -56,7 +58,7 @@ class Graph:
         self._node(op, names, into, attributes)
         return into
 
-    def constant(self, value, dtype=np.float64):
+    def constant(self, value, dtype: Any = np.float64):
         name = self._unique("raacmm_constant")
         self._tensor(name, np.asarray(value, dtype=dtype))
         return name
@@ -207,10 +209,6 @@ class Graph:
         dots = self("MatMul", columns, given["root"])
         squares = self.row_sum(self("Mul", dots, dots), 2)
         return self("Squeeze", squares, self.whole(2))
-
-    def _doubt(self, given, shapes, vectors, sizes):
-        total = self.row_sum(self._variances(given, shapes, vectors, sizes))
-        return self("Max", self("Sub", total, float(given["known"])), 0.0)
 
 
 def _pose_parts(table, convention):
@@ -364,12 +362,13 @@ def _refuse_infinity(made):
         ("raacmm_nan", np.full(1, np.nan, dtype=real)),
     ):
         made.initializer.append(numpy_helper.from_array(value, constant))
-    for op, inputs, output, attributes in (
+    nodes: Any = (
         ("IsInf", [given.name], "raacmm_infinite", {}),
         ("Where", ["raacmm_infinite", "raacmm_nan", "raacmm_zero"], "raacmm_marks", {}),
         ("ReduceSum", ["raacmm_marks", "raacmm_columns"], "raacmm_refusal", {"keepdims": 1}),
         ("Add", [f"{name}_raacmm", "raacmm_refusal"], name, {}),
-    ):
+    )
+    for op, inputs, output, attributes in nodes:
         made.node.append(helper.make_node(op, inputs, [output], output, **attributes))
 
 

@@ -9,6 +9,7 @@ the writers know these operations and no kind of model.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import hashlib
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -195,7 +196,7 @@ class Operation(NamedTuple):
     """Names of its constants, and what it does: constants and values (n, size) to (n, size)."""
 
     constants: tuple
-    compute: callable
+    compute: Callable
 
 
 def _joined(given, *values):
@@ -278,12 +279,6 @@ def _variances(given, vectors, sizes):
     return np.stack(found, axis=1)
 
 
-def _doubt(given, vectors, sizes):
-    """By how much the sum of the variances is above what counts as known, 0 below it."""
-    total = _variances(given, vectors, sizes).sum(axis=1, keepdims=True)
-    return np.maximum(total - given["known"], 0.0)
-
-
 def _of(function):
     return Operation((), lambda given, *values: function(*values))
 
@@ -312,5 +307,4 @@ OPERATIONS = {
     "waves": Operation(("joint", "order"), _waves),
     "radial": Operation(("kernel", "centers", "shift", "inverse_width"), _radial),
     "variances": Operation(("vector", "root"), _variances),
-    "doubt": Operation(("vector", "root", "known"), _doubt),
 }

@@ -85,13 +85,13 @@ def compute(name, given, values):
         z = [(x - shift) * width for x, shift, width in scaled]
         squares = [sum((a - b) ** 2 for a, b in zip(z, c)) for c in given["centers"]]
         return [radial(given["kernel"], s) for s in squares]
-    found = variances(first, last, given["vector"], given["root"])
-    return found if name == "variances" else [max(sum(found) - given["known"], 0.0)]
+    return variances(first, last, given["vector"], given["root"])
 
 
 def run(model, row):
     """Outputs of a model, the content of its file, at one row of inputs, as a dict of lists."""
-    values, arrays = [list(row)], model["arrays"]
+    arrays = model["arrays"]
+    values: list = [list(row)]
     for name, inputs, given in model["operations"]:
         given = {k: v if isinstance(v, str) else arrays[v] for k, v in given.items()}
         values.append(compute(name, given, [values[i] for i in inputs]))

@@ -4,8 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import partial
-from types import MethodType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.exceptions import NotFittedError
@@ -31,7 +30,7 @@ class Step(NamedTuple):
     """One estimator of the chain, by the path that leads to it."""
 
     path: str
-    estimator: object
+    estimator: Any
 
 
 def leaves(model, path=None):
@@ -62,7 +61,7 @@ def leaves(model, path=None):
         yield from leaves(model.regressor_, f"{path}.regressor")
 
 
-def check_fitted(model):
+def check_fitted(model: Any) -> None:
     """Refuse a class, or an estimator that is not fitted, with one sentence."""
     if isinstance(model, type) or not hasattr(model, "fit"):
         raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
@@ -71,6 +70,12 @@ def check_fitted(model):
             check_is_fitted(step)
         except NotFittedError:
             raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
+
+
+def check_std(std):
+    """Refuse what is neither True nor False."""
+    if not isinstance(std, bool):
+        raise ValueError(f"std must be True or False, got {show(std)}.")
 
 
 def _azimuth_arm(path, azimuth):
@@ -82,16 +87,16 @@ def _azimuth_arm(path, azimuth):
         and set(azimuth.keywords) == {"angle_unit"}
     ):
         unit, method = azimuth.keywords["angle_unit"], azimuth.func
-    known = isinstance(method, MethodType) and method.__func__ is Arm.azimuth
-    if not known or not isinstance(method.__self__, Arm):
+    owner = getattr(method, "__self__", None)
+    if getattr(method, "__func__", None) is not Arm.azimuth or not isinstance(owner, Arm):
         raise ValueError(
             f"{path} takes its azimuth from {azimuth!r}, which cannot be exported: only the method "
             "of an Arm can, azimuth=arm.azimuth."
         )
-    return method.__self__, unit
+    return owner, unit
 
 
-def arm_of(model):
+def arm_of(model) -> tuple[Any, Any]:
     """Arm and angle unit of a chain, (None, None) where it has none.
 
     Raises
@@ -103,8 +108,8 @@ def arm_of(model):
     for path, step in leaves(model):
         if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             found.append((path, *_azimuth_arm(path, step.azimuth)))
-        elif isinstance(getattr(step, "arm_", None), Arm):
-            found.append((path, step.arm_, step.angle_unit))
+        elif isinstance(arm := getattr(step, "arm_", None), Arm):
+            found.append((path, arm, getattr(step, "angle_unit", "rad")))
     for path, arm, unit in found[1:]:
         if (arm, unit) != found[0][1:]:
             what = "arms" if arm != found[0][1] else "angle units"

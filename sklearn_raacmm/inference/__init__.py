@@ -24,7 +24,7 @@ from sklearn_raacmm.inference._linear import (
     sums_of_pairs,
 )
 from sklearn_raacmm.inference._search import beside_field, net_evidence, search, search_at
-from sklearn_raacmm.inference._test import Whitened, best_cause, score_tests
+from sklearn_raacmm.inference._test import Whitened, best_cause, explained, score_tests
 
 __all__ = [
     "Extra",
@@ -42,6 +42,7 @@ __all__ = [
     "combined",
     "condition",
     "evidence_variance",
+    "explained",
     "interval_scales",
     "log_density",
     "narrowed",

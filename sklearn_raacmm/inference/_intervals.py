@@ -17,7 +17,14 @@ _SEARCH = {"xatol": 1e-4, "fatol": 1e-6, "maxiter": 500}
 _POLISH = {"xatol": 1e-8, "fatol": 1e-12, "maxiter": 500}
 
 
-def interval_scales(errors, noise, std, weights, worth=1.0, usual_log_b=0.0):
+def interval_scales(
+    errors: np.ndarray,
+    noise: np.ndarray,
+    std: np.ndarray,
+    weights: np.ndarray,
+    worth: float = 1.0,
+    usual_log_b: float = 0.0,
+) -> tuple[float, float]:
     """Factors of noise and standard deviation at which intervals of 95 % hold.
 
     Errors in units of ``sqrt(a noise^2 + b std^2)`` are a Student variable: a, b and its degrees of

@@ -20,9 +20,11 @@ References
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, cho_solve, cholesky
 
 from sklearn_raacmm.utils import invert_triangle
@@ -67,7 +69,7 @@ class Sums(NamedTuple):
     candidate_moment: np.ndarray  # (2 n_pairs,) H'y
     square: float  # y'y
     n_observations: float
-    rows: object  # callable: (pairs, likely, beside) to rows of H'H, see `GramRows`
+    rows: Any  # callable: (pairs, likely, beside) to rows of H'H, see `GramRows`
 
 
 class Extra(NamedTuple):
@@ -90,7 +92,7 @@ class Structures(NamedTuple):
     largest: float  # variance beyond which a coefficient makes no sense
 
     @property
-    def line(self):
+    def line(self) -> int:
         """Index of the variance that lines share; that of the field is the next one."""
         return len(self.given) - 2
 
@@ -110,7 +112,7 @@ class State(NamedTuple):
     determined: np.ndarray  # (m + 2 k,) share of each coefficient that the data determine
 
     @property
-    def gains(self):
+    def gains(self) -> np.ndarray:
         """Rise of the log evidence by each pair, beside all others, (k,)."""
         if not len(self.pairs):
             return np.empty(0)
@@ -122,7 +124,7 @@ class State(NamedTuple):
         shrunk = np.linalg.slogdet(covariance)[1] - 2 * np.log(self.prior[m::2])
         return 0.5 * (fit + shrunk)
 
-    def gain_of(self, columns):
+    def gain_of(self, columns: np.ndarray) -> float:
         """Rise of the log evidence by some columns together, beside all others, in nats.
 
         With w their coefficients, S their covariance and v their prior variances that is
@@ -135,7 +137,7 @@ class State(NamedTuple):
         return float(0.5 * (fit + np.linalg.slogdet(covariance)[1]))
 
 
-def combined(parts, signs):
+def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     """Sums times numbers, added up: over more poses, over fewer, or at other weights.
 
     Parameters
@@ -148,7 +150,7 @@ def combined(parts, signs):
     -------
     Sums
     """
-    whole = [
+    whole: list[Any] = [
         sum(sign * value for sign, value in zip(signs, values, strict=True))
         for values in zip(*(part[:-1] for part in parts), strict=True)
     ]
@@ -159,16 +161,13 @@ def combined(parts, signs):
         for own, found in part.rows.terms
     ]
 
-    def sum_up(pairs):
-        rows = 0.0
-        for sign, found in terms:
-            rows = rows + sign * found(pairs)
-        return rows
+    def sum_up(pairs) -> Any:
+        return sum(sign * found(pairs) for sign, found in terms)
 
-    return Sums(*whole, GramRows(sum_up, parts[0].cross.shape[1], terms))
+    return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1], terms)])
 
 
-def sums_of_pairs(sums, pairs):
+def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
     """Sums with some of the candidates only."""
     columns = columns_of(pairs)
 
@@ -183,7 +182,7 @@ def sums_of_pairs(sums, pairs):
     )
 
 
-def columns_of(pairs):
+def columns_of(pairs: ArrayLike) -> np.ndarray:
     """First and second columns of some candidates."""
     pairs = np.asarray(pairs, dtype=int)
     return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
@@ -202,22 +201,30 @@ class GramRows:
         need not go through this sum.
     """
 
-    def __init__(self, sum_up, n_columns, terms=None):
-        self._sum_up, self._place = sum_up, {}
-        self.terms = [(1.0, self)] if terms is None else terms
+    def __init__(
+        self,
+        sum_up: Callable[[np.ndarray], np.ndarray],
+        n_columns: int,
+        terms: list[tuple[float, Any]] | None = None,
+    ) -> None:
+        self._sum_up = sum_up
+        self._place: dict[int, int] = {}
+        self.terms: list[tuple[float, Any]] = [(1.0, self)] if terms is None else terms
         self._rows = np.empty((0, n_columns))
 
-    def __call__(self, pairs, likely=(), beside=None):
+    def __call__(
+        self, pairs: np.ndarray, likely: Sequence[int] = (), beside: np.ndarray | None = None
+    ) -> np.ndarray:
         """Products of `pairs` with those of `beside`, (2 b, 2 k); with all where it is None.
 
         Those of `likely` are summed up on the way.
         """
-        pairs = np.asarray(pairs, dtype=int).tolist()
-        missing = [p for p in pairs if p not in self._place]
+        wanted = np.asarray(pairs, dtype=int).tolist()
+        missing = [p for p in wanted if p not in self._place]
         if missing:
             missing += [p for p in likely if p not in self._place and p not in missing]
-            self._keep(missing[: max(_BATCH, len(pairs))])
-        rows = columns_of([self._place[p] for p in pairs])
+            self._keep(missing[: max(_BATCH, len(wanted))])
+        rows = columns_of([self._place[p] for p in wanted])
         if beside is None:
             return self._rows[rows]
         return self._rows.view(complex)[np.ix_(rows, beside)].view(float)  # both columns at once
@@ -242,13 +249,15 @@ class Problem:
     extra : Extra, default=None
     """
 
-    def __init__(self, sums, structures, extra=None):
-        self.sums, self.structures, self.extra = _without_rounding(sums), structures, extra
-        self.n = max(sums.n_observations, 1.0)
-        self.start = max(sums.square / self.n, _NO_NOISE)
-        self.assumed = _ASSUMED_SHARE * self.start
-        self.known = np.isfinite(structures.given)
-        self.guess = self._first_guess()
+    def __init__(self, sums: Sums, structures: Structures, extra: Extra | None = None) -> None:
+        self.sums: Sums = _without_rounding(sums)
+        self.structures: Structures = structures
+        self.extra: Extra | None = extra
+        self.n: float = max(sums.n_observations, 1.0)
+        self.start: float = max(sums.square / self.n, _NO_NOISE)
+        self.assumed: float = _ASSUMED_SHARE * self.start
+        self.known: np.ndarray = np.isfinite(structures.given)
+        self.guess: np.ndarray = self._first_guess()
         self._last = None  # pairs and products: most choices have the columns of the last one
 
     def _first_guess(self):
@@ -264,26 +273,31 @@ class Problem:
                 variance[f] = self.start * self.n / size if size > 0 else 1.0
         return variance
 
-    def nothing(self):
+    def nothing(self) -> State:
         """The state without lines and field, with the variances that it has the evidence for."""
         variance = np.minimum(self.guess, self.structures.largest)
         none = np.empty(0, dtype=int)
         return self.with_variances(self.state(none, False, variance, self.start))
 
-    def pairs_and_shares(self, lines, with_field):
+    def pairs_and_shares(
+        self, lines: np.ndarray, with_field: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Pairs that are in, sorted, and the share (n_structures, m + 2 k) that each column has."""
         structures, pairs = self.structures, lines
-        if with_field:
-            pairs = np.union1d(lines, np.flatnonzero(structures.share > 0)).astype(int)
+        share = structures.share if with_field else None
+        if share is not None:
+            pairs = np.union1d(lines, np.flatnonzero(share > 0)).astype(int)
         m, line = len(structures.family), structures.line
         shares = np.zeros((line + 2, m + 2 * len(pairs)))
         shares[structures.family, np.arange(m)] = 1.0
         shares[line, m:] = np.repeat(np.isin(pairs, lines, assume_unique=True), 2)
-        if with_field:
-            shares[line + 1, m:] = np.repeat(structures.share[pairs], 2)
+        if share is not None:
+            shares[line + 1, m:] = np.repeat(share[pairs], 2)
         return pairs, shares
 
-    def state(self, lines, with_field, variance, noise):
+    def state(
+        self, lines: np.ndarray, with_field: bool, variance: np.ndarray, noise: float
+    ) -> State:
         """Posterior and evidence at given variances."""
         pairs, shares = self.pairs_and_shares(lines, with_field)
         gram, moment = self._products(pairs)
@@ -295,7 +309,8 @@ class Problem:
         fixed += (self.sums.square + _ASSUMED_ROWS * self.assumed) / noise
         if self.extra is not None:
             precision = 1 / (self.extra.variance + noise * self.extra.share)
-            rows = self._extra_rows(pairs)
+            always = self.extra.rows[:, self.sums.cross.shape[1] :]
+            rows = np.concatenate([always, self.extra.rows[:, columns_of(pairs)]], axis=1)
             weighted = rows.T * precision
             S += (weighted @ rows)[::-1, ::-1]
             r = r + weighted @ self.extra.values
@@ -321,11 +336,6 @@ class Problem:
             determined=1 - np.einsum("ij,ij->i", half, half) / prior,
         )
 
-    def _extra_rows(self, pairs):
-        """Rows of the other observations for the columns that are in."""
-        n_waves, rows = self.sums.cross.shape[1], self.extra.rows
-        return np.concatenate([rows[:, n_waves:], rows[:, columns_of(pairs)]], axis=1)
-
     def _products(self, pairs):
         """Gram matrix of the columns that are always in and of some pairs, and products with y."""
         if self._last is not None and np.array_equal(pairs, self._last[0]):
@@ -341,7 +351,7 @@ class Problem:
         self._last = pairs, gram, moment
         return gram, moment
 
-    def with_variances(self, state, max_steps=MAX_STEPS):
+    def with_variances(self, state: State, max_steps: int = MAX_STEPS) -> State:
         """The same choice at the variances and the noise of highest evidence."""
         for _ in range(max_steps):
             last, state = state, self._step(state)
@@ -356,12 +366,13 @@ class Problem:
         variance = np.clip(variance, least, np.maximum(least, self.structures.largest))
         variance = np.where(self.known, self.structures.given, variance)
         noise = max(noise, _LEAST_NOISE * self.start)
-        for _ in range(_HALVINGS):
-            found = self.state(last.lines, last.with_field, variance, noise)
+        found = self.state(last.lines, last.with_field, variance, noise)
+        for _ in range(_HALVINGS - 1):
             if found.log_evidence >= last.log_evidence:
                 break
             variance = np.sqrt(variance * last.variance)
             noise = np.sqrt(noise * last.noise_variance)
+            found = self.state(last.lines, last.with_field, variance, noise)
         return found
 
     def _fixed_point(self, state):
@@ -379,7 +390,9 @@ class Problem:
         return variance, evidence_variance(max(rss, 0.0), free, self.assumed, _ASSUMED_ROWS)
 
 
-def evidence_variance(squares, determined, guess=0.0, counts=0.0):
+def evidence_variance(
+    squares: Any, determined: Any, guess: float = 0.0, counts: float = 0.0
+) -> Any:
     """Variance of highest evidence by MacKay's fixed point, with a guess that few data keep.
 
     Parameters

@@ -17,7 +17,14 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.linalg.blas import dtrsm
 
-from sklearn_raacmm.inference._linear import MAX_STEPS, SMALL_RISE, columns_of, root_of
+from sklearn_raacmm.inference._linear import (
+    MAX_STEPS,
+    SMALL_RISE,
+    Problem,
+    State,
+    columns_of,
+    root_of,
+)
 
 # Rounds of the choice at most; it stops by the evidence, and few problems take more than five.
 _MAX_ROUNDS = 10
@@ -31,7 +38,7 @@ _LIKELY = 48
 _LEAST_PROMISE, _FIELD_SIZES = 0.6, 10.0 ** np.arange(-4.0, 0.5, 0.5)
 
 
-def search(problem, state=None):
+def search(problem: Problem, state: State | None = None) -> State:
     """Lines that are worth their price, and their variances.
 
     Parameters
@@ -65,7 +72,7 @@ def search(problem, state=None):
     return best
 
 
-def search_at(problem, state):
+def search_at(problem: Problem, state: State) -> State:
     """Lines that are worth their price at the variances of a state, beside its field; no more.
 
     Parameters
@@ -83,7 +90,7 @@ def search_at(problem, state):
     return _pruned(problem, problem.state(lines, *start))
 
 
-def beside_field(problem, state):
+def beside_field(problem: Problem, state: State) -> State | None:
     """The choice beside the field, where the data speak for it.
 
     Parameters
@@ -113,7 +120,7 @@ def beside_field(problem, state):
     return found
 
 
-def net_evidence(problem, state):
+def net_evidence(problem: Problem, state: State) -> float:
     """Log evidence less the prices of the lines."""
     return state.log_evidence - problem.structures.price[state.lines].sum()
 

@@ -3,9 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 # A direction that the rows show by less than this part of the cause itself, or of the strongest
 # direction, is rounding and not tested; a nuisance that is that much smaller than the largest one.
@@ -41,31 +44,37 @@ class Whitened:
     ([1.0, -1.0], 1)
     """
 
-    def __init__(self, root, nuisance):
+    def __init__(self, root: np.ndarray, nuisance: np.ndarray) -> None:
         self.root = root
         basis = self.scaled(nuisance)
         if basis.size:
             u, size, _ = np.linalg.svd(basis, full_matrices=False)
             basis = u[:, size > _ROUNDING * size.max()]
         self.basis = basis
-        self.freedom = len(root) - basis.shape[1]
+        self.freedom: int = len(root) - basis.shape[1]
 
-    def scaled(self, values):
+    def scaled(self, values: np.ndarray) -> np.ndarray:
         """Values divided by the root, the nuisances among them."""
         return solve_triangular(self.root, values, lower=True, check_finite=False)
 
-    def __call__(self, values):
+    def __call__(self, values: np.ndarray) -> np.ndarray:
         """Values divided by the root, less what the nuisances explain of them."""
         values = self.scaled(values)
         return values - self.basis @ (self.basis.T @ values)
 
 
-def score_tests(causes, whiten, residual):
+def score_tests(
+    causes: Mapping[str, np.ndarray],
+    whiten: Whitened,
+    residual: np.ndarray,
+    known_from: float = np.inf,
+) -> np.ndarray:
     """Test the size of all residuals, and for each cause whether it is there.
 
     What of a cause is not taken up by the nuisances spans some directions. If the covariance is
     right, the squares of the residuals along these are a chi-squared variable (C. R. Rao, Proc.
-    Camb. Phil. Soc. 44, 1948).
+    Camb. Phil. Soc. 44, 1948). Where its size was found from few independent errors, their mean is
+    a variable of Fisher's distribution F.
 
     Parameters
     ----------
@@ -73,6 +82,8 @@ def score_tests(causes, whiten, residual):
         What each cause does to the rows.
     whiten : Whitened
     residual : ndarray of shape (m,)
+    known_from : float, default=inf
+        From how many independent errors the size of the covariance was found.
 
     Returns
     -------
@@ -91,11 +102,20 @@ def score_tests(causes, whiten, residual):
             rows.append((name, np.square(seen.T @ left).sum(), seen.shape[1]))
     dtype = [("cause", "U24"), ("statistic", "f8"), ("freedom", "i4"), ("p_value", "f8")]
     tests = np.array([(*row, 0.0) for row in rows], dtype=dtype)
-    tests["p_value"] = chi2.sf(tests["statistic"], tests["freedom"])
+    statistic, freedom = tests["statistic"], tests["freedom"]
+    if np.isinf(known_from):
+        tests["p_value"] = chi2.sf(statistic, freedom)
+    else:
+        tests["p_value"] = fisher.sf(statistic / freedom, freedom, known_from)
     return tests
 
 
-def best_cause(tests):
+def explained(columns: np.ndarray, whiten: Whitened, residual: np.ndarray) -> np.ndarray:
+    """What a cause does to the rows, by its most likely coefficients, (m,)."""
+    return columns @ np.linalg.lstsq(whiten(columns), whiten(residual), rcond=_UNSEEN)[0]
+
+
+def best_cause(tests: np.ndarray) -> str:
     """The cause that explains most for its numbers (BIC), or "noise" if it leaves too much.
 
     Where the best cause leaves residuals no better than before it is not the cause.

@@ -1,8 +1,32 @@
-"""What was measured, and what is to be said about it."""
+"""What was measured, and what is to be said about it: the gate of every door that takes data."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.measurements._moved_seats import find_steps, warn_of_moved_seats
+from sklearn_raacmm.measurements._angles import coarse_angles
+from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._moved_seats import find_steps, moved_positions
+from sklearn_raacmm.measurements._order import MOST_TOLD, directions_of, drift_of, order_told_by
+from sklearn_raacmm.measurements._set_ups import moved_set_up
+from sklearn_raacmm.measurements._targets import Targets, check_targets
+from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
-__all__ = ["find_steps", "warn_of_moved_seats"]
+__all__ = [
+    "MOST_TOLD",
+    "Dwells",
+    "Finding",
+    "FindingError",
+    "FindingWarning",
+    "Targets",
+    "check_targets",
+    "coarse_angles",
+    "directions_of",
+    "drift_of",
+    "find_dwells",
+    "find_poses",
+    "find_steps",
+    "moved_positions",
+    "moved_set_up",
+    "order_told_by",
+    "within_turn",
+]

@@ -3,12 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sklearn_raacmm.utils import chunks, encode_groups, warn_user
+from sklearn_raacmm.utils import Finding, chunks, encode_groups
 
 # Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
 # beyond ten a slow change of the residuals counts as much as a step.
@@ -38,8 +40,6 @@ _OUTLIER = 8.0
 _LEAST_NOISE_MM = 1e-3
 # Positions, and steps of each, that the sentence names.
 _NAMED = 3
-# How the sentence begins: who fits to a part of the rows filters it, for its rows have other
-# numbers there.
 MOVED = "The fixed point seems to have moved during the test:"
 
 
@@ -52,7 +52,9 @@ class Step(NamedTuple):
     size_mm: float
 
 
-def find_steps(left, angles, codes, noise_variance=0.0):
+def find_steps(
+    left: np.ndarray, angles: np.ndarray, codes: np.ndarray, noise_variance: float = 0.0
+) -> list[Step]:
     r"""Steps of residuals in the order of the rows, position by position.
 
     What a model leaves at two poses of one position differs the more, the farther the poses are
@@ -108,8 +110,15 @@ def find_steps(left, angles, codes, noise_variance=0.0):
     return found
 
 
-def warn_of_moved_seats(left, angles, weights, groups, noise_variance):
-    """Name positions that have moved during the test, in one warning.
+def moved_positions(
+    left: np.ndarray,
+    angles: np.ndarray,
+    weights: np.ndarray,
+    groups: ArrayLike,
+    noise_variance: float,
+    numbers: np.ndarray | None = None,
+) -> Iterator[Finding]:
+    """Positions that have moved during the test, in one finding.
 
     Parameters
     ----------
@@ -119,29 +128,46 @@ def warn_of_moved_seats(left, angles, weights, groups, noise_variance):
         Rows without weight do not count.
     groups : array-like of shape (n,)
         Label of the position of each row.
+    numbers : ndarray of shape (n,), default=None
+        What the rows are called; None: from 0.
+
+    Yields
+    ------
+    Finding
     """
     labels, codes = encode_groups(groups)
     rows = np.flatnonzero(weights > 0)
     steps = find_steps(left[rows], angles[rows], codes[rows], noise_variance)
+    rows = rows if numbers is None else numbers[rows]
     if not steps:
         return
     moved = sorted({step.code for step in steps})
     named = []
     for code in moved[:_NAMED]:
         of = [step for step in steps if step.code == code]
-        largest = sorted(sorted(of, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
-        parts = [
-            f"{step.size_mm:.3g} mm between rows {rows[step.before]} and {rows[step.after]}"
-            for step in largest
-        ]
-        more = f" and {len(of) - _NAMED} more times" * (len(of) > _NAMED)
-        named.append(f"position {labels[code].item()!r} by {', by '.join(parts)}{more}")
+        named.append(f"position {labels[code].item()!r} by {_in_words(of, rows)}")
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
-    warn_user(
-        f"{MOVED} {'; '.join(named)}{more} (rows counted from 0). No model of the arm can follow "
-        "that: fasten the socket and the arm's base and measure again, or give the rows after each "
-        "step a label of their own."
+    yield Finding(
+        "moved-position",
+        f"{MOVED} {'; '.join(named)}{more} (rows counted from 0).",
+        "No model of the arm can follow that: fasten the socket and the arm's base and measure "
+        "again, or give the rows after each step a label of their own.",
+        "repair",
+        positions=tuple(labels[moved]),
+        rows=tuple(rows[step.after] for step in steps),
+        size_mm=max(step.size_mm for step in steps),
     )
+
+
+def _in_words(steps, rows):
+    """The largest steps, in their order."""
+    largest = sorted(sorted(steps, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
+    parts = [
+        f"{step.size_mm:.3g} mm between rows {rows[step.before]} and {rows[step.after]}"
+        for step in largest
+    ]
+    more = f" and {len(steps) - _NAMED} more times" * (len(steps) > _NAMED)
+    return f"{', by '.join(parts)}{more}"
 
 
 class _Poses(NamedTuple):

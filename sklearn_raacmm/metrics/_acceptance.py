@@ -299,7 +299,7 @@ def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = Non
     return float(2 * _spheres.minimum_enclosing_sphere(centers)[1])
 
 
-def _check_lengths(name, lengths):
+def _check_lengths(name, lengths) -> np.ndarray:
     lengths = np.atleast_1d(floats(name, lengths))
     if lengths.ndim != 1 or not len(lengths):
         raise ValueError(f"{name} has shape {lengths.shape}; one value per length is needed.")

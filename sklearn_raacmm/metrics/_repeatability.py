@@ -431,7 +431,7 @@ def _axis_statistic(deviations, position, counts, statistic):
     return (high - low) / 2
 
 
-def _aggregate(values, aggregate):
+def _aggregate(values, aggregate) -> Any:
     if aggregate is None:
         return values
     summary = getattr(np, aggregate)(values, axis=0)

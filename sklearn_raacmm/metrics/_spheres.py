@@ -1,6 +1,7 @@
 """Two spheres of metrology: the least-squares one and the smallest one that holds all points."""
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -71,7 +72,7 @@ def minimum_enclosing_sphere(points):
 
 def _smallest_sphere(few):
     """Smallest enclosing sphere of at most n_dims + 2 points, by trying every subset."""
-    best = None
+    best: Any = None
     for size in range(1, min(len(few), few.shape[1] + 1) + 1):
         for subset in combinations(range(len(few)), size):
             edges = few[list(subset[1:])] - few[subset[0]]

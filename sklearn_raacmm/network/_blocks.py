@@ -74,7 +74,7 @@ class DaskChunks:
 
     def reduce(self, function, combine, width):
         """As `ArrayChunks.reduce`; results are combined by a tree of tasks."""
-        from dask import delayed
+        from dask.delayed import delayed
 
         starts = np.cumsum([0, *self.rows[:-1]])
         results = [
@@ -207,7 +207,7 @@ def _join(one, other, seed, size):
     scatter = one.scatter + other.scatter + one.weight * share * np.outer(step, step)
     parts = zip(one.sample[:6], other.sample[:6], strict=True)
     both = Merged(*(np.concatenate(pair) for pair in parts))
-    joined = merge(both.X, both.Y, both.weights, both.within, both.count)
+    joined = merge(both.X, both.Y, both.weights, both.within, both.observed)
     joined = joined._replace(first=both.first[joined.first])
     sample, complete = _cut(joined, seed, size)
     return _Summary(
@@ -268,10 +268,17 @@ class ChunkedProblem(NamedTuple):
     summary: _Summary
 
     # Groups with constants are for rows in memory.
-    codes, ratio = None, 0.0
+    codes: None = None
+    ratio: float = 0.0
 
-    view = view_of
-    tail_rows = Problem.tail_rows
+    def view(self):
+        """The targets as a selection wants to see them."""
+        return view_of(self)
+
+    @property
+    def tail_rows(self):
+        """The ridge as further rows of the polynomial."""
+        return ridge_rows(self.n_tail, self.tail_ridge)
 
     @property
     def X(self):  # noqa: N802

@@ -207,13 +207,14 @@ def whiten(problem, view, factor, features, members, alphas):
     gram = gram.T  # of which BLAS takes the lower triangle
     if len(along):
         gram = blas.dsyrk(-1.0, along, trans=1, beta=1.0, c=gram, lower=1, overwrite_c=1)
-    triangle = None
+    exact = None
     groups, degrees = [], []
     for alpha, of in zip(alphas, members, strict=True):
         # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
         # machine epsilon; a ridge, or a coarse factor, does not ask for more.
         last = len(groups) == len(alphas) - 1
-        trusted, failed = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT), True
+        trusted = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT)
+        root, failed = gram, True
         strong = alpha > 1e-8 * gram.diagonal().max(initial=0.0)
         if strong or coarse or (alpha == 0 and resolution >= 1e-9):
             trusted = max(resolution, 1e-7)
@@ -224,8 +225,8 @@ def whiten(problem, view, factor, features, members, alphas):
         if not failed:
             projected = solve_triangular(root, cross[:, of], lower=True, check_finite=False)
         else:
-            if triangle is None:
-                triangle, rotated = _projected_triangle(problem, features, view, rank)
+            exact = exact or _projected_triangle(problem, features, view, rank)
+            triangle, rotated = exact
             ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
             Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
             root, projected = R.T, Q[:rank].T @ rotated[:, of]

@@ -117,7 +117,8 @@ def fit_network(problem, outputs, functions, alpha, n_found, n_centers, max_cent
         else:
             kept = np.arange(sample.n_rows)
         network = process_of(sample, outputs, alpha, functions, n_found)
-        return Fitted(network, kept, *np.empty((2, 0)), len(kept), "all rows")
+        none = np.empty(0)
+        return Fitted(network, kept, none, none, len(kept), "all rows")
     order, stop = choose_centers(problem, alpha, functions, n_centers, max_centers, rng)
     path = fit_path(problem, order, alpha, functions)
     varying = problem.spread > 0
@@ -208,14 +209,17 @@ def choose_centers(problem, alpha, functions, n_centers, max_centers, rng):
         total = view.total[np.concatenate(members)] + view.within[np.concatenate(members)]
         floor = n_centers * len(total) * problem.n_total
 
-        def enough(summed):
+        def few_are_left(summed):
             return np.sum(total - summed) <= floor
+
+        enough = few_are_left
     elif asked is None:
         units, goal = posterior_goal(problem, view, candidates, members)
 
-        def enough(summed):
+        def all_are_reached(summed):
             return np.all(summed >= goal)
 
+        enough = all_are_reached
     found = forward_selection(candidates.groups, most, units=units, enough=enough)
     if goal is not None:
         _warn_of_limits(found, candidates, max_centers, goal)

@@ -5,6 +5,7 @@ function of one number, the squared distance ``s``. The derivative with respect 
 gradient with respect to any width needs: no square root, hence no division by a zero distance.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -95,8 +96,8 @@ def _inverse_multiquadric_with_slope(s):
 class Kernel(NamedTuple):
     """A radial function of the scaled squared distance, 1 at distance 0."""
 
-    function: callable  # may overwrite its argument
-    with_slope: callable  # the same, and its derivative with respect to the squared distance
+    function: Callable  # may overwrite its argument
+    with_slope: Callable  # the same, and its derivative with respect to the squared distance
 
 
 KERNELS = {
@@ -125,7 +126,9 @@ def squared_distances(A, B, out=None):
     return np.matmul(left, right.T, out=out)
 
 
-def kernel_matrix(A, B, kernel, out=None):
+def kernel_matrix(
+    A: np.ndarray, B: np.ndarray, kernel: str, out: np.ndarray | None = None
+) -> np.ndarray:
     """Kernel values (n, m) between scaled rows A (n, d) and B (m, d); in `out`, if it is given."""
     values = KERNELS[kernel].function(squared_distances(A, B, out))
     if out is None or values is out:

@@ -119,7 +119,8 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None)
     beyond = np.square(targets[p + k :]).sum(axis=0)
     targets = targets[: p + k]
     rss, objective, dof = (np.empty((k + 1, q)) for _ in range(3))
-    triangles, rotated = [None] * q, np.zeros((p + k, q))
+    rotated = np.zeros((p + k, q))
+    triangles = [rotated] * q  # until they are there
     for alpha in np.unique(alphas):
         of = np.flatnonzero(alphas == alpha)
         Q, triangle = penalise(columns, p, penalty_root, alpha)

@@ -223,7 +223,7 @@ def inverses(K, Y, alphas):
         half = (vectors @ (0.5 * vectors * inverses.sum(axis=1)).T).T
         return solved, -np.log(inverses).sum(axis=0), inverses.sum(axis=0), half
     solved, log_det, trace = np.empty((n, q)), np.empty(q), np.empty(q)
-    half = None
+    half = np.empty((n, n), order="F")
     for i, alpha in enumerate(alphas):
         C = K.T.copy(order="F")
         C[np.diag_indices(n)] += alpha
@@ -235,7 +235,7 @@ def inverses(K, Y, alphas):
         invert_triangle(factor)
         one = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # its lower triangle
         trace[i] = np.trace(one)
-        half = one if half is None else np.add(half, one, out=half)
+        half = np.add(half, one, out=half) if i else one
     half[np.diag_indices(n)] *= 0.5
     return solved, log_det, trace, half
 

@@ -12,7 +12,7 @@ slope whose square is far above :math:`\kappa^2 / n`, its error from n observati
 however steep it is; one that cannot be told from 0 costs nothing.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -90,8 +90,8 @@ class Task(NamedTuple):
         else:
             log_width = np.log(self.length_scale)
         ratio = float(np.exp(theta[-1])) if self.constants else 0.0
-        if self.n_alphas:
-            return log_width, theta[self.n_widths :][: self.n_alphas], ratio
+        if self.alpha is None:
+            return log_width, theta[self.n_widths :][: self.n_outputs], ratio
         return log_width, np.log(np.maximum(self.alpha, ALPHA_BOUNDS[0])), ratio
 
     def reduce(self, gradient):
@@ -197,7 +197,7 @@ def step_units(end, data):
     return np.sqrt(1 / np.maximum(curvature / curvature.max(), LEAST_CURVATURE))
 
 
-def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units=1.0, nats=None):
+def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units: Any = 1.0, nats=None):
     """Search from a start, with steps in some units, to about so many nats.
 
     Returns

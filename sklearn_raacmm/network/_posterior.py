@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
@@ -105,16 +106,16 @@ class Network:
     signal_variance: np.ndarray
     tail_map: np.ndarray
     ratio: float = 0.0
-    triangle: np.ndarray | None = None
-    weights: np.ndarray | None = None
+    triangle: Any = None
+    weights: Any = None
     codes: np.ndarray | None = None
     tail_ridge: float = 0.0
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         # Without what `_roots` keeps from one call to the next.
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         shapes = dict(_SHAPES)
         shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
@@ -127,7 +128,7 @@ class Network:
             )
 
     @property
-    def all_rows(self):
+    def all_rows(self) -> bool:
         """Whether every training row is a centre."""
         return self.triangle is None
 
@@ -137,7 +138,7 @@ class Network:
         shift = self.centers.mean(axis=0) if len(self.centers) else 0.0
         return shift, (self.centers - shift) / self.length_scale
 
-    def with_noise(self, factor):
+    def with_noise(self, factor: float) -> Self:
         """The same with a larger variance of the noise, for one that was estimated too small.
 
         Where all rows are centres, what the noise makes of the weights is a part of the prior's
@@ -148,30 +149,30 @@ class Network:
             other = replace(other, signal_variance=factor * self.signal_variance)
         return other
 
-    def scaled(self, X):
+    def scaled(self, X: np.ndarray) -> np.ndarray:
         """Rows as the radial functions see them, (n, d)."""
         return (X - self._scaled_centers[0]) / self.length_scale
 
-    def radial(self, X):
+    def radial(self, X: np.ndarray) -> np.ndarray:
         """Values of the radial functions, (n, k)."""
         return kernel_matrix(self.scaled(X), self._scaled_centers[1], self.kernel)
 
-    def tail(self, X):
+    def tail(self, X: np.ndarray) -> np.ndarray:
         """Columns of the polynomial in the fit, (n, p)."""
         return np.column_stack([np.ones(len(X)), X]) @ self.tail_map.T
 
-    def weigh(self, columns):
+    def weigh(self, columns: np.ndarray) -> np.ndarray:
         """Columns at all training rows, which are the centres, as the fit sees them."""
         root = np.sqrt(self.weights)[:, None]
         return root * without_constants(columns, self.codes, self.weights, self.ratio)
 
     @cached_property
-    def prior_root(self):
+    def prior_root(self) -> np.ndarray:
         """W such that ``|W k(x)|^2`` is the part of the prior variance in the centres' span."""
         centers = self._scaled_centers[1]
         return psd_inverse_root(kernel_matrix(centers, centers, self.kernel))
 
-    def design_triangle(self):
+    def design_triangle(self) -> np.ndarray:
         """Triangular factor of the columns at the training rows, polynomial first."""
         p = len(self.tail_map)
         n = p + len(self.centers)
@@ -211,7 +212,7 @@ class Network:
         inverse = np.linalg.inv(triangular_factor(np.vstack(rows))).T
         return A, inverse @ np.hstack([np.eye(p), -along.T @ A])
 
-    def roots(self, output):
+    def roots(self, output: int) -> tuple[np.ndarray, np.ndarray]:
         """Matrices A (r, k) and B (s, p + k) of an output's variance, see above."""
         return self._roots[self.alpha[output]]
 
@@ -221,7 +222,9 @@ class Network:
         for alpha, (A, B) in self._roots.items():
             yield np.flatnonzero(self.alpha == alpha), A, B, K @ A.T, columns @ B.T
 
-    def predict(self, X, return_std=False, with_noise=True):
+    def predict(
+        self, X: np.ndarray, return_std: bool = False, with_noise: bool = True
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Mean and standard deviation.
 
         Parameters
@@ -243,7 +246,7 @@ class Network:
         mean = np.tile(self.polynomial[0], (n, 1))
         if np.any(self.polynomial[1:]):
             mean += X @ self.polynomial[1:]
-        variance = np.empty_like(mean) if return_std else None
+        variance = np.empty_like(mean)
         size = _CHUNK_OF_STD if return_std and self.all_rows else _CHUNK
         for part in chunks(n, size // max(k, 1)):
             K = self.radial(X[part])
@@ -255,7 +258,7 @@ class Network:
                 variance[part, of] += np.outer(of_weights, self.noise_variance[of])
         return mean, np.sqrt(variance) if return_std else None
 
-    def covariance(self, X, with_noise=True):
+    def covariance(self, X: np.ndarray, with_noise: bool = True) -> np.ndarray:
         """Covariance of predictions at some rows.
 
         Parameters
@@ -282,7 +285,9 @@ class Network:
                 found[:, :, i] += self.noise_variance[i] * of_weights
         return found
 
-    def sample(self, X, n_samples, rng, with_noise=True):
+    def sample(
+        self, X: np.ndarray, n_samples: int, rng: np.random.RandomState, with_noise: bool = True
+    ) -> np.ndarray:
         """Draws from the posterior at some rows, (n, q, n_samples).
 
         Raises
@@ -304,7 +309,9 @@ class Network:
                 draws[:, i] += noise * rng.standard_normal((len(X), n_samples))
         return draws
 
-    def gradient(self, X, of_variance=False):
+    def gradient(
+        self, X: np.ndarray, of_variance: bool = False
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Derivatives of the mean, and of the variance, by the features.
 
         Returns
@@ -322,7 +329,7 @@ class Network:
             raise ValueError("The noise variance is infinite: it has no derivatives.")
         n, (q, k) = len(X), self.coef.T.shape
         of_mean = np.empty((n, q, len(self.length_scale)))
-        found = np.empty_like(of_mean) if of_variance else None
+        found = np.empty_like(of_mean)
         for part in chunks(n, _CHUNK // max(k, 1)):
             Z = self.scaled(X[part])
             K, slope = KERNELS[self.kernel].with_slope(
@@ -332,7 +339,7 @@ class Network:
                 of_mean[part, i] = self.polynomial[1:, i] + self._along(Z, slope * self.coef[:, i])
             if of_variance:
                 found[part] = self._variance_gradient(X[part], Z, K, slope)
-        return of_mean, found
+        return of_mean, found if of_variance else None
 
     def _along(self, Z, G):
         """Sum over centres j of G_ij d s_ij / d x_i, s the squared distance, (n, d)."""

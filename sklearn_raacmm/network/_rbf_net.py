@@ -1,10 +1,10 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
 from numbers import Integral, Real
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.network._kernels import KERNELS
@@ -19,6 +19,8 @@ from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
     Interval,
+    MultiOutputMixin,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
     check_features,
@@ -194,19 +196,22 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "random_state": ["random_state"],
     }
 
+    n_features_in_: int
+    _flat: bool  # y had one dimension
+
     def __init__(
         self,
         n_centers: int | float | str = "auto",
         *,
-        kernel="auto",
+        kernel: str | ArrayLike = "auto",
         length_scale: ArrayLike | str = "auto",
         alpha: float | str = "auto",
         degree: int | str = "auto",
-        max_centers=None,
-        shared=False,
-        loss="squared",
-        random_state=None,
-    ):
+        max_centers: int | None = None,
+        shared: bool = False,
+        loss: str = "squared",
+        random_state: Any = None,
+    ) -> None:
         self.n_centers = n_centers
         self.kernel = kernel
         self.length_scale = length_scale
@@ -220,7 +225,14 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     @fit_context(prefer_skip_nested_validation=True)
     @one_blas_thread
     @whole_fit
-    def fit(self, X, y, sample_weight=None, groups=None, group_std=None):
+    def fit(
+        self,
+        X: Any,
+        y: ArrayLike,
+        sample_weight: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+        group_std: ArrayLike | None = None,
+    ) -> Self:
         """Choose structure, widths, ridge and centres, and fit the weights.
 
         Parameters
@@ -268,10 +280,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             rank of their factor, or the least width.
         """
         for name in _SOMETIMES:
-            vars(self).pop(name, None)
+            self.__dict__.pop(name, None)
         labelled = self._fit_weighted(X, y, sample_weight, groups, group_std)
         if self.loss == "tukey":
             reweigh(self, X, y, sample_weight, groups if labelled else None, group_std)
+        return self
 
     def _fit_weighted(self, X, y, sample_weight, groups, group_std, labelled=None):
         """Fit by least squares with given weights; return whether groups have constants."""
@@ -295,24 +308,32 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         state, found = rng.get_state(), []
         for of in parts:  # each as if it were alone
             rng.set_state(state)
-            width = widths[of[0]] if np.ndim(widths) == 2 else widths
-            own = (None if values is None else values[of] for values in (alpha, group_std))
-            found.append(fit_outputs(self, problem, of, kernels[of[0]], width, *own, rng))
+            width = widths if widths is None or widths.ndim == 1 else widths[of[0]]
+            ridge, std = (None if given is None else given[of] for given in (alpha, group_std))
+            found.append(fit_outputs(self, problem, of, kernels[of[0]], width, ridge, std, rng))
         fits, slopes, values = zip(*found, strict=True)
         if values[0] is not None:
-            self.log_marginal_likelihood_value_ = sum(values)
-        self.networks_ = tuple(fit.network for fit in fits)
-        self.center_indices_ = np.concatenate([problem.first[fit.centers] for fit in fits])
-        self.error_reduction_ = np.concatenate([fit.error_reduction for fit in fits])
-        self.criterion_path_ = np.concatenate([fit.path for fit in fits])
+            self.log_marginal_likelihood_value_: float = sum(values)
+        self.networks_: tuple[Network, ...] = tuple(fit.network for fit in fits)
+        self.center_indices_: np.ndarray = np.concatenate(
+            [problem.first[fit.centers] for fit in fits]
+        )
+        self.error_reduction_: np.ndarray = np.concatenate([fit.error_reduction for fit in fits])
+        self.criterion_path_: np.ndarray = np.concatenate([fit.path for fit in fits])
         self.stop_reason_ = ", ".join(fit.stop_reason for fit in fits)
-        self.n_iter_ = sum(fit.n_tried for fit in fits)
+        self.n_iter_: int = sum(fit.n_tried for fit in fits)
         slope = np.sqrt(sum(slopes))
         total = slope.sum()
-        self.relevance_ = slope / total if 0 < total < np.inf else np.zeros(len(slope))
+        self.relevance_: np.ndarray = slope / total if 0 < total < np.inf else np.zeros(len(slope))
         return problem.codes is not None
 
-    def predict(self, X, return_std=False, return_cov=False, with_noise=True):
+    def predict(
+        self,
+        X: ArrayLike,
+        return_std: bool = False,
+        return_cov: bool = False,
+        with_noise: bool = True,
+    ) -> Any:
         """Predict targets.
 
         Parameters
@@ -359,7 +380,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             return mean, self._shaped([part.covariance(X, with_noise) for part in self.networks_])
         return (mean, self._shaped([std for _, std in found])) if return_std else mean
 
-    def sample_y(self, X, n_samples=1, random_state=0, with_noise=True):
+    def sample_y(
+        self,
+        X: ArrayLike,
+        n_samples: int = 1,
+        random_state: int | np.random.RandomState | None = 0,
+        with_noise: bool = True,
+    ) -> np.ndarray:
         """Draw targets from the posterior of the Gaussian process that the network approximates.
 
         Parameters
@@ -404,7 +431,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
 
-    def predict_gradient(self, X, return_variance=False):
+    def predict_gradient(self, X: ArrayLike, return_variance: bool = False) -> Any:
         """Derivatives of the prediction by the features, in closed form.
 
         Parameters
@@ -448,7 +475,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             return of_mean
         return of_mean, self._shaped([part for _, part in parts], axis=1)
 
-    def _checked_rows(self, X):
+    def _checked_rows(self, X) -> np.ndarray:
         check_fitted(self, "networks_")
         return check_features(self, X, dtype=np.float64, reset=False)
 
@@ -468,19 +495,19 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return np.array([getattr(network, name) for network in self.networks_])
 
     @property
-    def kernel_(self):
+    def kernel_(self) -> Any:
         return self._by_network("kernel")
 
     @property
-    def length_scale_(self):
+    def length_scale_(self) -> np.ndarray:
         return self._by_network("length_scale")
 
     @property
-    def centers_(self):
+    def centers_(self) -> np.ndarray:
         return np.concatenate([network.centers for network in self.networks_])
 
     @property
-    def coef_(self):
+    def coef_(self) -> np.ndarray:
         sizes = [len(network.centers) for network in self.networks_]
         starts = np.cumsum([0, *sizes])
         parts = [
@@ -490,31 +517,31 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return self._shaped(parts).T
 
     @property
-    def intercept_(self):
+    def intercept_(self) -> np.ndarray:
         return self._shaped([network.polynomial[0] for network in self.networks_])
 
     @property
-    def linear_coef_(self):
+    def linear_coef_(self) -> np.ndarray:
         return self._shaped([network.polynomial[1:] for network in self.networks_]).T
 
     @property
-    def alpha_(self):
+    def alpha_(self) -> np.ndarray:
         return self._shaped([network.alpha * network.weight_unit for network in self.networks_])
 
     @property
-    def noise_variance_(self):
+    def noise_variance_(self) -> np.ndarray:
         return self._numbers("noise_variance")
 
     @property
-    def signal_variance_(self):
+    def signal_variance_(self) -> np.ndarray:
         return self._numbers("signal_variance")
 
     @property
-    def group_std_(self):
+    def group_std_(self) -> np.ndarray:
         parts = [np.sqrt(network.ratio * network.noise_variance) for network in self.networks_]
         return self._shaped(parts)
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         if "networks_" in vars(self):
             if not all(isinstance(network, Network) for network in self.networks_):

@@ -76,7 +76,7 @@ def read_problem(estimator, X, y, sample_weight, groups, labelled, rng):
         return in_blocks(ArrayChunks(X, Y, weights), X.shape[1])
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if labelled is None and codes is not None:
-        labelled = share_of_means(Y, codes, weights)[0] < CENTRED
+        labelled = share_of_means(Y, codes, weights) < CENTRED
     return prepare(merge(X, Y, weights, codes=codes if labelled else None), degree, ridged)
 
 

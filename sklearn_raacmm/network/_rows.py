@@ -12,8 +12,9 @@ have independent noise of unit variance: that is done to all columns and targets
 is no constants, an infinite one takes the whole mean out.
 """
 
+from collections.abc import Callable
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import qr
@@ -29,6 +30,7 @@ from sklearn_raacmm.utils import chunk_size, chunks
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
 SMALL_BLOCK, BLOCK = 2**19, 2**23
+_LATER = np.empty((0, 0))
 
 
 def block_rows(width):
@@ -45,7 +47,7 @@ class Block(NamedTuple):
     tail: np.ndarray  # (m, p) polynomial times root
     basis: np.ndarray  # (m, p) the same, orthonormal over all rows
     targets: np.ndarray  # (m, q) targets times root
-    part: slice  # which of the problem's rows, where it holds them
+    part: slice | None  # which of the problem's rows, where it holds them
     codes: np.ndarray | None = None  # (m,) group of each row, where groups have constants
     ratio: float = 0.0
 
@@ -93,37 +95,39 @@ class Problem(NamedTuple):
     codes: np.ndarray | None  # (n,) group of each row, sorted, where groups have constants
     ratio: float = 0.0  # variance of these over that of an observation's noise
     # What `with_tail` adds.
-    targets: np.ndarray = None  # (n, q) targets times root
-    tail: np.ndarray = None  # (n, p) polynomial times root
-    basis: np.ndarray = None  # (n, p) orthonormal basis of it, together with `basis_rows`
-    tail_map: np.ndarray = None  # (p, d + 1) its coefficients to those of (1, x)
-    projection: np.ndarray = None  # (p, q) targets along the basis
-    spread: np.ndarray = None  # (q,) root mean square of targets about the tail, 0 for a constant
+    targets: np.ndarray = _LATER  # (n, q) targets times root
+    tail: np.ndarray = _LATER  # (n, p) polynomial times root
+    basis: np.ndarray = _LATER  # (n, p) orthonormal basis of it, together with `basis_rows`
+    tail_map: np.ndarray = _LATER  # (p, d + 1) its coefficients to those of (1, x)
+    projection: np.ndarray = _LATER  # (p, q) targets along the basis
+    spread: np.ndarray = _LATER  # (q,) root mean square of targets about the tail, 0 for a constant
     tail_ridge: float = 0.0  # of the tail's linear part, in units of an observation
-    basis_rows: np.ndarray = None  # (p - 1, p) the ridge as further rows of the basis, if any
+    basis_rows: np.ndarray = _LATER  # (p - 1, p) the ridge as further rows of the basis, if any
     tail_dof: float = 0.0  # effective number of the tail's columns
 
-    view = view_of
+    def view(self) -> View:
+        """The targets as a selection wants to see them."""
+        return view_of(self)
 
     @property
-    def n_rows(self):
+    def n_rows(self) -> int:
         return len(self.X)
 
     @property
-    def n_tail(self):
+    def n_tail(self) -> int:
         return self.tail.shape[1]
 
     @property
-    def tail_rows(self):
+    def tail_rows(self) -> np.ndarray:
         """The ridge as further rows of the polynomial."""
         return ridge_rows(self.n_tail, self.tail_ridge)
 
     @property
-    def sample(self):
+    def sample(self) -> Self:
         """Rows that stand for all: all."""
         return self
 
-    def of_outputs(self, outputs):
+    def of_outputs(self, outputs: np.ndarray) -> Self:
         """The same rows with some of the outputs."""
         own = {name: getattr(self, name)[..., outputs] for name in ("within", "spread")}
         wide = ("Y", "targets", "projection")
@@ -131,7 +135,7 @@ class Problem(NamedTuple):
         own |= {name: np.ascontiguousarray(getattr(self, name)[:, outputs]) for name in wide}
         return self._replace(**own)
 
-    def with_tail(self, degree, ridged=False, ratio=None):
+    def with_tail(self, degree: int, ridged: bool = False, ratio: float | None = None) -> Self:
         """The same rows with a polynomial, in place of the one they have.
 
         Parameters
@@ -185,7 +189,7 @@ class Problem(NamedTuple):
             tail_dof=float(np.square(basis).sum()) if ridge else tail.shape[1],
         )
 
-    def some(self, rows):
+    def some(self, rows: np.ndarray) -> Self:
         """The problem of some rows, of which those left out say nothing."""
         names = ("X", "Y", "first", "root")
         arrays = {name: getattr(self, name)[rows] for name in names}
@@ -196,13 +200,14 @@ class Problem(NamedTuple):
         degree = -1 if not self.n_tail else int(self.tail_map[:, 1:].any())
         return bare.with_tail(degree, bool(self.tail_ridge))
 
-    def block(self, part):
+    def block(self, part: slice) -> Block:
         """Some rows, of whole groups."""
-        arrays = self.X, self.root, self.tail, self.basis, self.targets
         codes = None if self.codes is None else self.codes[part] - self.codes[part][0]
-        return Block(*(a[part] for a in arrays), part, codes, self.ratio)
+        rows = {name: getattr(self, name)[part] for name in ("X", "root", "tail", "basis")}
+        targets = self.targets[part]
+        return Block(**rows, targets=targets, part=part, codes=codes, ratio=self.ratio)
 
-    def reduce(self, function, combine, width):
+    def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, one after another.
 
         Parameters
@@ -238,7 +243,7 @@ class Merged(NamedTuple):
     weights: np.ndarray  # (n,) summed
     Y: np.ndarray  # (n, q) weighted means
     within: np.ndarray  # (n, q) weighted sum of squares about them
-    count: np.ndarray  # (n,) observations: rows of the same X that differ in Y
+    observed: np.ndarray  # (n,) observations: rows of the same X that differ in Y
     codes: np.ndarray | None = None  # (n,) group of each row, from 0
 
 

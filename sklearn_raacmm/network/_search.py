@@ -11,7 +11,8 @@ and at last, for a rough function, on 2000 (`_extend`). Structures are compared 
 second stage (`_choose`), by the objective of `_objective`, and by leave-one-out predictions.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,6 +20,7 @@ from scipy.spatial import cKDTree
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import (
     LEAST_RIDGE,
+    Data,
     covariance,
     exact_likelihood,
     inverses,
@@ -96,16 +98,16 @@ class Structure(NamedTuple):
 
 @stage("widths of the network")
 def search(
-    data,
-    kernels,
+    data: Data,
+    kernels: Sequence[Any],
     *,
-    length_scale=None,
-    isotropic=False,
-    alpha=None,
-    constant_std=None,
-    may_be_linear=False,
-    random_state=None,
-):
+    length_scale: np.ndarray | None = None,
+    isotropic: bool = False,
+    alpha: np.ndarray | None = None,
+    constant_std: np.ndarray | None = None,
+    may_be_linear: bool = False,
+    random_state: Any = None,
+) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
     Parameters

@@ -20,7 +20,7 @@ References
    basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -124,7 +124,7 @@ class _ForwardPass:
             self.correlations[stale] = left @ self.target
 
 
-def forward_selection(groups, n_select, *, units=1.0, enough=None):
+def forward_selection(groups, n_select, *, units: Any = 1.0, enough=None):
     """Choose candidates one at a time, each the one that lowers the objective most.
 
     Parameters
@@ -144,7 +144,10 @@ def forward_selection(groups, n_select, *, units=1.0, enough=None):
     Selection
     """
     passes = [_ForwardPass(candidates) for candidates in groups]
-    indices, reductions, summed, stop = [], [], 0.0, None
+    indices: list[int] = []
+    reductions: list[np.ndarray] = []
+    summed: Any = 0.0
+    stop = None
     while stop is None and len(indices) < n_select:
         scores = (np.hstack([one.gains() for one in passes]) / units).sum(axis=1)
         scores[np.all([one.dependent() for one in passes], axis=0)] = -1.0

@@ -15,11 +15,6 @@ from sklearn_raacmm.residuals._earlier import (
     database_chain,
     polynomial_chain,
 )
-from sklearn_raacmm.residuals._plausible import (
-    refuse_large,
-    refuse_points,
-    warn_of_another_frame,
-)
 from sklearn_raacmm.residuals._point_correction import (
     PointCorrectionMixin,
     positions_of,
@@ -42,10 +37,7 @@ __all__ = [
     "polynomial_chain",
     "position_residuals",
     "positions_of",
-    "refuse_large",
-    "refuse_points",
     "shoulder_wrist_distance",
     "to_cartesian",
-    "warn_of_another_frame",
     "within_positions_score",
 ]

@@ -5,13 +5,26 @@ doi 10.1177/1729881420925638. The printed equations are lost in every copy at ha
 here are reconstructions, checked numerically.
 """
 
+from typing import Any
+
 import numpy as np
-from sklearn.utils import check_array, check_consistent_length
+from numpy.typing import ArrayLike
+from sklearn.utils import check_consistent_length
 
-from sklearn_raacmm.utils import centred, encode_groups, floats, refuse_disguised, refuse_huge
+from sklearn_raacmm.utils import (
+    centred,
+    check_array,
+    encode_groups,
+    floats,
+    refuse_disguised,
+    refuse_huge,
+    slip_factors,
+)
 
 
-def position_residuals(points, groups, sample_weight=None):
+def position_residuals(
+    points: ArrayLike, groups: ArrayLike, sample_weight: ArrayLike | None = None
+) -> np.ndarray:
     """Residual of each probe point from the mean point of its position.
 
     In a cone-hole test the probe sits in one seat while the arm moves through many poses: all
@@ -44,7 +57,9 @@ def position_residuals(points, groups, sample_weight=None):
     Notes
     -----
     This is the reference of equation (10), before the rotation. A residual is known only up to
-    one constant per position: where the true point is, the arm cannot tell.
+    one constant per position: where the true point is, the arm cannot tell. Points that lie farther
+    than 11 standard deviations from the others, slips of the probe, take no part in it (Tukey's
+    biweight).
 
     Examples
     --------
@@ -87,10 +102,10 @@ def position_residuals(points, groups, sample_weight=None):
             f"weight: {shown}. The residual of a lone point from its own mean is zero whatever "
             "the arm does; leave these positions out."
         )
-    return centred(points, codes, weight)
+    return centred(points, codes, weight * slip_factors(points, codes, weight))
 
 
-def cartesian_to_cylindrical(vectors, azimuth):
+def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
     """Turn Cartesian vectors into the cylindrical frame of the probe's azimuth.
 
     Parameters
@@ -130,7 +145,7 @@ def cartesian_to_cylindrical(vectors, azimuth):
     return to_cylindrical(vectors, _direction(azimuth, len(vectors)))
 
 
-def cylindrical_to_cartesian(vectors, azimuth):
+def cylindrical_to_cartesian(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
     """Turn vectors in the cylindrical frame of the probe's azimuth into Cartesian ones.
 
     Parameters
@@ -180,7 +195,7 @@ def _direction(azimuth, n):
     return np.cos(azimuth), np.sin(azimuth)
 
 
-def _check_vectors(vectors):
+def _check_vectors(vectors) -> np.ndarray:
     refuse_disguised("vectors", vectors)
     vectors = check_array(vectors, dtype=np.float64, input_name="vectors")
     refuse_huge("vectors", vectors)
@@ -205,7 +220,7 @@ def to_cylindrical(vectors, direction):
     return np.stack([x * cos + y * sin, y * cos - x * sin, z], axis=1)
 
 
-def to_cartesian(vectors, direction):
+def to_cartesian(vectors: np.ndarray, direction: Any) -> np.ndarray:
     cos, sin = direction
     radial, tangential, axial = vectors.T
     return np.stack([radial * cos - tangential * sin, radial * sin + tangential * cos, axial], 1)

@@ -10,6 +10,9 @@ starts; `benchmarks/compare_regressors.py` chooses them by position.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
+import numpy as np
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.linear_model import Ridge
 from sklearn.neighbors import KNeighborsRegressor
@@ -17,11 +20,14 @@ from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.residuals._pose_features import PoseFeatures
 from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
 
-def polynomial_chain(arm, *, degree=3, alpha=1.0, **inputs):
+def polynomial_chain(
+    arm: Arm, *, degree: int = 3, alpha: float = 1.0, **inputs: Any
+) -> CylindricalResidualTarget:
     """Build a polynomial of the pose, as that of Xiong and Bing.
 
     Parameters
@@ -61,7 +67,7 @@ def polynomial_chain(arm, *, degree=3, alpha=1.0, **inputs):
     return _chain(arm, inputs, StandardScaler(), terms, StandardScaler(), Ridge(alpha))
 
 
-def database_chain(arm, *, n_neighbors=10, **inputs):
+def database_chain(arm: Arm, *, n_neighbors: int = 10, **inputs: Any) -> CylindricalResidualTarget:
     """Build a database of residuals, as that of Xu: the mean of the nearest poses, by distance.
 
     Parameters
@@ -100,8 +106,14 @@ def database_chain(arm, *, n_neighbors=10, **inputs):
 
 
 def bp_network_chain(
-    arm, *, hidden_layer_sizes=(64, 64), alpha=3.0, max_iter=1000, random_state=None, **inputs
-):
+    arm: Arm,
+    *,
+    hidden_layer_sizes: tuple[int, ...] = (64, 64),
+    alpha: float = 3.0,
+    max_iter: int = 1000,
+    random_state: int | np.random.RandomState | None = None,
+    **inputs: Any,
+) -> CylindricalResidualTarget:
     """Build a perceptron trained by backpropagation of errors, a BP network.
 
     Parameters

@@ -3,7 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.metrics import r2_score
 
 from sklearn_raacmm.residuals._positions import are_deviations
@@ -24,7 +27,9 @@ class PointCorrectionMixin:
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__score = {"groups": True}
 
-    def correct(self, X, points=None, **predict_params):
+    def correct(
+        self: Any, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
+    ) -> Any:
         """Correct measured points: subtract the predicted residuals.
 
         Parameters
@@ -77,7 +82,13 @@ class PointCorrectionMixin:
         corrected = points - mean
         return (corrected, *predicted[1:]) if isinstance(predicted, tuple) else corrected
 
-    def score(self, X, y, groups=None, sample_weight=None):
+    def score(
+        self: Any,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        sample_weight: ArrayLike | None = None,
+    ) -> float:
         """Score predictions: R2, of deviations within positions where only these are known.
 
         Parameters
@@ -118,10 +129,13 @@ class PointCorrectionMixin:
                 "misjudges, and score got no groups: take "
                 "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
             )
-        return super().score(X, y, sample_weight)
+        of_any_regressor: Any = super()
+        return of_any_regressor.score(X, y, sample_weight)
 
 
-def within_positions_score(y, prediction, groups, sample_weight=None):
+def within_positions_score(
+    y: ArrayLike, prediction: ArrayLike, groups: ArrayLike, sample_weight: ArrayLike | None = None
+) -> float:
     """R2 of deviations within positions, or of all, by what the targets are.
 
     In a single-point test the residuals of a position are known up to one constant: their mean is
@@ -176,7 +190,7 @@ def within_positions_score(y, prediction, groups, sample_weight=None):
     return r2_score(*parts, sample_weight=weights, multioutput="variance_weighted")
 
 
-def positions_of(points, y):
+def positions_of(points: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     """Find the positions of residuals from position means: the points that they are from coincide.
 
     Parameters

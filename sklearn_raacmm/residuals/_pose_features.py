@@ -5,8 +5,10 @@ doi 10.1177/1729881420925638. The printed equations are lost in every copy at ha
 here are reconstructions, checked numerically.
 """
 
+from typing import Any, Self
+
 import numpy as np
-from sklearn.base import TransformerMixin
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import (
     MIN_LENGTH_MM,
@@ -19,6 +21,7 @@ from sklearn_raacmm.arm import (
 )
 from sklearn_raacmm.utils import (
     StrOptions,
+    TransformerMixin,
     VersionedEstimator,
     check_feature_names_in,
     check_features,
@@ -117,8 +120,14 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     }
 
     def __init__(
-        self, arm=None, *, angle_unit="rad", encoding="angle", joints="pose", append_azimuth=False
-    ):
+        self,
+        arm: Arm | None = None,
+        *,
+        angle_unit: str = "rad",
+        encoding: str = "angle",
+        joints: str = "pose",
+        append_azimuth: bool = False,
+    ) -> None:
         self.arm = arm
         self.angle_unit = angle_unit
         self.encoding = encoding
@@ -127,7 +136,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
 
     @fit_context(prefer_skip_nested_validation=True)
     @whole_fit
-    def fit(self, X, y=None):
+    def fit(self, X: ArrayLike, y: ArrayLike | None = None) -> Self:
         """Check the number of joints, and find where each joint's turn starts.
 
         Parameters
@@ -150,12 +159,14 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             infinity.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
-        self.arm_ = arm_for(self.arm, type(self).__name__, X.shape[1])
+        self.arm_: Arm = arm_for(self.arm, type(self).__name__, X.shape[1])
         factor = np.pi / 180 if self.angle_unit == "deg" else 1.0
-        self.turn_start_ = np.array([_turn_start(factor * column) for column in X.T.astype(float)])
+        self.turn_start_: np.ndarray = np.array(
+            [_turn_start(factor * column) for column in X.T.astype(float)]
+        )
         return self
 
-    def transform(self, X):
+    def transform(self, X: ArrayLike) -> np.ndarray:
         """Compute the pose.
 
         Parameters
@@ -200,7 +211,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             columns += _checked_direction(probe, first_row)
         return columns
 
-    def get_feature_names_out(self, input_features=None):
+    def get_feature_names_out(self, input_features: ArrayLike | None = None) -> np.ndarray:
         """Get the names of the features.
 
         Parameters
@@ -227,7 +238,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             names = [f"{name}_{part}" for name in names for part in ("cos", "sin")]
         return names + (["azimuth_cos", "azimuth_sin"] if self.append_azimuth else [])
 
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.transformer_tags.preserves_dtype = ["float64", "float32"]
         return tags

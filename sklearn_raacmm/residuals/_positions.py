@@ -30,7 +30,7 @@ MOST_TURNS, _SETTLED = 3, 0.01
 
 def are_deviations(y, codes, weights):
     """Whether targets are known up to a constant at each position: their means there are small."""
-    return bool(share_of_means(y.reshape(len(y), -1), codes, weights)[0] < CENTRED)
+    return bool(share_of_means(y.reshape(len(y), -1), codes, weights) < CENTRED)
 
 
 def last_step_of(regressor):

@@ -11,17 +11,21 @@ here are reconstructions, checked numerically.
 """
 
 from collections.abc import Callable
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.base import RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
-from sklearn.utils import check_array, check_consistent_length, get_tags
+from sklearn.utils import check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import validate_data
 
-from sklearn_raacmm.arm import Arm, one_warning, reach_mm
+from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     std_to_cartesian,
@@ -32,11 +36,6 @@ from sklearn_raacmm.residuals._direction import (
     NORM_TOLERANCE,
     appended_direction,
     ends_in_direction,
-)
-from sklearn_raacmm.residuals._plausible import (
-    refuse_large,
-    refuse_points,
-    warn_of_another_frame,
 )
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
@@ -49,8 +48,10 @@ from sklearn_raacmm.residuals._positions import (
 )
 from sklearn_raacmm.utils import (
     HasMethods,
+    RegressorMixin,
     StrOptions,
     VersionedEstimator,
+    check_array,
     check_feature_names,
     check_fitted,
     check_n_features,
@@ -59,9 +60,11 @@ from sklearn_raacmm.utils import (
     fit_context,
     floats,
     is_plain,
+    one_warning,
     refuse_disguised,
     refuse_huge,
     safe_indexing,
+    say_findings,
     show,
     whole_fit,
 )
@@ -171,14 +174,22 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         "azimuth": [StrOptions({"appended"}), callable, None],
     }
 
-    def __init__(self, regressor=None, *, azimuth: str | Callable | None = "appended"):
+    def __init__(
+        self, regressor: Any = None, *, azimuth: str | Callable | None = "appended"
+    ) -> None:
         self.regressor = regressor
         self.azimuth = azimuth
 
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
     @one_warning()
-    def fit(self, X, y, groups=None, **fit_params):
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        **fit_params: Any,
+    ) -> Self:
         """Fit the regressor on the residuals in the cylindrical frame.
 
         Parameters
@@ -232,7 +243,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         groups = fit_params.pop("regressor__groups", groups)
         codes = None if groups is None else encode_groups(groups, len(y))[1]
         _refuse_negative_weights(fit_params)
-        n_targets = 1 if y.ndim == 1 else y.shape[1]
+        flat = y.ndim == 1
+        n_targets = 1 if flat else y.shape[1]
 
         self._rotates = n_targets == 3 and self.azimuth is not None
         self._drops_direction = self.azimuth == "appended" and (
@@ -243,25 +255,30 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
                 f"y has {n_targets} columns, but a residual has 3 (dx, dy, dz in mm), or 1 to pass "
                 "through unrotated."
             )
+        if self._rotates:
+            X, y, groups, codes, fit_params = _poses(X, y, groups, codes, fit_params)
         features, direction = self._split(X)
         if self._rotates:
-            self._check_residuals(X, y)
+            self._check_residuals(X, y, codes)
             y = to_cylindrical(y, direction)
         routing = get_config()["enable_metadata_routing"]
         if routing:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
-        self.regressor_ = clone(self._get_regressor())
-        self.by_position_ = False
+        self.regressor_: Any = clone(self._get_regressor())
+        self.by_position_: bool = False
+        target = y
         try:
             if codes is not None:
-                y, fit_params = self._by_position(features, y, groups, codes, fit_params, routing)
-            self.regressor_.fit(features, y, **fit_params)
+                target, fit_params = self._by_position(
+                    features, y, groups, codes, fit_params, routing
+                )
+            self.regressor_.fit(features, target, **fit_params)
         except ValueError as error:
-            if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
+            if flat or get_tags(self.regressor_).target_tags.multi_output:
                 raise
             raise ValueError(
                 f"{type(self.regressor_).__name__} learns one target at a time, but y has "
-                f"{y.shape[1]} columns: wrap the last estimator of it in "
+                f"{n_targets} columns: wrap the last estimator of it in "
                 f"sklearn.multioutput.MultiOutputRegressor. ({error})"
             ) from error
         return self
@@ -288,7 +305,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         return y, fit_params
 
     @one_warning()
-    def predict(self, X, **predict_params):
+    def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
         Parameters
@@ -351,7 +368,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     def _arm(self):
         """The arm whose method gives the azimuth, or None."""
         method = getattr(self.azimuth, "__func__", None)
-        return self.azimuth.__self__ if method is Arm.azimuth else None
+        return getattr(self.azimuth, "__self__", None) if method is Arm.azimuth else None
 
     def _split(self, X):
         """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
@@ -367,7 +384,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             # The method of an arm: the direction of its points, without the angle in between.
             x, y, _ = arm.forward(X).T
             return X, direction_of(x, y)
-        if self._rotates:
+        if self._rotates and callable(self.azimuth):
             azimuth = check_array(
                 self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"
             )
@@ -380,14 +397,12 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             return X, (np.cos(azimuth), np.sin(azimuth))
         return X, None
 
-    def _check_residuals(self, X, y):
-        """Refuse what is no residual, by the arm where the azimuth is that of an arm."""
-        known, arm = (), self._arm()
-        if arm is not None:
-            known = arm.forward(X), reach_mm(arm)
-            refuse_points(y, *known)
-        refuse_large(y, *known[1:])
-        warn_of_another_frame(y, *known)
+    def _check_residuals(self, X, y, codes):
+        """Say what is wrong with the targets, by the arm where the azimuth is that of an arm."""
+        weights, arm = np.ones(len(y)), self._arm()
+        angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
+        offsets = codes is not None and are_deviations(y, codes, weights)
+        say_findings(check_targets(Targets(y, weights, arm, angles, codes, offsets)))
 
     def _get_regressor(self):
         if isinstance(self.regressor, type):
@@ -400,7 +415,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             return LinearRegression().set_fit_request(sample_weight=True)
         return LinearRegression()
 
-    def get_metadata_routing(self):
+    def get_metadata_routing(self) -> Any:
         """Get metadata routing of this object.
 
         Returns
@@ -415,13 +430,36 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         router = MetadataRouter(owner=self).add_self_request(self)
         return router.add(regressor=self._get_regressor(), method_mapping=methods)
 
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         inner = get_tags(self._get_regressor())
         tags.regressor_tags.poor_score = True
         tags.input_tags.sparse = inner.input_tags.sparse
         tags.target_tags.multi_output = inner.target_tags.multi_output
         return tags
+
+
+def _poses(X, y, groups, codes, fit_params) -> Any:
+    """The same with each pose once at which a logger wrote many rows."""
+    given = X, y, groups, codes, fit_params
+    rows = None if issparse(X) else np.asarray(X)
+    # What is no table of numbers is left to the regressor.
+    if rows is None or rows.ndim != 2 or rows.dtype.kind != "f" or not np.isfinite(rows).all():
+        return given
+    dwells = find_dwells(rows, codes, copies_count=True)
+    if not dwells.merges:
+        return given
+    say_findings(dwells.findings())
+    merged = {
+        name: dwells.mean(np.asarray(value))
+        if np.ndim(value) and len(value) == len(rows)
+        else value
+        for name, value in fit_params.items()
+    }
+    X, groups, codes = (
+        v if v is None else safe_indexing(v, dwells.first) for v in (X, groups, codes)
+    )
+    return X, dwells.mean(y), groups, codes, merged
 
 
 def _refuse_negative_weights(fit_params):

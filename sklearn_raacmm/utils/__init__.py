@@ -22,12 +22,23 @@ from sklearn_raacmm.utils._checks import (
     show,
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
-from sklearn_raacmm.utils._files import check_path, write_whole
+from sklearn_raacmm.utils._files import (
+    check_path,
+    check_places,
+    digest_of,
+    whole_file,
+    write_whole,
+)
 from sklearn_raacmm.utils._findings import (
     Finding,
+    FindingError,
     FindingWarning,
+    hear,
     heard_findings,
+    one_warning,
     say_findings,
+    unheard,
+    with_findings,
 )
 from sklearn_raacmm.utils._groups import (
     CENTRED,
@@ -38,17 +49,23 @@ from sklearn_raacmm.utils._groups import (
     group_means,
     group_sums,
     group_weights,
+    natural_order,
     share_of_means,
+    slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._rigid import align, nearest_rotation
-from sklearn_raacmm.utils._robust import TUKEY_CUT, robust_scale, tukey_weights
+from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     HasMethods,
     Interval,
+    MultiOutputMixin,
+    RegressorMixin,
     StrOptions,
+    TransformerMixin,
+    check_array,
     check_feature_names,
     check_feature_names_in,
     check_n_features,
@@ -68,14 +85,19 @@ __all__ = [
     "LARGEST",
     "TUKEY_CUT",
     "Finding",
+    "FindingError",
     "FindingWarning",
     "HasMethods",
     "InconsistentPackageVersionWarning",
     "Interval",
+    "MultiOutputMixin",
+    "RegressorMixin",
     "StrOptions",
+    "TransformerMixin",
     "VersionedEstimator",
     "align",
     "centred",
+    "check_array",
     "check_data",
     "check_feature_names",
     "check_feature_names_in",
@@ -86,6 +108,7 @@ __all__ = [
     "check_n_features",
     "check_option",
     "check_path",
+    "check_places",
     "check_points",
     "check_shapes",
     "check_weights",
@@ -93,19 +116,24 @@ __all__ = [
     "chunk_size",
     "chunks",
     "deviations_by_group",
+    "digest_of",
     "encode_groups",
     "fit_context",
     "floats",
     "group_means",
     "group_sums",
     "group_weights",
+    "hear",
     "heard_findings",
     "html_table",
     "invert_triangle",
     "is_plain",
     "listed",
+    "many_without_weight",
+    "natural_order",
     "nearest_rotation",
     "one_blas_thread",
+    "one_warning",
     "refuse_disguised",
     "refuse_huge",
     "refuse_masked",
@@ -114,11 +142,15 @@ __all__ = [
     "say_findings",
     "share_of_means",
     "show",
+    "slip_factors",
     "stage",
     "tukey_weights",
+    "unheard",
     "validate_parameter_constraints",
     "validate_params",
     "warn_user",
+    "whole_file",
     "whole_fit",
+    "with_findings",
     "write_whole",
 ]

@@ -3,17 +3,18 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 from types import NoneType
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_raacmm.utils._sklearn import check_sample_weight
+from sklearn_raacmm.utils._sklearn import check_array, check_sample_weight
 
 # Smaller numbers can be squared, summed and squared again without overflow.
 LARGEST = 1e50
@@ -22,13 +23,13 @@ LARGEST = 1e50
 _MAY_BE_ARRAYS = (Sequence, Real, NoneType, dict)
 
 
-def show(value, limit=60):
+def show(value: object, limit: int = 60) -> str:
     """Representation of a value in one line, short enough for a sentence."""
     text = " ".join(repr(value).split())
     return text if len(text) <= limit else text[:limit] + "..."
 
 
-def refuse_disguised(name, value):
+def refuse_disguised(name: str, value: Any) -> None:
     """Refuse masked values, dates, mappings, and arrays that are to stay another library's.
 
     NumPy would use the values under a mask and convert dates to numbers of days; scikit-learn would
@@ -60,7 +61,7 @@ def refuse_disguised(name, value):
         raise ValueError(f"{name} must hold numbers, got dates or times.")
 
 
-def refuse_masked(name, value):
+def refuse_masked(name: str, value: Any) -> None:
     """Refuse an array with masked values."""
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise ValueError(
@@ -76,7 +77,7 @@ def _kinds(value):
     return {getattr(t, "kind", "") for t in (dtypes if np.iterable(dtypes) else [dtypes])}
 
 
-def refuse_huge(name, array):
+def refuse_huge(name: str, array: np.ndarray) -> None:
     """Refuse numbers whose squares overflow, and what is not a number at all."""
     largest = _largest(array)
     if largest <= LARGEST:  # false for NaN
@@ -92,7 +93,7 @@ def _largest(array):
     return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
 
 
-def floats(name, value):
+def floats(name: str, value: Any) -> np.ndarray:
     """Numbers as float64."""
     refuse_disguised(name, value)
     try:
@@ -109,7 +110,7 @@ def floats(name, value):
     raise ValueError(f"{name} must hold numbers, got {show(value)}.")
 
 
-def check_fitted(estimator, attribute):
+def check_fitted(estimator: Any, attribute: str) -> None:
     """scikit-learn's `check_is_fitted`, asked only where the fitted attribute is missing.
 
     It collects the tags of all steps first, which takes longer than the prediction of one row.
@@ -118,7 +119,7 @@ def check_fitted(estimator, attribute):
         check_is_fitted(estimator)
 
 
-def check_features(estimator, X, **options):
+def check_features(estimator: Any, X: Any, **options: Any) -> np.ndarray:
     """scikit-learn's check of X, and ours."""
     if options.get("reset") is False and is_plain(estimator, X) and _largest(X) <= LARGEST:
         return X
@@ -128,7 +129,7 @@ def check_features(estimator, X, **options):
     return X
 
 
-def is_plain(estimator, X):
+def is_plain(estimator: Any, X: Any) -> bool:
     """Whether X is an array as in `fit`, of which only the values remain to be checked.
 
     scikit-learn's own checks take several times as long as the prediction of one row.
@@ -143,7 +144,7 @@ def is_plain(estimator, X):
     )
 
 
-def check_data(estimator, X, y):
+def check_data(estimator: Any, X: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
     """X and y as float64, checked by scikit-learn and by us; y of any number of columns."""
     for name, value in (("X", X), ("y", y)):
         refuse_disguised(name, value)
@@ -157,7 +158,7 @@ def check_data(estimator, X, y):
     return X, y
 
 
-def check_weights(sample_weight, X):
+def check_weights(sample_weight: ArrayLike | None, X: Any) -> np.ndarray:
     """Weights (n,) as float64, not negative and not all zero."""
     refuse_disguised("sample_weight", sample_weight)
     weights = check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
@@ -167,13 +168,13 @@ def check_weights(sample_weight, X):
     return weights
 
 
-def check_option(name, value, options):
+def check_option(name: str, value: object, options: Iterable[str | None]) -> None:
     """Refuse what is not one of the options."""
     if not (value is None or isinstance(value, str)) or value not in options:
         raise ValueError(f"{name}={show(value)} is not one of {', '.join(map(repr, options))}.")
 
 
-def check_flags(**flags):
+def check_flags(**flags: object) -> None:
     """Refuse what is neither True nor False, such as labels in the second place of `predict`."""
     for name, value in flags.items():
         if value is True or value is False:
@@ -182,7 +183,7 @@ def check_flags(**flags):
             raise TypeError(f"{name} must be True or False, got {show(value)}.")
 
 
-def listed(name, value):
+def listed(name: str, value: Any) -> list[Any]:
     """Several, as a list; one text is not several letters, and an array is its rows."""
     try:
         return [value] if isinstance(value, str) else list(value)
@@ -190,16 +191,16 @@ def listed(name, value):
         raise ValueError(f"{name} must be a list, got {show(value)}.") from None
 
 
-def check_whole_number(name, value, low, high=None):
+def check_whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
     """Refuse what is not a whole number from `low` to `high`, without an upper bound if None."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not whole or value < low or (high is not None and value > high):
+    if not whole or int(value) < low or (high is not None and int(value) > high):
         bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
         raise ValueError(f"{name} must be a whole number {bounds}, got {show(value)}.")
     return int(value)
 
 
-def check_points(points, n_coordinates=None):
+def check_points(points: Any, n_coordinates: int | None = None) -> np.ndarray:
     """Points as float64 of shape (n_points, n_coordinates); one dimension becomes one column."""
     refuse_disguised("points", points)
     points = check_array(points, dtype=np.float64, ensure_2d=False, input_name="points")

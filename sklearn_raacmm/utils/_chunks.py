@@ -3,18 +3,20 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
+
 # Upper bound of the rows of every chunk, for the tests only (``pytest --chunk-rows 7``): data of
 # a few rows then cross the borders of chunks, too. None: the sizes that the callers ask for.
 LIMIT = None
 
 
-def chunk_size(n_rows):
+def chunk_size(n_rows: int) -> int:
     """Number of rows of a chunk: `n_rows`, at least 1, and no more than the tests allow."""
     size = max(1, n_rows)
     return size if LIMIT is None else min(size, LIMIT)
 
 
-def chunks(n_rows, size):
+def chunks(n_rows: int, size: int) -> Iterator[slice]:
     """Yield slices of at most `size` rows that cover `n_rows` rows.
 
     Parameters

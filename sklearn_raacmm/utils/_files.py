@@ -3,27 +3,95 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import glob
+import hashlib
 import os
 import secrets
 import shutil
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from sklearn_raacmm.utils._checks import show
 
 
-def check_path(name, value):
+def check_path(name: str, value: object) -> Path:
     """Refuse what is no path of a file or folder, and give it as a `Path`."""
     if not isinstance(value, str | os.PathLike):
         raise TypeError(f"{name} must be the path of a file or folder, got {show(value)}.")
     return Path(value)
 
 
-def write_whole(contents):
+def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
+    """Refuse files that could not be written, or that are read: before the work, not after it.
+
+    Parameters
+    ----------
+    outputs : iterable of path-like
+        Files to be written; folders on the way to them may still be made.
+    inputs : iterable of path-like
+        Files that are read.
+
+    Raises
+    ------
+    ValueError
+        If an output is an input, or another output.
+    OSError
+        If an output is a folder or no ordinary file, or its folder cannot be written into.
+    """
+    inputs = [path for path in map(Path, inputs) if path.exists()]
+    seen = set()
+    for path in outputs:
+        place = check_path("path", path)
+        if place.exists() and any(place.samefile(source) for source in inputs):
+            raise ValueError(f"{path} is read and would be written over: choose another name.")
+        if place.resolve() in seen:
+            raise ValueError(f"{path} would be written twice: choose two names.")
+        seen.add(place.resolve())
+        if place.is_dir():
+            raise IsADirectoryError(f"A file is to be written, but this is a folder: {path}.")
+        if place.exists() and not place.is_file():
+            raise OSError(f"{path} is no ordinary file, and only such files are written.")
+        folder = next(above for above in place.resolve().parents if above.exists())
+        if not folder.is_dir():
+            raise NotADirectoryError(f"{folder} is a file, and no folder for {place.name}.")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(f"Nothing can be written into the folder {folder}.")
+
+
+def digest_of(content: str | bytes) -> str:
+    """Fingerprint of a file's content, text or bytes: SHA-256 in hexadecimal digits."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
+def whole_file(path: Any, digest: str) -> bytes | None:
+    """Content of the file of this fingerprint: at its place, or not yet renamed; else None.
+
+    Parameters
+    ----------
+    path : path-like
+        A place that `write_whole` has written to, perhaps without coming to its end.
+    digest : str
+        As `digest_of` gives it.
+
+    Returns
+    -------
+    bytes or None
+    """
+    path = Path(path)
+    for place in (path, *path.parent.glob(f"{glob.escape(path.name)}.{digest[:16]}.*.tmp")):
+        if place.is_file() and digest_of(content := place.read_bytes()) == digest:
+            return content
+    return None
+
+
+def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     """Write files beside their places, and rename them when all are complete.
 
     What goes wrong while writing, such as a full disk, leaves files of these names as they were.
     Threads and processes may write one name at the same time: whoever reads gets the whole of one
-    of their files.
+    of their files. The files are renamed in the order given. If the first holds the fingerprints
+    of the others, `whole_file` finds each of them at every moment after the first is in place.
 
     Parameters
     ----------
@@ -44,11 +112,13 @@ def write_whole(contents):
     complete = []
     try:
         for place, content in zip(places, contents.values(), strict=True):
+            content = content.encode() if isinstance(content, str) else content
             # A name that no other thread or process takes; "x" refuses one that is there.
-            beside = place.with_name(f"{place.name}.{secrets.token_hex(8)}.tmp")
+            token = f"{digest_of(content)[:16]}.{secrets.token_hex(4)}"
+            beside = place.with_name(f"{place.name}.{token}.tmp")
             with open(beside, "xb") as file:
                 complete.append(beside)
-                file.write(content.encode() if isinstance(content, str) else content)
+                file.write(content)
                 file.flush()
                 # The content goes to the disk before the name does. After a power failure the file
                 # would be empty otherwise.

@@ -4,11 +4,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Literal
+from contextvars import ContextVar, copy_context
+from dataclasses import asdict, dataclass, replace
+from functools import wraps
+from typing import Any, Literal, TypeVar, cast
 
 from sklearn_raacmm.utils._warn_user import warn_user
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+# Where findings are collected instead of being said; None outside of `heard_findings`.
+_HEARD: ContextVar[Any] = ContextVar("heard findings", default=None)
+# Rows that a finding lists.
+_LISTED = 100
 
 
 @dataclass(frozen=True)
@@ -23,13 +33,14 @@ class Finding:
         One sentence: what was found, with its numbers and units.
     advice : str
         One sentence: what to do. Empty if there is nothing to do.
-    weight : {"note", "doubt", "repair"}
+    weight : {"note", "doubt", "repair", "refuse"}
         "note": good to know. "doubt": results may be worse than they look. "repair": no judgement
-        of the correction means anything before this is put right.
+        of the correction means anything before this is put right. "refuse": these cannot be the
+        data that are asked for; nothing is computed.
     positions : tuple
         Labels of the positions that it is about; empty if it is about all.
     rows : tuple of int
-        Rows, counted from 0.
+        Rows, counted from 0; the first hundred.
     joints : tuple of int
         Joints, counted from 1.
     size_mm : float or None
@@ -39,47 +50,132 @@ class Finding:
     code: str
     text: str
     advice: str = ""
-    weight: Literal["note", "doubt", "repair"] = "doubt"
-    positions: tuple = ()
-    rows: tuple = ()
-    joints: tuple = ()
+    weight: Literal["note", "doubt", "repair", "refuse"] = "doubt"
+    positions: tuple[Any, ...] = ()
+    rows: tuple[int, ...] = ()
+    joints: tuple[int, ...] = ()
     size_mm: float | None = None
 
-    def __str__(self):
+    def __post_init__(self) -> None:
+        # Plain values: findings are saved with models, and written as JSON.
+        for name in ("positions", "rows", "joints"):
+            values = tuple(getattr(v, "tolist", lambda v=v: v)() for v in getattr(self, name))
+            object.__setattr__(self, name, values[:_LISTED])
+        if self.size_mm is not None:
+            object.__setattr__(self, "size_mm", float(self.size_mm))
+
+    def __str__(self) -> str:
         return f"{self.text} {self.advice}".rstrip()
+
+    def facts(self) -> dict[str, Any]:
+        """The same as a dictionary that JSON can hold."""
+        values = asdict(self)
+        return {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
 
 
 class FindingWarning(UserWarning):
     """A warning that says a finding; ``warning.finding`` is the value."""
 
-    def __init__(self, finding):
-        super().__init__(str(finding))
+    def __init__(self, finding: Finding) -> None:
+        super().__init__(finding)
         self.finding = finding
 
 
-def say_findings(findings):
-    """Warn of each finding that is more than a note."""
+class FindingError(ValueError):
+    """The refusal of data; ``error.finding`` is the value."""
+
+    def __init__(self, finding: Finding) -> None:
+        super().__init__(finding)
+        self.finding = finding
+
+
+def say_findings(findings: Iterable[Finding]) -> None:
+    """Refuse, collect or warn of findings; of a note nobody is warned.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+
+    Raises
+    ------
+    FindingError
+        At the first of weight "refuse".
+    """
+    heard = _HEARD.get()
     for finding in findings:
-        if finding.weight != "note":
+        if finding.weight == "refuse":
+            raise FindingError(finding)
+        if heard is not None:
+            if finding not in heard:
+                heard.append(finding)
+        elif finding.weight != "note":
             warn_user(FindingWarning(finding))
 
 
-@contextmanager
-def heard_findings():
-    """Collect the findings that are said within, instead of warning; other warnings go on.
+class heard_findings:  # noqa: N801  (a context manager, as those of the standard library)
+    """Collect the findings that are said within, instead of warning.
 
-    Yields
-    ------
-    list of Finding
-        Filled when the block ends, each finding once.
+    ``with heard_findings() as heard`` gives a list, with each finding once; notes, too. It is no
+    generator: one that is interrupted and closed later would end the collection of others.
     """
-    heard = []
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", UserWarning)
-        yield heard
-    for warning in said:
-        if isinstance(warning.message, FindingWarning):
-            if warning.message.finding not in heard:
-                heard.append(warning.message.finding)
-        else:
-            warn_user(warning.message)
+
+    def __enter__(self) -> list[Finding]:
+        heard: list[Finding] = []
+        self._token = _HEARD.set(heard)
+        return heard
+
+    def __exit__(self, *error: Any) -> None:
+        _HEARD.reset(self._token)
+
+
+def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, list[Finding]]:
+    """Call a function: its result, and the findings that were said within.
+
+    In a context of its own: whatever interrupts the function, what follows is said again.
+    """
+
+    def inside():
+        with heard_findings() as heard:
+            try:
+                return function(*args, **kwargs), heard
+            except ValueError as error:
+                refusal = error
+        say_findings(heard)  # it may be why
+        raise refusal
+
+    return copy_context().run(inside)
+
+
+def one_warning() -> Callable[[Function], Function]:
+    """Make a function that says each finding once, however many of its parts look at the data."""
+
+    def decorator(function: Function) -> Function:
+        @wraps(function)
+        def wrapper(*args, **kwargs):
+            result, heard = hear(function, *args, **kwargs)
+            say_findings(heard)
+            return result
+
+        return cast(Function, wrapper)
+
+    return decorator
+
+
+def with_findings(function: Function) -> Function:
+    """Make a function that puts the findings said within into its result, a dataclass."""
+
+    @wraps(function)
+    def wrapper(*args, **kwargs):
+        result, heard = hear(function, *args, **kwargs)
+        say_findings(heard)
+        return replace(result, findings=tuple(heard))
+
+    return cast(Function, wrapper)
+
+
+@contextmanager
+def unheard() -> Iterator[None]:
+    """Say nothing of what is found within: it has been said of all rows, or will be."""
+    with heard_findings(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        yield

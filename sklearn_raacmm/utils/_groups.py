@@ -3,11 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import re
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
-from scipy.special import fdtr
 
 from sklearn_raacmm.utils._checks import check_points, refuse_masked
+from sklearn_raacmm.utils._robust import robust_scale, tukey_weights
 
 # How a missing label that is no text prints: NaN, None, and those of pandas.
 _MISSING = ("nan", "None", "NaT", "<NA>")
@@ -17,11 +21,15 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 CENTRED = 0.5
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
+# Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
+_LEAST_OF_SLIPS, _ROUNDS = 4, 5
+# Standard deviations of a slip, in units of those from which on a fit gives rows no weight.
+_SLIP = 2.0
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
 
-def encode_groups(groups, n_samples=None):
+def encode_groups(groups: Any, n_samples: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Turn the labels of groups into indices.
 
     Parameters
@@ -107,7 +115,12 @@ def _missing(labels):
     )
 
 
-def group_sums(values, codes, weights=None, n_groups=None):
+def group_sums(
+    values: np.ndarray,
+    codes: np.ndarray,
+    weights: np.ndarray | None = None,
+    n_groups: int | None = None,
+) -> np.ndarray:
     """Weighted sum of the rows of each group.
 
     Parameters
@@ -131,12 +144,16 @@ def group_sums(values, codes, weights=None, n_groups=None):
     return (sum_up @ values.reshape(n, -1)).reshape(n_groups, *values.shape[1:])
 
 
-def group_weights(codes, weights=None, n_groups=None):
+def group_weights(
+    codes: np.ndarray, weights: np.ndarray | None = None, n_groups: int | None = None
+) -> np.ndarray:
     """Sum of the weights of each group, (n_groups,); the number of rows without weights."""
     return np.bincount(codes, weights=weights, minlength=n_groups or 0)
 
 
-def group_means(values, codes, weights=None):
+def group_means(
+    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
+) -> np.ndarray:
     """Weighted mean of the rows of each group, (n_groups, ...); see `group_sums`."""
     # The sums are those of differences from the first row, so that a large mean costs no digits.
     origin = values[0]
@@ -145,12 +162,54 @@ def group_means(values, codes, weights=None):
     return group_sums(values - origin, codes, weights) / total + origin
 
 
-def centred(values, codes, weights=None):
+def centred(
+    values: np.ndarray, codes: np.ndarray | None, weights: np.ndarray | None = None
+) -> np.ndarray:
     """Rows less the weighted mean of their group; as they are where `codes` is None."""
     return values if codes is None else values - group_means(values, codes, weights)[codes]
 
 
-def share_of_means(y, codes, weights):
+def slip_factors(
+    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
+) -> np.ndarray:
+    """Factors of the rows' weights in the means of their groups: slips take no part.
+
+    Groups in which no row is farther than 11 standard deviations from the others, by the median of
+    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
+    of an arm have longer tails than normal ones: poses in which it bends most are no slips.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n, q)
+    codes : ndarray of shape (n,)
+        Group of each row, from 0.
+    weights : ndarray of shape (n,), default=None
+        Rows of weight 0 have a factor of 1.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        From 0 to 1.
+    """
+    factor = np.ones(len(values))
+    used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
+    rows = [used[codes[used] == code] for code in range(int(codes.max(initial=-1)) + 1)]
+    rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
+    if not rows:
+        return factor
+    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
+    usual = robust_scale(np.concatenate(far), values.shape[1])
+    for of, away in zip(rows, far, strict=True):
+        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
+        centre = np.median(values[of], axis=0)
+        for _ in range(_ROUNDS):
+            left = values[of] - centre
+            factor[of] = tukey_weights(left, least_scale=scale)
+            centre = np.average(values[of], axis=0, weights=factor[of])
+    return factor
+
+
+def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:
     """Mean squares of positions' means over what the scatter within positions explains.
 
     Parameters
@@ -162,14 +221,20 @@ def share_of_means(y, codes, weights):
 
     Returns
     -------
-    of_all, of_most : float
-        Over all positions, and the median position; infinite where nothing scatters.
-    by_chance : float
-        Probability that independent rows have means as small as these.
+    float
+        The smaller one of means with slips and without them; infinite where nothing scatters.
     """
+    shares = [_share_of_means(y, codes, weights)]
+    factor = slip_factors(y, codes, weights)
+    if np.any(factor < 1):  # they may be deviations from means without slips
+        shares.append(_share_of_means(y, codes, weights * factor))
+    return min(shares)
+
+
+def _share_of_means(y, codes, weights):
     # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
     weights = weights / min(weights[weights > 0].mean(), 1.0)
-    total, q = group_weights(codes, weights), y.shape[1]
+    total = group_weights(codes, weights)
     used = total > 0
     left = centred(y, codes, weights)
     n_free = total.sum() - used.sum()
@@ -177,20 +242,20 @@ def share_of_means(y, codes, weights):
     between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
     # Positions of one row each: their deviations from themselves are rounding.
     if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
-        return np.inf, np.inf, 1.0
-    share = between.mean() / within
-    by_chance = float(fdtr(q * used.sum(), q * n_free, share))
-    return share, float(np.median(between)) / within, by_chance
+        return np.inf
+    return float(between.mean() / within)
 
 
-def check_groups(groups, n_samples):
+def check_groups(groups: ArrayLike | None, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Labels and codes as `encode_groups`; None makes all rows one group."""
     if groups is None:
         return np.zeros(1, dtype=int), np.zeros(n_samples, dtype=int)
     return encode_groups(groups, n_samples)
 
 
-def deviations_by_group(points, groups):
+def deviations_by_group(
+    points: ArrayLike, groups: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Deviation of each point from its position's mean, its position, counts and labels."""
     points = check_points(points)
     labels, codes = check_groups(groups, len(points))
@@ -201,3 +266,20 @@ def deviations_by_group(points, groups):
             f"{labels[counts < 2][0]!s}); a scatter needs at least 2."
         )
     return centred(points, codes), codes, counts, labels
+
+
+def natural_order(labels):
+    """Order of labels in which cone 2 comes before cone 10.
+
+    Parameters
+    ----------
+    labels : iterable
+
+    Returns
+    -------
+    list of int
+        Indices.
+    """
+    parts = [re.split(r"(\d+)", str(label)) for label in labels]
+    keys = [[int(part) if i % 2 else part for i, part in enumerate(each)] for each in parts]
+    return sorted(range(len(keys)), key=keys.__getitem__)

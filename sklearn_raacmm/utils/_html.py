@@ -3,10 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from html import escape
+from typing import Any
 
 
-def html_table(title, header, rows):
+def html_table(title: str, header: Sequence[Any], rows: Iterable[Sequence[object]]) -> str:
     """HTML of a table under a line of text; all texts are escaped.
 
     Parameters

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import logging
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 
@@ -11,7 +12,7 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 
 
 @contextmanager
-def stage(name):
+def stage(name: str) -> Iterator[None]:
     """Log one line when a stage of a fit has ended: its name and how long it took.
 
     As a decorator, of every call of a function. The line goes to the logger "sklearn_raacmm" at

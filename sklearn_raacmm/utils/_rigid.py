@@ -6,13 +6,13 @@
 import numpy as np
 
 
-def nearest_rotation(matrix):
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) nearest to a matrix (3, 3) by least squares of the entries."""
     u, _, vt = np.linalg.svd(matrix)
     return u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
 
 
-def align(points, target):
+def align(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and shift that take points to target with the least squares of what is left.
 
     Parameters

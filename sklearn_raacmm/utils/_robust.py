@@ -12,13 +12,19 @@ References
 import numpy as np
 from scipy.special import chdtri
 
+from sklearn_raacmm.utils._findings import Finding
+
 # Standard deviations of a coordinate from which a row has no weight; while none is as far off, all
 # have theirs in full. Of normal errors in space one in 800 000 is, of those of one coordinate one
 # in 26 million.
 TUKEY_CUT = 5.5
+# Share of rows without weight that slips do not come to, and of how many. A choice.
+_MOST_WITHOUT, _LEAST_ROWS = 0.1, 30
 
 
-def robust_scale(distances, n_coordinates, weights=None):
+def robust_scale(
+    distances: np.ndarray, n_coordinates: int, weights: np.ndarray | None = None
+) -> float:
     """Standard deviation of a coordinate, from the median distance.
 
     Parameters
@@ -39,14 +45,20 @@ def robust_scale(distances, n_coordinates, weights=None):
         median = np.median(distances)
     else:
         counted = weights > 0
-        rule = {"q": 0.5, "weights": weights[counted], "method": "inverted_cdf"}
+        rule: dict = {"q": 0.5, "weights": weights[counted], "method": "inverted_cdf"}
         # The mean of the lower and the upper median, as of rows without weights.
         lower, upper = (sign * np.quantile(sign * distances[counted], **rule) for sign in (1, -1))
         median = (lower + upper) / 2
     return float(median / np.sqrt(chdtri(n_coordinates, 0.5)))
 
 
-def tukey_weights(residuals, weights=None, *, least_scale=0.0, weighed=False):
+def tukey_weights(
+    residuals: np.ndarray,
+    weights: np.ndarray | None = None,
+    *,
+    least_scale: float = 0.0,
+    weighed: bool = False,
+) -> np.ndarray:
     """Factors of the rows' weights by Tukey's biweight, (1 - (r / c)^2)^2 below c [1]_.
 
     Parameters
@@ -78,3 +90,25 @@ def tukey_weights(residuals, weights=None, *, least_scale=0.0, weighed=False):
         return np.ones(len(distances))
     # Cut off before it is squared: of next to nothing, no overflow.
     return np.square(1 - np.square(np.minimum(distances, cut) / cut))
+
+
+def many_without_weight(factor):
+    """More rows without weight than slips can be.
+
+    Parameters
+    ----------
+    factor : ndarray of shape (n,)
+        What robust weights have left of each row.
+
+    Yields
+    ------
+    Finding
+    """
+    none = np.flatnonzero(factor == 0)
+    if len(none) > _MOST_WITHOUT * len(factor) and len(factor) >= _LEAST_ROWS:
+        yield Finding(
+            "many-without-weight",
+            f"{len(none)} of {len(factor)} poses lie so far off that they have no weight.",
+            "These are more than slips are: look at labels, references and set-up.",
+            rows=none,
+        )

@@ -3,10 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 
-def check_shapes(owner, values, shapes, sizes, may_be_infinite=()):
+def check_shapes(
+    owner: str,
+    values: Mapping[str, Any],
+    shapes: Mapping[str, tuple[Any, ...]],
+    sizes: Mapping[str, int],
+    may_be_infinite: tuple[str, ...] = (),
+) -> None:
     """Refuse arrays that do not fit together, or hold NaN or infinity.
 
     A file that lost a row would load, and fail in the first product of matrices.
@@ -32,12 +41,11 @@ def check_shapes(owner, values, shapes, sizes, may_be_infinite=()):
     sizes = dict(sizes)
     for name, shape in shapes.items():
         value = values.get(name)
+        if value is None:
+            raise ValueError(f"The file is damaged: {name} of {owner} is missing.")
         found = np.shape(value)
-        if value is None or len(found) != len(shape):
-            raise ValueError(
-                f"The file is damaged: {name} of {owner} "
-                f"{'is missing' if value is None else f'has shape {found}'}."
-            )
+        if len(found) != len(shape):
+            raise ValueError(f"The file is damaged: {name} of {owner} has shape {found}.")
         for have, size in zip(found, shape, strict=True):
             if isinstance(size, str):
                 size = sizes.setdefault(size, have)

@@ -1,35 +1,25 @@
-"""What the estimators take from scikit-learn's private modules, gathered in one place."""
+"""What the estimators take from scikit-learn's private modules, in one place and with types."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn.base import _fit_context as fit_context
-from sklearn.utils import _safe_indexing as safe_indexing
-from sklearn.utils._param_validation import (
-    HasMethods,
-    Interval,
-    StrOptions,
-    validate_parameter_constraints,
-    validate_params,
-)
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+import numpy as np
+from sklearn import base, utils
+from sklearn.utils import _param_validation, validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
-from sklearn.utils.validation import (
-    _check_feature_names as check_feature_names,
-)
-from sklearn.utils.validation import (
-    _check_feature_names_in as check_feature_names_in,
-)
-from sklearn.utils.validation import (
-    _check_n_features as check_n_features,
-)
-from sklearn.utils.validation import (
-    _check_sample_weight as check_sample_weight,
-)
 
 __all__ = [
+    "BaseEstimator",
     "HasMethods",
     "Interval",
+    "MultiOutputMixin",
+    "RegressorMixin",
     "StrOptions",
+    "TransformerMixin",
+    "check_array",
     "check_feature_names",
     "check_feature_names_in",
     "check_n_features",
@@ -41,7 +31,59 @@ __all__ = [
     "validate_params",
 ]
 
-# The rounding of a matrix product depends on the number of threads, and the choice of centres and
-# columns depends on rounding. With one thread a fit is the same everywhere; on small matrices it is
-# also faster.
-one_blas_thread = _threadpool_controller_decorator(limits=1, user_api="blas")
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
+
+    class BaseEstimator:
+        def get_params(self, deep: bool = True) -> dict[str, Any]: ...
+        def set_params(self, **params: Any) -> Self: ...
+        def __getstate__(self) -> dict[str, Any]: ...
+        def __setstate__(self, state: dict[str, Any]) -> None: ...
+        def __sklearn_tags__(self) -> Any: ...
+        def get_metadata_routing(self) -> Any: ...
+
+    class RegressorMixin:
+        def score(self, X: Any, y: Any, *args: Any, **kwargs: Any) -> float: ...
+
+    class TransformerMixin:
+        def fit_transform(self, X: Any, y: Any = None, **fit_params: Any) -> np.ndarray: ...
+        def set_output(self, *, transform: str | None = None) -> Self: ...
+
+    class MultiOutputMixin: ...
+
+else:
+    from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, TransformerMixin
+
+safe_indexing: Callable[..., Any] = utils._safe_indexing
+check_array: Callable[..., np.ndarray] = utils.check_array
+check_feature_names: Callable[..., None] = validation._check_feature_names
+check_feature_names_in: Callable[..., np.ndarray] = validation._check_feature_names_in
+check_n_features: Callable[..., None] = validation._check_n_features
+check_sample_weight: Callable[..., np.ndarray] = validation._check_sample_weight
+HasMethods: Any = _param_validation.HasMethods
+Interval: Any = _param_validation.Interval
+StrOptions: Any = _param_validation.StrOptions
+validate_parameter_constraints: Callable[..., None] = (
+    _param_validation.validate_parameter_constraints
+)
+
+
+def fit_context(**options: bool) -> Callable[[Function], Function]:
+    """Check the parameters before a method runs."""
+    return base._fit_context(**options)
+
+
+def validate_params(constraints: dict[str, Any], **options: bool) -> Callable[[Function], Function]:
+    """Check the parameters of a function before it runs."""
+    return _param_validation.validate_params(constraints, **options)
+
+
+def one_blas_thread(function: Function) -> Function:
+    """Let a function use one thread for matrices.
+
+    The rounding of a matrix product depends on the number of threads, and the choice of centres and
+    columns depends on rounding. With one thread a fit is the same everywhere; on small matrices it
+    is also faster.
+    """
+    return _threadpool_controller_decorator(limits=1, user_api="blas")(function)

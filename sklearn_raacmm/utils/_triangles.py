@@ -3,13 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import numpy as np
 from scipy.linalg import blas, lapack
 
 # Rows of a triangle that is inverted as a whole; 32 to 100 take the same time.
 SMALL_TRIANGLE = 64
 
 
-def invert_triangle(L):
+def invert_triangle(L: np.ndarray) -> None:
     """Invert a lower triangular matrix in Fortran order, in place.
 
     By halves, whose products do most of the work: LAPACK's own inverse takes twice the time where

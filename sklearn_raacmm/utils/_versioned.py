@@ -3,10 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn.base import BaseEstimator
+from typing import Any
+
 from sklearn.exceptions import InconsistentVersionWarning
 
 from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
+from sklearn_raacmm.utils._sklearn import BaseEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
 
 _KEY = "_sklearn_raacmm_version"
@@ -18,7 +20,7 @@ class InconsistentPackageVersionWarning(InconsistentVersionWarning):
     A subclass of scikit-learn's own, so that what filters or catches that one sees this one, too.
     """
 
-    def __str__(self):
+    def __str__(self) -> str:
         return (
             f"{self.estimator_name} was saved by sklearn_raacmm {self.original_sklearn_version} "
             f"and is loaded by {self.current_sklearn_version}: it may not work, or predict "
@@ -39,10 +41,10 @@ class VersionedEstimator(BaseEstimator):
     _doc_link_module = "sklearn_raacmm"
     _doc_link_template = link_template(documentation_of(REPOSITORY))
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         return {**super().__getstate__(), _KEY: __version__}
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         state = dict(state)
         version = state.pop(_KEY, "before 0.1.0")
         if version != __version__:

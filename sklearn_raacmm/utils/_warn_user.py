@@ -15,13 +15,13 @@ import sklearn
 # and what its decorators are made of.
 _FOLDERS = (
     os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
-    os.path.dirname(sklearn.__file__),
-    os.path.dirname(joblib.__file__),
+    *sklearn.__path__,
+    *joblib.__path__,
 )
 _SKIPPED = (*(folder + os.sep for folder in _FOLDERS), contextlib.__file__)
 
 
-def warn_user(message, category=UserWarning):
+def warn_user(message: str | Warning, category: type[Warning] = UserWarning) -> None:
     """Warn at the line that calls the package, however many of its functions are in between.
 
     As ``warnings.warn(..., skip_file_prefixes=...)``, which Python 3.11 does not have.

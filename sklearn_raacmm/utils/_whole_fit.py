@@ -3,11 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from functools import wraps
+from typing import Any, TypeVar, cast
+
+from sklearn_raacmm.utils._findings import hear, say_findings
+
+Fit = TypeVar("Fit", bound=Callable[..., Any])
 
 
-def whole_fit(fit):
+def whole_fit(fit: Fit) -> Fit:
     """Make a `fit` that leaves the estimator as it was until it is complete.
+
+    What is found in the data meanwhile is kept in `findings_`, and said at the end.
 
     The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
     assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
@@ -27,8 +35,10 @@ def whole_fit(fit):
     def wrapper(self, *args, **kwargs):
         aside = object.__new__(type(self))
         aside.__dict__ = dict(vars(self))
-        fit(aside, *args, **kwargs)
+        _, heard = hear(fit, aside, *args, **kwargs)
+        aside.findings_ = tuple(heard)
+        say_findings(heard)
         self.__dict__ = aside.__dict__
         return self
 
-    return wrapper
+    return cast(Fit, wrapper)

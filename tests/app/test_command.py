@@ -12,6 +12,8 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_check_records
 from sklearn_raacmm.app import _commands, _files, main
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._lengths import length_of, read_places
 from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
@@ -87,7 +89,7 @@ def learned(tmp_path_factory, other_make, machine):
 def read_csv(path, encoding="cp1252"):
     with open(path, encoding=encoding, newline="") as file:
         header, *rows = csv.reader(file, delimiter=";")
-    numbers = [[float(cell.replace(",", ".")) for cell in row[-6:]] for row in rows]
+    numbers = [[float(cell.replace(",", ".")) for cell in row[-10:]] for row in rows]
     return header, rows, np.array(numbers)
 
 
@@ -116,7 +118,7 @@ def test_learn_writes_everything_and_finds_the_slip(learned):
     assert '<td class="n">41</td><td>Kegel Süd 3</td>' in report  # its row in the file
     header, rows, numbers = read_csv(folder / "corrected.csv")
     assert header[1] == "Kegel"
-    assert header[-6:-3] == ["x [mm]", "y [mm]", "z [mm]"]
+    assert header[-10:-7] == ["x [mm]", "y [mm]", "z [mm]"]
     assert len(rows) == len(readings)
     assert np.all(numbers[:, 3:] > 0)
 
@@ -208,6 +210,9 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
 def test_export_compiles_and_says_the_same(learned, tmp_path):
     folder, _, readings, _ = learned
     assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
+    header = (tmp_path / "arm_correction.h").read_text()
+    scale_sd = json.loads((folder / "correction.json").read_text(encoding="utf-8"))["scale_sd"]
+    assert f"#define ARM_CORRECTION_SCALE_SD {scale_sd!r}\n" in header
     written = np.deg2rad(np.rad2deg(readings[0]).round(5))  # as the log has it
     values = ", ".join(repr(float(v)) for v in written)
     (tmp_path / "main.c").write_text(
@@ -237,7 +242,7 @@ def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
     assert main([*arguments.split(), *gauges]) == 3
     said = capsys.readouterr().out
     assert said.count("Do not use it: at new positions 2S") == 1
-    assert "known lengths (1), mean error" in said
+    assert "known lengths" not in said  # one cannot be judged by another
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert '<p class="verdict "><strong>Do not use it' in report
     # Whoever uses it all the same is told so.
@@ -258,7 +263,7 @@ def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "It helps at new positions: mean deviation" in said
     assert "region 05" in said
-    assert main([*arguments.split(), "--limit-2s", "0.1"]) == 2
+    assert main([*arguments.split(), "--limit-2s", "0.1", "--force"]) == 2
     assert "not for a tracker's points" in capsys.readouterr().err
     assert main(["check", f"{tmp_path}/t.csv", "--model", str(tmp_path)]) == 2
     assert "learnt from a single-point test" in capsys.readouterr().err
@@ -290,11 +295,13 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
     offsets = ["--elbow-offset", "62", "--wrist-offset", "40", "--out", f"{tmp_path}/own.json"]
     assert main(["arm", "--lengths-222", "376", "750", "500", "98", *offsets]) == 0
     assert Arm.from_json(tmp_path / "own.json").a.tolist() == [0, 62, 0, 40, 0, 0]
-    answers = iter(["2-2-2", "300", "420,5", "380", "120"])
+    answers = iter(["2-2-2", "300", "420,5", "380", "120", "62", "0"])
     monkeypatch.setattr(_commands.sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda _: next(answers))
     assert main(["arm"]) == 0
-    assert "420.5" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "420.5" in said
+    assert "decide the scale of the arm" in said
 
 
 @pytest.mark.parametrize(
@@ -343,10 +350,14 @@ def test_a_damaged_model_is_not_loaded(learned, tmp_path, capsys):
         shutil.copy(folder / name, tmp_path)
     model = ["correct", str(folder.parent / "log.csv"), "--model", str(tmp_path), "--out", "x.csv"]
     assert main(model) == 2
-    assert "has no model.skops" in capsys.readouterr().err
+    assert "model.skops is missing" in capsys.readouterr().err
     (tmp_path / "model.skops").write_bytes(b"no zip")
     assert main(model) == 2
-    assert "cannot be loaded" in capsys.readouterr().err
+    assert "model.skops is not the one" in capsys.readouterr().err
+    (tmp_path / "model.joblib").write_bytes((tmp_path / "model.skops").read_bytes())
+    (tmp_path / "model.skops").unlink()
+    assert main(model) == 2
+    assert "has no model.skops. Only these are loaded" in capsys.readouterr().err
 
 
 def test_help_and_usage(capsys):
@@ -406,3 +417,77 @@ def test_a_record_is_appended_to_records_only(tmp_path):
         with pytest.raises(ValueError, match=r"is not the record of (a check|checks)"):
             append_record(data, record)
         assert data.read_bytes() == text
+
+
+def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
+    table = tmp_path / "dh.csv"
+    table.write_text(
+        "Joint;r [m];alpha [deg];d [m];theta;sign;min [deg];max [deg]\n"
+        + "".join(
+            f"A{i};{a / 1000};{alpha};{d / 1000};{offset};-1;-170;170\n".replace(".", ",")
+            for i, (a, alpha, d, offset) in enumerate(
+                [(0, -90, 290, 0), (270, 0, 0, -90), (70, -90, 0, 0)], 1
+            )
+        )
+    )
+    out = ["--out", str(tmp_path / "arm.json")]
+    assert main(["arm", "--dh", str(table), "--probe", "1,2,3", *out]) == 0
+    arm = Arm.from_json(tmp_path / "arm.json")
+    np.testing.assert_allclose(arm.a, [0, 270, 70])
+    np.testing.assert_allclose(np.rad2deg(arm.limits[:, 1]), 170)
+    assert (arm.names, arm.joint_signs.tolist()) == (("A1", "A2", "A3"), [-1, -1, -1])
+    for text, message in (
+        ("a;alpha;x\n1;2;3\n", "has no column 'd'; it has a, alpha, x"),
+        ("a;alpha;d\n1;2;3\n1;x;3\n", "row 3, column 'alpha': no number"),
+        ("a [deg];alpha;d\n1;2;3\n", "the column 'a [deg]' is in deg"),
+    ):
+        table.write_text(text)
+        assert main(["arm", "--dh", str(table)]) == 2
+        assert message in capsys.readouterr().err
+    # Written into the robot's own file, and a workbook to begin with.
+    (tmp_path / "arm.urdf").write_text(URDF)
+    own = Arm.from_urdf(URDF)
+    own.replace(d=own.d + 0.25).to_json(tmp_path / "arm.json")
+    new = str(tmp_path / "new.urdf")
+    into = ["--into", str(tmp_path / "arm.urdf"), "--tip", "tip"]
+    assert main(["arm", str(tmp_path / "arm.json"), *into, "--out", new]) == 0
+    angles = np.random.default_rng(0).uniform(-2, 2, (5, 7))
+    np.testing.assert_allclose(
+        Arm.from_urdf(new, tip="tip").forward(angles),
+        own.replace(d=own.d + 0.25).forward(angles), atol=1e-9,
+    )  # fmt: skip
+    workbook = str(tmp_path / "new.xlsx")
+    assert main(["arm", "--template", workbook]) == 0
+    capsys.readouterr()
+    assert main(["arm", "--dh", workbook, "--probe", "0,0,100", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["d_mm"] == Arm.from_lengths("2-2-2", 375, 750, 500, 100).d.tolist()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["ur10", "--dh", "x.csv"], "give one arm: a file or name, --dh"),
+        (["ur10", "--probe", "0,0,1"], "--modified and --probe belong to --dh"),
+        (["ur10", "--into", "x.urdf"], "--into needs --out"),
+    ],
+)
+def test_options_of_an_arm_that_do_not_fit(capsys, arguments, sentence):
+    assert main(["arm", *arguments]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_known_lengths_and_places_of_the_command_line(tmp_path):
+    assert length_of("A:B: 500.012:0.005") == ("A", "B", 500.012, 0.005)
+    with pytest.raises(TableError, match="such as A:B"):
+        length_of("A:B:500")
+    path = tmp_path / "plate.csv"
+    path.write_text("ball;x;y;z\nA;0;0;0\nB;300;400;0\nC;0;0;100\n")
+    found = read_places(path, 0.004)
+    assert found[0][:3] == ("A", "B", 500.0)
+    assert len(found) == 3
+    with pytest.raises(TableError, match="row 2 must hold a label, x, y, z and their"):
+        read_places(path)
+    path.write_text("A;0;0;0;0.004\nA;300;400;0;0.004\n")
+    with pytest.raises(TableError, match="two different labels"):
+        read_places(path)

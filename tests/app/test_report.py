@@ -5,11 +5,11 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from sklearn.linear_model import Ridge
 
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import judge_limit, write_report
 from sklearn_raacmm.datasets import make_gauge, make_single_point
-from sklearn_raacmm.metrics import articulated_location_error
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
@@ -75,9 +75,11 @@ def numbers_of(result):
     for errors in (scores.length_errors_before, scores.length_errors_after):
         size = np.abs(errors).max(), np.ptp(errors), 2 * np.sqrt(np.mean(errors**2))
         um += [1000 * v for v in size]
-    for left in (scores.left_before, scores.left_after):
-        every = [left[(result.positions == p) & np.isfinite(left[:, 0])] for p in range(12)]
-        um += [1000 * max(articulated_location_error(some) for some in every)]
+    within = result.correct(result.angles, std_of="position")[1]
+    base = result.correct(result.angles)[1]
+    k = result.calibration.scale_sd
+    of_metre = np.sqrt(2 / 3 * np.mean(np.sum(within**2, axis=1)) + (1000 * k) ** 2)
+    um += [1000 * np.sqrt(np.mean(v**2)) for v in (within, base)] + [1000 * of_metre, 1e6 * k, 1]
     um += (1000 * result.outliers["distance"]).tolist()
     um += [1000 * calibration.scatter_before_mm, 1000 * calibration.scatter_after_mm]
     angle = np.array([name.startswith(("alpha", "theta")) for name in calibration.names])
@@ -121,12 +123,13 @@ def test_the_page_says_what_it_is_about(result, page):
         "<17>",
         "serial number",
         "no statement of conformance",
-        "Scale: points of one position say nothing of lengths",
-        "E_Uni",
+        "of a distance of 1 m",
+        "error of known lengths, largest",
         "517 1",
     ):
         assert said in text, said
     assert judge_limit(result.scores, 0.04)[1] in text
+    assert "Scale: points of one position" not in text  # lengths are known
 
 
 def test_no_network_and_no_names_twice(page):
@@ -141,8 +144,6 @@ def test_no_network_and_no_names_twice(page):
 
 
 def test_a_tracker_and_a_model_without_harmonics(tmp_path):
-    from sklearn.linear_model import Ridge
-
     data = make_single_point(5, 10, random_state=2)
     tracker = data.simulation.true_points[:, [1, 2, 0]]
     result = learn_correction(
@@ -197,3 +198,11 @@ def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
         assert np.mean((low < table[name]) & (table[name] < high)) > 0.9
     bars = [bar.get_height() for bar in ax.patches[len(shown) :]]
     np.testing.assert_allclose(bars, [1000 * after[label] for label in shown])
+
+
+def test_labels_are_text_and_no_formulae(tmp_path):
+    """A label that begins a formula ended the work after the model had been written."""
+    data = make_single_point(5, 10, random_state=2)
+    labels = np.array([f"$x^{{${i}" for i in range(5)])[data.groups]
+    result = learn_correction(data.nominal_arm, data.data, labels, model=Ridge(), cv=3)
+    assert "$x^{$3" in write_report(result, tmp_path / "report.html")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm.app import TableError, read_lengths, read_table
-from sklearn_raacmm.app._cells import find_dialect
+from sklearn_raacmm.app._sources import find_source
 
 ANGLES = np.array([[12.5, -3.25, 100.0], [13.0, -2.5, 99.125], [-170.0, 0.5, 98.0]])
 LABELS = ["Kegel 1", "Kegel 1", "Kegel 1"]
@@ -162,7 +162,7 @@ def test_wrong_names_list_the_right_ones(write, options, message):
 
 def test_no_file():
     with pytest.raises(TableError, match=r"There is no file .*nowhere\.csv"):
-        find_dialect("nowhere.csv", 3)
+        find_source("nowhere.csv", 3)
 
 
 def test_lengths(write):

@@ -4,10 +4,10 @@ import warnings
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.optimize import approx_fprime
+from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, calibrate
+from sklearn_raacmm import Arm, calibrate, lengths_of_places
 from sklearn_raacmm.arm._kinematics import parameter_jacobian
 from sklearn_raacmm.calibration._fit import Fit
 from sklearn_raacmm.calibration._problem import Problem, pack, unpack
@@ -464,10 +464,10 @@ def known(first, second, factor=1.0):
     [
         ([known(0, 1, 10)], "still scatter by"),
         ([known(0, 1)[:2] + known(0, 9)[2:]], "still scatter by"),  # of another pair
-        ([known(0, 1, 1.1)], "d3 is 8.* mm, nominally 750"),
+        ([known(0, 1, 1.1)], r"offset of joint 3 \(d3\) is 8.* mm, the table says 750"),
         (
             [known(i, i + 1, 0.1) for i in range(3)],
-            "look at the known lengths, their unit",
+            "look at the known lengths and their unit",
         ),  # in cm
     ],
 )
@@ -512,3 +512,42 @@ def test_a_correction_that_makes_the_scatter_larger_is_told():
     with pytest.warns(UserWarning, match="do not use it here. Is it of this arm") as caught:
         calibrate(arm, angles, points=points, correction=Model(-1.0), free=["probe"])
     assert caught[0].filename == __file__
+
+
+def test_a_plate_of_known_points_shows_the_scale_as_a_fit_of_its_places_does():
+    """Against the plate fitted to the measured centres with a frame of its own and a scale."""
+    nominal = NOMINAL["aacmm6"]
+    truth = nominal.replace(a=1.002 * nominal.a, d=1.002 * nominal.d, probe=1.002 * nominal.probe)
+    angles, groups, targets = single_point_test(truth, noise_mm=0.02)
+    sd, turn = 0.004, Rotation.from_euler("xyz", [0.3, -1, 2]).as_matrix()
+    plate = targets[:5] @ turn.T + [100, 20, -7]
+    given = plate + np.random.default_rng(1).normal(0, sd, plate.shape)
+    known = lengths_of_places([(i, *point, sd) for i, point in enumerate(given)])
+    result = calibrate(nominal, angles, groups, lengths=known)
+    centres = np.array([result.arm.forward(angles[groups == g]).mean(axis=0) for g in range(5)])
+
+    def left(x):  # a rotation vector, a shift, a scale
+        moved = (1 + 1e-3 * x[6]) * centres @ Rotation.from_rotvec(x[:3]).as_matrix().T + x[3:6]
+        return (moved - given).ravel()
+
+    start = np.r_[Rotation.from_matrix(turn).as_rotvec(), [100, 20, -7], 0]
+    best = least_squares(left, start, x_scale=np.r_[1e-3 * np.ones(3), np.ones(4)])
+    spread = np.square(given - given.mean(axis=0)).sum()
+    assert abs(1e-3 * best.x[6]) < 0.2 * sd / np.sqrt(spread)
+    # The plate's own standard deviation, and that of the centres.
+    expected = np.hypot(sd, result.sigma_mm) / np.sqrt(spread)
+    assert result.scale_sd == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("places", "message"),
+    [
+        ([("A", 0, 0, 0, 1)], "two different labels"),
+        ([("A", 0, 0, 0, 1), ("A", 1, 0, 0, 1)], "each once"),
+        ([("A", 0, 0, 0), ("B", 1, 0, 0)], "must be .label, x, y, z"),
+        ([("A", 0, 0, 0, 0), ("B", 1, 0, 0, 1)], "above 0"),
+    ],
+)
+def test_places_that_are_none(places, message):
+    with pytest.raises(ValueError, match=message):
+        lengths_of_places(places)

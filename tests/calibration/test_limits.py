@@ -8,7 +8,13 @@ import pytest
 from sklearn_raacmm import Arm
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration._calibrate import _parameters
-from sklearn_raacmm.calibration._checks import warn_of_what_no_arm_is, warn_of_wrong_lengths
+from sklearn_raacmm.calibration._checks import (
+    table_findings,
+    warn_of_what_no_arm_is,
+    warn_of_wrong_lengths,
+)
+from sklearn_raacmm.calibration._gate import wrong_units
+from sklearn_raacmm.calibration._problem import Problem
 
 ARM = Arm.from_name("aacmm6")
 REACH = reach_mm(ARM)
@@ -23,38 +29,53 @@ def told(function, *args):
     return " ".join(str(warning.message) for warning in caught)
 
 
-def of_fit(arm=ARM, moved=0.0, before=1.0, after=0.5):
-    """What is said of a fit that moved d3 by so many of its prior's standard deviations."""
-    names, nominal = _parameters(arm, None)
-    prior = np.full(len(names), 0.3)
-    values = nominal.copy()
-    values[names.index("d3")] += moved * 0.3
-    return told(warn_of_what_no_arm_is, arm, names, nominal, values, prior, before, after)
+def of_fit(arm=ARM, before=1.0, after=0.5):
+    return told(warn_of_what_no_arm_is, arm, before, after)
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
         ({}, ""),
-        ({"moved": 9.9}, ""),
-        ({"moved": -9.9}, ""),
-        ({"moved": 10.1}, "d3 is 753"),
-        ({"moved": -10.1}, "d3 is 747"),
         ({"before": 1e9, "after": 0.0199 * REACH}, ""),
         ({"before": 1e9, "after": 0.0201 * REACH}, "still scatter"),
         ({"before": 1.0, "after": 1.99}, ""),
         ({"before": 1.0, "after": 2.01}, "still scatter"),
         ({"before": 0.0, "after": 0.9e-6 * REACH}, ""),  # rounding
         ({"before": 0.0, "after": 1.1e-6 * REACH}, "still scatter"),
-        ({"arm": METRES, "after": 1e-9}, "in metres, not millimetres"),
-        ({"arm": METRES.replace(d=METRES.d + 3.5), "after": 1e-9}, ""),
     ],
 )
 def test_what_no_arm_is(changes, sentence):
-    if "arm" in changes:
-        assert (reach_mm(changes["arm"]) < 20) == bool(sentence)
     found = of_fit(**changes)
     assert (sentence in found) if sentence else not found
+
+
+def test_the_unit_of_a_table_is_told_by_its_reach():
+    scale = 199 / reach_mm(METRES)
+    for factor, n_findings in ((1, 1), (1.01, 0)):
+        arm = METRES.replace(
+            **{f: scale * factor * getattr(METRES, f) for f in ("a", "d", "probe")}
+        )
+        found = list(wrong_units(arm, None, Problem(np.zeros(2, int), None, [])))
+        assert len(found) == n_findings
+
+
+@pytest.mark.parametrize("moved", [-62.1025, 10.1])
+def test_a_table_that_is_off_is_told_in_plain_words(moved):
+    names, nominal = _parameters(ARM, None)
+    far, sd = np.full(len(names), 10.0), np.full(len(names), 0.1)
+    a4 = names.index("a4")
+    given = nominal.copy()
+    given[a4] += 0.98 * np.sign(moved) * 10
+    assert not table_findings(names, given, nominal, sd, far, [])
+    given[a4] = nominal[a4] + moved
+    (found,) = table_findings(names, given, nominal, sd, far, [])
+    assert found.code == "table-off"
+    assert found.joints == (4,)
+    assert found.size_mm == pytest.approx(abs(moved))
+    says = f"the length of link 4 (a4) is 62.1 mm, the table says {given[a4]:.6g} mm"
+    assert says in found.text
+    assert not table_findings(names, given, nominal, 200 * sd, far, [])  # not known so well
 
 
 @pytest.mark.parametrize("sign", [-1, 1])

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.optimize import brentq
-from scipy.stats import bootstrap, norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 from sklearn.model_selection import GroupKFold, KFold
@@ -25,7 +25,7 @@ from sklearn_raacmm import (
     learn_correction,
     position_residuals,
 )
-from sklearn_raacmm.correction._scores import coverage_of
+from sklearn_raacmm.correction._scores import _summary, coverage_of
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -71,20 +71,34 @@ def test_scores_are_those_of_the_steps_written_out(test_data, learned):
     assert went in learned.verdict
 
 
-def test_intervals_are_those_of_a_bootstrap_over_positions(learned):
+def test_intervals_are_those_of_student_of_the_logarithm(learned):
     table = learned.scores.table
-    expected = bootstrap(
+    for name in ("before", "after"):
+        x = table[name]
+        relative = stats.t.interval(0.95, len(x) - 1, scale=stats.sem(x) / x.mean())
+        value, low, high = learned.scores.summary[name]
+        assert (value, low, high) == pytest.approx((x.mean(), *x.mean() * np.exp(relative)))
+    value, low, high = learned.scores.summary["ratio"]
+    by_bootstrap = stats.bootstrap(
         (table["before"], table["after"]),
         lambda b, a, axis=-1: a.mean(axis=axis) / b.mean(axis=axis),
         paired=True,
-        method="percentile",
-        n_resamples=9999,
         random_state=np.random.default_rng(3),
-    ).confidence_interval
-    value, low, high = learned.scores.summary["ratio"]
-    width = expected.high - expected.low
-    assert (low, high) == pytest.approx((expected.low, expected.high), abs=0.1 * width)
-    assert low < value < high < 1
+    ).standard_error
+    # The bootstrap divides by n, where Student's t divides by n - 1.
+    factor = stats.t.ppf(0.975, len(x) - 1) * np.sqrt(len(x) / (len(x) - 1))
+    assert np.log(high / low) == pytest.approx(2 * factor * by_bootstrap / value, rel=0.1)
+
+
+def test_intervals_hold_their_share_of_skewed_means():
+    """Of a log-normal population, ten positions in each of 2000 sets."""
+    rng = np.random.default_rng(0)
+    sets = np.exp(0.3 * rng.normal(size=(2000, 10)))
+    held = 0
+    for x in sets:
+        _, low, high = _summary(x, x, np.arange(10))["after"]
+        held += low <= np.exp(0.045) <= high
+    assert 0.94 < held / 2000 < 0.96
 
 
 def test_coverage_counts_what_lies_inside_with_the_factor_of_the_other_folds():
@@ -100,10 +114,10 @@ def test_coverage_counts_what_lies_inside_with_the_factor_of_the_other_folds():
     left[folds[0]] *= 3
 
     def inside(z):
-        return 2 * norm.cdf(z) - 1
+        return 2 * stats.norm.cdf(z) - 1
 
     wide = brentq(lambda z: 0.75 * inside(z) + 0.25 * inside(z / 3) - 0.95, 1, 10)
-    expected = (inside(norm.ppf(0.975) / 3) + 4 * inside(wide)) / 5
+    expected = (inside(stats.norm.ppf(0.975) / 3) + 4 * inside(wide)) / 5
     assert coverage_of(left, std, folds)[0] == pytest.approx(expected, abs=0.01)
 
 
@@ -152,12 +166,19 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     place = [entry[0] for entry in scores.lengths].index(first)
     assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
     assert "known lengths (6), mean error" in str(scores)
-    # The two ends of a placement resemble each other: the bootstrap draws placements.
-    rng = np.random.default_rng(1)
-    draws = rng.integers(6, size=(20_000, 6))
+    # The two ends of a placement resemble each other: placements are independent, not ends.
     pairs = scores.table["after"].reshape(6, 2).mean(axis=1)
-    low, high = np.quantile(pairs[draws].mean(axis=1), [0.025, 0.975])
-    assert scores.summary["after"][1:] == pytest.approx((low, high), abs=0.1 * (high - low))
+    relative = stats.t.interval(0.95, 5, scale=stats.sem(pairs) / pairs.mean())
+    assert scores.summary["after"][1:] == pytest.approx(pairs.mean() * np.exp(relative))
+
+
+def test_a_length_is_not_judged_by_an_arm_without_any():
+    data = make_gauge(400, n_placements=6, n_poses=6, random_state=3)
+    one = [(0, 1, 400.0, 0.01)]
+    scores = cross_validate_correction(
+        data.nominal_arm, data.data, data.groups, lengths=one, model=QUICK, cv=3
+    )
+    assert scores.lengths == []
 
 
 def test_a_plate_of_known_distances_still_leaves_positions_out(test_data):
@@ -168,7 +189,7 @@ def test_a_plate_of_known_distances_still_leaves_positions_out(test_data):
         test_data.nominal_arm, test_data.data, test_data.groups, lengths=lengths, model=QUICK
     )
     assert scores.n_folds == 5
-    assert scores.helps
+    assert scores.summary["ratio"][0] < 1
     assert len(scores.lengths) < 6
 
 
@@ -180,7 +201,7 @@ def test_against_a_tracker(test_data):
         test_data.nominal_arm, test_data.data, test_data.groups, tracker, model=MODEL, cv=3
     )
     assert learned.scores.measure == "mean deviation"
-    assert learned.helps
+    assert learned.scores.summary["ratio"][0] < 0.8
     result = learned.calibration
     corrected = learned.correct(test_data.data)[0]
     error = corrected @ result.base_rotation.T + result.base_translation - tracker
@@ -259,7 +280,7 @@ def test_saved_and_loaded(tmp_path, learned, test_data):
     skops_io = pytest.importorskip("skops.io")
     from sklearn_raacmm.export import TRUSTED_TYPES
 
-    arm, model, facts = learned.save(tmp_path / "new")
+    facts, arm, model = learned.save(tmp_path / "new")
     assert Arm.from_json(arm) == learned.arm
     loaded = skops_io.load(model, trusted=TRUSTED_TYPES)
     expected = learned.model.predict(test_data.data)

@@ -1,7 +1,11 @@
 """The check of a correction: false alarms, detection, the right cause, and the record."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
 
 from sklearn_raacmm import (
     Arm,
@@ -95,6 +99,48 @@ def test_other_causes_are_told_apart(model):
     probe = check_correction(model, *rows(40, 3, lambda q, rng: longer.forward(q) - ARM.forward(q)))
     assert probe.suspect == "probe"
     assert "Register" in probe.advice
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_base_that_has_moved_is_not_taken_for_a_change_of_the_arm(model, seed):
+    """Settled by 40 um, or drifting by 80 from the first row to the last: two causes, two cures."""
+    shift = np.random.default_rng(seed).normal(size=3)
+    shift *= 0.04 / np.linalg.norm(shift)
+    settled = check_correction(model, *rows(40, 20 + seed, lambda q, rng: shift))
+    assert settled.suspect == "base"
+    assert "register again" in settled.advice
+    # Its size is known to the noise of 40 poses.
+    assert settled.size_mm == pytest.approx(0.04, abs=0.015)
+    assert settled.matters
+    drifting = check_correction(
+        model, *rows(40, 30 + seed, lambda q, rng: np.linspace(-1, 1, len(q))[:, None] * shift)
+    )
+    assert drifting.suspect == "drift"
+    assert "settle" in drifting.advice
+
+
+def test_what_is_real_and_small_is_said_to_be_small(model):
+    """A knock of 2 arc seconds shows in 1000 poses: by less than half of 26 um."""
+    check = check_correction(model, *rows(1000, 9, knock(3, 2)))
+    assert not check.holds
+    assert not check.matters
+    assert check.advice.startswith("It is real and small, 0.00")
+    assert check.size_mm < 0.5 * check.usual_mm
+    # The usual length of three normal numbers, root mean square.
+    assert check.usual_mm == pytest.approx(NOISE_MM * np.sqrt(3), rel=0.15)
+
+
+def test_few_positions_raise_fewer_alarms():
+    """With the same residuals the p-value is that of F: larger from 12 positions than from 500."""
+    fitted = ArmResidualRegressor(ARM, orders=4).fit(*rows(300, 0))
+    today = rows(40, 5, knock(2, 10))
+    many = check_correction(fitted, *today)
+    fitted.linear_model_ = replace(fitted.linear_model_, n_positions=12.0)
+    few = check_correction(fitted, *today)
+    assert_allclose(few.tests["statistic"], many.tests["statistic"])
+    mean = few.tests["statistic"] / few.tests["freedom"]
+    assert_allclose(few.tests["p_value"], stats.f.sf(mean, few.tests["freedom"], 12))
+    assert few.p_value > many.p_value
 
 
 def test_what_was_refitted_shows_no_change(model):

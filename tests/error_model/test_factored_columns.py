@@ -25,7 +25,8 @@ def some_model(n_orders, rng, triangle=True, extra=()):
     if not triangle:
         half = half @ np.linalg.qr(rng.normal(size=(n, n)))[0]
     coef = rng.normal(size=n)
-    return LinearModel(ARM, terms, coef, half, 1.0, {}, False, 0.0, np.zeros(len(pairs)), half)
+    gains = np.zeros(len(pairs))
+    return LinearModel(ARM, terms, coef, half, 1.0, {}, False, 0.0, gains, half, half)
 
 
 @pytest.mark.parametrize("n_orders", [0, 3, 30])  # few and many: two ways of computing
@@ -53,7 +54,10 @@ def test_standard_deviations_need_no_full_root(n_orders):
     assert_allclose(model.predict(X, return_std=True)[1], expected, rtol=1e-11)
     assert np.count_nonzero(model._std_root) < 0.6 * model.half.size
     other = replace(model, gauge_free_half=2 * model.half)  # what was kept belongs to one model
-    assert_allclose(other.predict(X, return_std=True)[1], 2 * expected, rtol=1e-11)
+    _, std, doubt = other.predict_with_doubt(X, return_std=True)
+    assert_allclose(std, 2 * expected, rtol=1e-11)
+    assert_allclose(doubt, np.linalg.norm(expected, axis=1), rtol=1e-11)  # by a root of its own
+    assert_allclose(model.predict_with_doubt(X)[2], doubt, rtol=1e-11)
     again = pickle.loads(pickle.dumps(model))
     assert "_std_root" not in vars(again)
     assert_allclose(again.predict(X, return_std=True)[1], expected, rtol=1e-11)

@@ -87,6 +87,24 @@ def test_what_does_harm_elsewhere_is_refused():
     assert_array_equal(model.predict(theta), 0)
 
 
+def test_intervals_of_few_positions_with_offsets():
+    """Three cones: as wide as their number asks for, or where nothing helps as the residuals."""
+    test = make_single_point(12, 20, random_state=1)
+    known = test.groups < 3
+    model = ArmResidualRegressor(test.arm)
+    model.fit(test.data[known], test.target[known], groups=test.groups[known])
+    linear = model.linear_model_
+    assert (linear.std_scale, linear.noise_scale) == (1 + 2 / 3, 1 + 2 / 3)
+    errors = test.target[~known] - model.predict(test.data[~known])
+    errors = np.abs(position_residuals(errors, test.groups[~known]))
+    std = model.predict(test.data[~known], return_std=True, with_noise=True)[1]
+    assert 0.9 < np.mean(errors < 1.96 * std) < 1.0
+    model.helps_ = False
+    least = np.linalg.norm(test.target[known]) / np.sqrt(3 * known.sum())
+    std = model.predict(test.data[known], return_std=True)[1]
+    assert std.min() == pytest.approx(least, rel=0.2)  # robust weights leave some rows out
+
+
 @pytest.mark.parametrize("n_positions", [2, 3])
 def test_of_few_positions_each_has_to_gain(cones, n_positions):
     theta, y, groups, _ = cones
@@ -101,7 +119,7 @@ def test_of_few_positions_each_has_to_gain(cones, n_positions):
         rest = rows & (groups != one)
         other = small(fade=0).fit(theta[rest], y[rest]).linear_model_
         of = groups == one
-        share = model.fading_.share(other.predict(theta[of], return_std=True)[1])[:, None]
+        share = model.fading_.share(other.predict_with_doubt(theta[of])[2])[:, None]
         after = y[of] - share * other.predict(theta[of])[0]
         gains.append(np.linalg.norm(y[of], axis=1).mean() - np.linalg.norm(after, axis=1).mean())
     if np.min(gains) < -1e-3:

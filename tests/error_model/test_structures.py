@@ -24,6 +24,10 @@ def test_offered_orders():
     offered = offered_harmonics(theta, 50)
     assert [np.count_nonzero(offered[:, 0] == j) for j in range(6)] == [30, 30, 4, 30, 30, 30]
     assert offered[:3].tolist() == [[0, 1], [0, 2], [0, 3]]
+    # Scattered angles see high orders, too; four levels do not.
+    offered = offered_harmonics(theta, 75)
+    assert [np.count_nonzero(offered[:, 0] == j) for j in range(6)] == [33, 33, 4, 33, 33, 33]
+    assert offered[:33, 1].tolist() == [*range(1, 31), 73, 74, 75]
     offered = offered_harmonics(theta, [[1], [3, 2], [], [], [], [500]])
     assert offered.tolist() == [[0, 1], [1, 2], [1, 3], [5, 500]]
     assert offered_harmonics(theta, [7, 1]).tolist() == [[j, k] for j in range(6) for k in (1, 7)]

@@ -8,7 +8,7 @@ import pytest
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.export import (
     TRUSTED_TYPES,
-    _models,
+    _networks,
     from_json,
     load_c,
     to_json,
@@ -43,7 +43,7 @@ def test_c(model, tmp_path):
 
 @needs_compiler
 def test_too_many_centres_for_a_table_are_told(model, tmp_path, monkeypatch):
-    monkeypatch.setattr(_models, "MOST_CENTERS", 149)
+    monkeypatch.setattr(_networks, "MOST_CENTERS", 149)
     with pytest.raises(ValueError, match="a network of 150 centres would need a table of"):
         load_c(model, std=True, cache_dir=tmp_path)
     np.testing.assert_allclose(

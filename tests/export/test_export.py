@@ -674,8 +674,8 @@ def test_c_says_which_poses_the_model_does_not_know(build, data, std):
     trust, status = build(model, std=std).trust(X)
     # What is left, by the formula of the documentation and what Python has.
     deviation = model.linear_model_.predict(X[:-1], return_std=True)[1]
-    size, known = model.fading_.size_mm**2, model.fading_.known_mm**2
-    expected = size / (size + 4.0 * np.maximum(np.sum(deviation**2, axis=1) - known, 0))
+    size = model.fading_.size_mm**2
+    expected = size / (size + 4.0 * np.sum(deviation**2, axis=1))
     np.testing.assert_allclose(trust[:-1], expected, rtol=1e-6)
     assert np.isnan(trust[-1])
     np.testing.assert_array_equal(status, [*np.where(expected < 0.5, 1, 0), 2])

@@ -204,7 +204,7 @@ def test_numbers_that_are_not_finite_are_refused(text, models, data):
     model.networks_[0].noise_variance[0] = -1.0
     with pytest.raises(ValueError, match=r"variances must not be negative, got \[-1\.\]"):
         to_json(model, std=True)
-    for name, value in (("factor", -2.0), ("size_mm", np.nan), ("known_mm", np.inf)):
+    for name, value in (("factor", -2.0), ("size_mm", np.nan), ("size_mm", np.inf)):
         import copy
 
         damaged = copy.deepcopy(models["linear"])

@@ -237,7 +237,7 @@ def test_a_registered_arm(data, tmp_path):
     """Another base and tool: the same model on the arm that the registration found."""
     model = both().fit(*data)
     arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]), probe=(0.2, -0.1, 5.0))
-    model.linear_model_ = replace(model.linear_model_, arm=arm)
+    model.arm, model.linear_model_ = arm, replace(model.linear_model_, arm=arm)
     agree(model, data[0][:30], tmp_path)
 
 

@@ -1,6 +1,6 @@
 """Steps of a position's residuals: where a socket moved they are named, elsewhere never."""
 
-import warnings
+import re
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from sklearn_raacmm import (
     learn_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import _moved_seats, find_steps, warn_of_moved_seats
+from sklearn_raacmm.measurements import _moved_seats, find_steps, moved_positions
 from sklearn_raacmm.measurements._moved_seats import MOVED
 
 NOISE = 0.01
@@ -163,15 +163,15 @@ def test_the_warning_names_position_rows_and_size():
     left += np.random.default_rng(0).normal(0, NOISE, left.shape)
     expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first} \(rows counted"
     weights = np.ones(len(left))
-    with pytest.warns(UserWarning, match=f"^{MOVED} {expected}") as said:
-        warn_of_moved_seats(left, angles, weights, groups, NOISE**2)
-    assert [one.filename for one in said] == [__file__]
+    (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
+    assert re.match(f"^{MOVED} {expected}", str(found))
+    assert (found.weight, found.positions, found.rows) == ("repair", (2,), (first,))
     weights = ((np.arange(len(left)) < first) | (groups != 2)).astype(float)
-    warn_of_moved_seats(left, angles, weights, groups, NOISE**2)  # nothing to warn of
+    assert not list(moved_positions(left, angles, weights, groups, NOISE**2))
     # Labels of their own after each step are the way out.
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
     labels[first:][groups[first:] == 2] = "cone 2, moved"
-    warn_of_moved_seats(left, angles, np.ones(len(left)), labels, NOISE**2)
+    assert not list(moved_positions(left, angles, np.ones(len(left)), labels, NOISE**2))
 
 
 def test_the_one_call_counts_all_rows():
@@ -193,10 +193,8 @@ def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
         left = left - ArmResidualRegressor(result.arm, orders=20, fade=0).fit(
             data.angles, left, groups=data.groups
         ).predict(data.angles)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            warn_of_moved_seats(left, data.angles, np.ones(len(left)), data.groups, 0.0)
-        said[name] = [str(one.message) for one in caught]
+        every = np.ones(len(left))
+        said[name] = [*map(str, moved_positions(left, data.angles, every, data.groups, 0.0))]
     assert said["panda_3"] == []
     (sentence,) = said["panda_2"]
     assert sentence.count("position '") == 2

@@ -15,7 +15,8 @@ from sklearn_raacmm import (
     CylindricalResidualTarget,
     PoseFeatures,
 )
-from sklearn_raacmm.residuals import refuse_points
+from sklearn_raacmm.measurements import Targets
+from sklearn_raacmm.measurements._targets import are_points
 
 ARM = Arm.from_name("aacmm6")
 ANGLES = np.random.default_rng(0).uniform(-2, 2, (60, 6))
@@ -124,15 +125,18 @@ def moved_points(share, n=40):
     return (points + off) @ turn.T + [900, -200, 300], points
 
 
+def weights_of(y, points):
+    """What the gate says of these targets."""
+    return [found.weight for found in are_points(Targets(y, np.ones(len(y)), ARM), points)]
+
+
 def test_points_are_told_by_a_twentieth_of_their_spread():
-    refuse_points(*moved_points(0.06), reach=1800)
-    with pytest.raises(ValueError, match="y are points, not residuals"):
-        refuse_points(*moved_points(0.045), reach=1800)
+    assert weights_of(*moved_points(0.06)) == []
+    assert weights_of(*moved_points(0.045)) == ["refuse"]
 
 
 def test_three_points_may_be_anything():
     """Six numbers of a motion explain the nine coordinates of three, but not of many more."""
     y, points = moved_points(0.0, n=4)
-    refuse_points(y[:3], points[:3], reach=1800)
-    with pytest.raises(ValueError, match="y are points, not residuals"):
-        refuse_points(y, points, reach=1800)
+    assert weights_of(y[:3], points[:3]) == []
+    assert weights_of(y, points) == ["refuse"]

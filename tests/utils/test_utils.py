@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.utils import _chunks, check_whole_number, chunks, html_table
+from sklearn_raacmm.utils import _chunks, check_whole_number, chunks, html_table, natural_order
 
 
 @pytest.mark.parametrize("limit", [None, 3])
@@ -51,3 +51,10 @@ def test_a_fit_says_how_far_it_is_to_those_who_listen(caplog, capsys):
     ]
     assert all(line.endswith(" s") for line in lines)
     assert capsys.readouterr().out == ""
+
+
+def test_labels_are_in_the_order_of_their_numbers():
+    labels = ["cone 10", "cone 2", "b", "a 1 x 3", "a 1 x 20", 7]
+    assert [labels[i] for i in natural_order(labels)] == [
+        7, "a 1 x 3", "a 1 x 20", "b", "cone 2", "cone 10",
+    ]  # fmt: skip

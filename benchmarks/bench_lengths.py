@@ -1,0 +1,206 @@
+"""Lengths: the scale of an arm from cones alone, what known lengths buy, and standard deviations.
+
+Simulated arms, ten cones of 25 poses, calibrated from descriptions that are more or less wrong.
+
+    python benchmarks/bench_lengths.py scale        # error of the scale over its standard deviation
+    python benchmarks/bench_lengths.py lengths      # what a known length buys
+    python benchmarks/bench_lengths.py deviations   # errors over standard deviations
+    python benchmarks/bench_lengths.py intervals    # coverage of the intervals of a mean 2S
+"""
+
+import argparse
+import os
+import warnings
+
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+import numpy as np
+
+from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm.correction._scores import _summary
+from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_gauge, make_single_point
+from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
+
+
+def simulated(seed, n_positions=10):
+    """A single-point test of an arm whose lengths are 0.1 to 0.7 mm from its drawing."""
+    rng = np.random.default_rng([seed, 5])
+    errors = ArmErrors(length_mm=rng.uniform(0.1, 0.7))
+    machine = SimulatedArm(errors, random_state=seed)
+    return make_single_point(n_positions, 25, machine=machine, random_state=seed)
+
+
+def descriptions(test, seed):
+    """The table that a user may have of an arm, by the kind of description."""
+    rng, arm, true = (
+        np.random.default_rng([seed, 6]),
+        test.nominal_arm,
+        test.simulation.machine.true_arm,
+    )
+    a, d = arm.a.copy(), arm.d.copy()
+    link, forgotten = d.copy(), a.copy()
+    link[rng.choice([2, 4])] += 20
+    forgotten[rng.choice([1, 3])] = 0
+    tenths, tape = (
+        {
+            name: getattr(true, name)
+            + size * rng.uniform(-1, 1, 6) * (np.abs(getattr(arm, name)) > 1)
+            for name in ("a", "d")
+        }
+        for size in (0.2, 3.0)
+    )
+    return {
+        "within tenths of a millimetre": arm.replace(**tenths),
+        "the drawing": arm,
+        "one of two offsets forgotten": arm.replace(a=forgotten),
+        "no offsets": arm.replace(a=np.zeros(6), d=np.where(d < 50, 0, d)),
+        "one link wrong by 20 mm": arm.replace(d=link),
+        "lengths by tape, +-3 mm": arm.replace(**tape),
+        "750 and 500 for 750.7 and 500.6": arm.replace(
+            a=arm.a.round(), d=np.where(d > 400, np.floor(d), d.round())
+        ),
+    }
+
+
+def scale_error(arm, test):
+    """Relative error of the distances between cones, and their rms error in mm."""
+    points = arm.forward(test.data)
+    n = test.groups.max() + 1
+    found = np.array([points[test.groups == g].mean(axis=0) for g in range(n)])
+    true = np.array([test.simulation.true_points[test.groups == g].mean(axis=0) for g in range(n)])
+    i, j = np.triu_indices(n, 1)
+    found, true = (np.linalg.norm(p[i] - p[j], axis=1) for p in (found, true))
+    return found @ true / (true @ true) - 1, np.sqrt(np.mean((found - true) ** 2))
+
+
+def scale(n_arms):
+    rows = {}
+    for seed in range(n_arms):
+        test = simulated(seed)
+        for name, arm in descriptions(test, seed).items():
+            result = calibrate(arm, test.data, test.groups)
+            rows.setdefault(name, []).append((*scale_error(result.arm, test), result.scale_sd))
+    print(f"{'description':<32}{'scale error':>12}{'claimed':>10}{'rms z':>8}{'lengths, mm':>13}")
+    for name, found in rows.items():
+        error, length, sd = np.array(found).T
+        print(
+            f"{name:<32}{rms(error):12.5f}{rms(sd):10.5f}{rms(error / sd):8.2f}{rms(length):13.3f}"
+        )
+    four = np.concatenate(list(rows.values())[:4])
+    print(f"the first four: rms z {rms(four[:, 0] / four[:, 2]):.2f} of {len(four)} arms")
+
+
+# Known lengths: bars of these lengths, mm, each at so many places.
+KNOWN = {
+    "none": ([], 0),
+    "a bar of 300 mm at one place": ([300.0], 1),
+    "500 mm at one place": ([500.0], 1),
+    "1000 mm at one place": ([1000.0], 1),
+    "300 mm at three places": ([300.0], 3),
+    "500 mm at three places": ([500.0], 3),
+    "1000 mm at three places": ([1000.0], 3),
+}
+
+
+def with_bars(seed, lengths, n_places):
+    """Arm, angles, labels and known lengths of a test with bars, sd 0.01 mm, from a drawing."""
+    test, rng = simulated(seed), np.random.default_rng([seed, 7])
+    angles, labels, known = test.data, [f"cone {g}" for g in test.groups], []
+    if lengths:
+        machine = test.simulation.machine
+        bars = make_gauge(lengths, n_places, 25, machine=machine, random_state=seed)
+        angles = np.vstack([angles, bars.data])
+        labels += [f"end {g}" for g in bars.groups]
+        for (i, j), length in zip(bars.pairs, bars.lengths, strict=True):
+            known.append((f"end {i}", f"end {j}", length + rng.normal(0, 0.01), 0.01))
+    return test, angles, np.array(labels), known
+
+
+def lengths(n_arms):
+    """What a length buys: the error of 1 m at twenty other places, after learning."""
+    print(
+        f"{'known':<30}{'um, rms':>9}{'worst arm':>11}{'calibrated':>12}{'claimed':>9}{'rms z':>7}"
+    )
+    for name, (sizes, places) in KNOWN.items():
+        found = []
+        for seed in range(n_arms):
+            test, angles, labels, known = with_bars(seed, sizes, places)
+            result = calibrate(test.nominal_arm, angles, labels, lengths=known)
+            model = ArmResidualRegressor(result.arm)
+            model.fit(angles, result.residuals(angles, groups=labels), groups=labels, lengths=known)
+            bars = make_gauge(
+                1000.0, 20, 5, machine=test.simulation.machine, random_state=seed + 1000
+            )
+            shown = result.arm.forward(bars.data)
+            errors = [
+                1000 * (gauge_lengths(points, bars.groups, bars.pairs) - 1000)
+                for points in (shown, shown - model.predict(bars.data))
+            ]
+            found.append(
+                (rms(errors[1]), rms(errors[0]), np.mean(errors[1]), 1e6 * result.scale_sd)
+            )
+        after, before, bias, sd = np.array(found).T
+        print(
+            f"{name:<30}{rms(after):12.0f}{after.max():12.0f}{rms(before):12.0f}{rms(sd):12.0f}"
+            f"{rms(bias / sd):12.2f}",
+            flush=True,
+        )
+
+
+def deviations(n_arms):
+    """Errors of single readings over their standard deviations, at places never measured."""
+    print("rms of error over standard deviation")
+    print(f"{'known':<30}{'coordinate':>11}{'0.2 m':>8}{'0.5 m':>8}{'1 m':>8}{'1.5 m':>8}")
+    for name in ("none", "500 mm at one place", "500 mm at three places"):
+        rows = []
+        for seed in range(n_arms):
+            test, angles, labels, known = with_bars(seed, *KNOWN[name])
+            learned = learn_correction(test.nominal_arm, angles, labels, lengths=known)
+            bars = make_gauge(
+                [200.0, 500.0, 1000.0, 1500.0], 10, 2,
+                machine=test.simulation.machine, random_state=seed + 1000,
+            )  # fmt: skip
+            points, std = learned.correct(bars.data)
+            z = (points - bars.simulation.true_points) / std
+            first, second = np.arange(0, len(bars.data), 4), np.arange(2, len(bars.data), 4)
+            found, sd = learned.distances(bars.data[first], bars.data[second])
+            true = bars.simulation.true_points
+            true = np.linalg.norm(true[first] - true[second], axis=1)
+            by_size = ((found - true) / sd).reshape(4, -1)
+            rows.append([rms(z), *np.sqrt(np.mean(by_size**2, axis=1))])
+        values = "".join(f"{rms(column):8.2f}" for column in np.array(rows).T)
+        print(f"{name:<30}   {values}", flush=True)
+
+
+def intervals(n_arms):
+    """How often the interval of a mean 2S holds the mean of 300 other positions."""
+    rng = np.random.default_rng(0)
+    print("share of 2000 sets whose 95 % interval holds the mean: Student's t, bootstrap")
+    for seed in range(min(n_arms, 3)):
+        test = make_single_point(300, 25, random_state=seed)
+        every = single_point_repeatability(test.points, test.groups, aggregate=None)
+        for n in (5, 10, 20):
+            held = np.zeros(2)
+            for _ in range(2000):
+                x = rng.choice(every, n)
+                means = x[rng.integers(n, size=(500, n))].mean(axis=1)
+                ends = _summary(x, x, np.arange(n))["after"][1:], np.quantile(means, [0.025, 0.975])
+                held += [low <= every.mean() <= high for low, high in ends]
+            print(f"arm {seed}, {n:2} positions: {held[0] / 2000:.3f} {held[1] / 2000:.3f}")
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=["scale", "lengths", "deviations", "intervals"])
+    parser.add_argument("--arms", type=int, default=10)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", UserWarning)
+    globals()[options.what](options.arms)
+
+
+if __name__ == "__main__":
+    main()

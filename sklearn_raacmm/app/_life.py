@@ -1,0 +1,278 @@
+"""Words of the command for the life of an arm: register, update, move, and check by causes."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import sys
+from dataclasses import replace
+from datetime import date as calendar
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._figures import chart_of
+from sklearn_raacmm.app._files import files_of, in_rad, load_correction, number_of, table_options
+from sklearn_raacmm.app._tables import read_lengths, read_table
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.correction import check_correction, read_check_records, update_correction
+from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.export import describe
+from sklearn_raacmm.utils import check_places, write_whole
+
+OK, CHANGED = 0, 3
+# Scatter through the correction over what it left when it was learnt, from which on a registration
+# does not suffice: less is within what few poses show.
+_MUCH_MORE = 1.5
+# A base of which more is open is none that a correction could be used with, mm.
+_WELL_KNOWN_MM = 1.0
+# Parts of the model that have changed by less than this share of what is usual are not named.
+_NAMED_TAU = 0.1
+
+
+class _Today(NamedTuple):
+    """What was measured today."""
+
+    angles: np.ndarray  # (n, n_joints) rad
+    positions: Any
+    points: np.ndarray | None  # (n, 3) mm
+    lengths: list
+
+    @classmethod
+    def of(cls, options, arm):
+        by_tracker = bool(options.points)
+        given = table_options(options, arm, points=options.points, labelled=not by_tracker)
+        table = read_table(options.table, arm.n_joints, **given)
+        for note in table.notes:
+            print(f"note: {note}", file=sys.stderr)
+        lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
+        if by_tracker and lengths:
+            raise TableError("--lengths are between cones; a tracker has no use for them.")
+        positions = None if by_tracker else table.positions
+        return cls(in_rad(table), positions, table.points, lengths)
+
+    @property
+    def said(self):
+        """What they are, in words."""
+        if self.points is not None:
+            return f"{len(self.angles)} poses, measured by a tracker"
+        return f"{len(self.angles)} poses in {len(np.unique(self.positions))} cones"
+
+    def register(self, saved, free=("probe",)):
+        """Probe and base through the correction."""
+        found = calibrate(
+            saved.arm, self.angles, self.positions, points=self.points, lengths=self.lengths,
+            correction=saved.model, free=list(free),
+        )  # fmt: skip
+        turns = np.char.startswith(found.names, "base_r")
+        open_mm = reach_mm(saved.arm) * found.standard_deviations[turns].max(initial=0.0)
+        if open_mm > _WELL_KNOWN_MM:
+            raise TableError(
+                f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "
+                "points that are spread in all directions, not along a line."
+            )
+        return found
+
+    def left(self, calibration, model):
+        """Mean distance of corrected points from where they should be, mm."""
+        y = calibration.residuals(self.angles, self.points, self.positions)
+        y = y - model.predict(self.angles)
+        if self.positions is not None:
+            for label in np.unique(self.positions):
+                rows = self.positions == label
+                y[rows] -= y[rows].mean(axis=0)
+        return float(np.linalg.norm(y, axis=1).mean())
+
+
+def register(options):
+    """Find a new probe, and where base or tracker stand, through the correction."""
+    saved, out = _opened(options)
+    today = _Today.of(options, saved.arm)
+    found = today.register(saved)
+    new = saved.registered(found)
+    said, facts = _what_has_moved(saved, new)
+    left, usual = today.left(found, new.model), _usual_mm(saved, today)
+    print(f"Registered with {today.said}.", *said, sep="\n")
+    print(f"Mean deviation {today.left(found, _Nothing()):.3f} -> {left:.3f} mm.")
+    enough = usual is None or left <= _MUCH_MORE * usual
+    if usual is None:
+        print("The correction was learnt by another kind of measurement: run raacmm check.")
+    elif enough:
+        print(f"The correction holds with it: {usual:.3f} mm is usual.")
+    else:
+        print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
+    _write(new, out, "register", today, facts)
+    return (OK if enough else CHANGED), facts | {"left_mm": left}
+
+
+def update(options):
+    """Register, and bring the correction up to date with the same poses."""
+    saved, out = _opened(options)
+    today = _Today.of(options, saved.arm)
+    found = today.register(saved)
+    moved = saved.registered(found)
+    y = found.residuals(today.angles, today.points, today.positions)
+    date = options.date or calendar.today().isoformat()
+    model = update_correction(moved.model, today.angles, y, groups=today.positions, date=date)
+    said, facts = _what_has_moved(saved, moved)
+    change = np.linalg.norm(model.predict(today.angles) - moved.model.predict(today.angles), axis=1)
+    before, after = (today.left(found, one) for one in (moved.model, model))
+    print(f"Updated with {today.said}.", *said, sep="\n")
+    if len(vars(model).get("updates_", ())) == len(vars(saved.model).get("updates_", ())):
+        print("Nothing was changed: the poses are too few.")
+        return CHANGED, facts
+    tau = sorted(vars(model)["updates_"][-1]["tau"].items(), key=lambda one: -one[1])
+    parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau if size > _NAMED_TAU][:4]
+    print(f"Changed most, in parts of what is usual: {', '.join(parts) or 'nothing'}.")
+    rms = np.sqrt(np.mean(change**2))
+    print(
+        f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
+        f"{before:.3f} -> {after:.3f} mm."
+    )
+    print("Check it with poses that it was not updated with: raacmm check.")
+    facts |= {"tau": dict(tau), "before_mm": before, "after_mm": after}
+    _write(replace(moved, model=model), out, "update", today, facts)
+    return OK, facts
+
+
+def move(options):
+    """Move the correction to a probe whose vector is known."""
+    saved, out = _opened(options)
+    if not hasattr(saved.model, "with_arm"):
+        raise TableError("this correction has no model of causes: register the new probe instead.")
+    probe = [number_of(cell) for cell in options.probe.split(",")]
+    if len(probe) != 3:
+        raise TableError(
+            f"--probe needs three numbers in mm, such as 0,0,250, got {options.probe!r}."
+        )
+    arm = saved.arm.replace(probe=probe)
+    new = replace(saved, arm=arm, model=saved.model.with_arm(arm))
+    said, facts = _what_has_moved(saved, new)
+    print(*said, sep="\n")
+    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, arm.n_joints))
+    old_mm, new_mm = (
+        np.sqrt(np.square(one.model.linear_model_.predict(tried)[0]).sum(axis=1).mean())
+        for one in (saved, new)
+    )
+    print(
+        f"The corrections are now of {new_mm:.3f} mm (rms over all poses), before {old_mm:.3f} mm."
+    )
+    print("A vector from a drawing is good to some tenths: register the probe before you measure.")
+    _write(new, out, "move", None, facts)
+    return OK, facts
+
+
+def check_by_causes(saved, options):
+    """Check today's poses against what the model expects of them, by cones, points or lengths."""
+    if not (isinstance(saved.model, ArmResidualRegressor) and saved.model.helps_):
+        raise TableError(
+            "this check needs a model of causes; this correction has none in use: check it with a "
+            "single-point test."
+        )
+    today = _Today.of(options, saved.arm)
+    refitted = ()
+    if today.points is None:
+        found = calibrate(saved.arm, today.angles, today.positions, correction=saved.model, free=[])
+        y = found.residuals(today.angles, groups=today.positions)
+    elif saved.base is None or options.new_base:
+        found, refitted = today.register(saved, free=()), ("base",)
+        y = found.residuals(today.angles, today.points)
+        print("The base was found from these same poses: what it takes up shows no change.")
+    else:
+        y = saved.residuals(today.angles, today.points)
+    check = check_correction(
+        saved.model, today.angles, y, groups=today.positions, lengths=today.lengths,
+        refitted=refitted, false_alarm_rate=0.01,
+    )  # fmt: skip
+    say_check(check, options)
+    rms = float(np.sqrt(np.mean(np.sum((y - saved.model.predict(today.angles)) ** 2, axis=1))))
+    facts = {
+        "holds": check.holds, "suspect": check.suspect, "p_value": check.p_value,
+        "size_mm": check.size_mm, "usual_mm": check.usual_mm, "matters": check.matters,
+    }  # fmt: skip
+    if check.holds:
+        print(f"It holds: {today.said}, {check.usual_mm:.3f} mm (rms) is what it leaves as a rule.")
+    elif today.points is not None:
+        print(f"{today.said}: {rms:.3f} mm (rms) are left.")
+    return (OK if check.holds or not check.matters else CHANGED), facts
+
+
+def say_check(check, options, names=None):
+    """Print what a check found, keep its record, and draw its chart."""
+    if not check.holds:
+        print(
+            f"Suspect: {check.suspect}, {check.size_mm:.3f} mm at the probe (p = "
+            f"{check.p_value:.2g}). {check.advice}"
+        )
+    for row in check.slipped:
+        print(f"slipped: row {row + 1 if names is None else names[row]}, measure it again")
+    if options.record:
+        check.append_to(options.record)
+        print(f"Appended to {options.record}")
+    if options.chart:
+        records = read_check_records(options.record) if options.record else [check.record]
+        write_whole({options.chart: chart_of(records)})
+        print(f"Written to {options.chart}")
+
+
+class _Nothing:
+    """No correction."""
+
+    def predict(self, angles):
+        return 0.0
+
+
+def _opened(options):
+    """The saved correction, and the folder to write."""
+    out = Path(options.out or options.model)
+    table = getattr(options, "table", None)
+    others = files_of(options.model) if options.out else []
+    check_places([out / "correction.json"], [*others, *([table] if table else [])])
+    return load_correction(options.model), out
+
+
+def _usual_mm(saved, today):
+    """Mean deviation that was left when it was learnt, mm; None if that was another measure."""
+    if (saved.facts["measure"] == "2S") != (today.points is None):
+        return None
+    left = float(np.mean(saved.facts["positions"]["after"]))
+    if saved.facts["measure"] == "2S":  # of normal errors: twice their length's root mean square
+        left *= np.sqrt(8 / (3 * np.pi)) / 2
+    return left
+
+
+def _what_has_moved(old, new):
+    """Sentences on probe and base, and the same as plain values."""
+    probe = new.arm.probe - old.arm.probe
+    x, y, z = new.arm.probe
+    said = [
+        f"Probe: ({x:.3f}, {y:.3f}, {z:.3f}) mm, {np.linalg.norm(probe):.3f} mm from where it was."
+    ]
+    facts = {"probe_mm": new.arm.probe.tolist(), "probe_moved_mm": float(np.linalg.norm(probe))}
+    if new.base is None:
+        return said, facts
+    if old.base is None:
+        said.append("Base: found for the first time.")
+        return said, facts
+    turn = old.base[0].T @ new.base[0]
+    angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
+    shift = float(np.linalg.norm(new.base[1] - old.base[1]))
+    said.append(
+        f"Base: moved by {shift:.3f} mm and turned by {np.rad2deg(angle):.4f} degrees in the "
+        "tracker's frame."
+    )
+    return said, facts | {"base_moved_mm": shift, "base_turned_deg": float(np.rad2deg(angle))}
+
+
+def _write(saved, out, word, today, facts):
+    """Write the folder with what was done added to its history."""
+    done = {"date": calendar.today().isoformat(), "what": word, **facts}
+    if today is not None:
+        done["n_poses"] = len(today.angles)
+    history = [*saved.facts.get("history", []), done]
+    saved = replace(saved, facts=saved.facts | {"history": history})
+    card = describe(saved.model)
+    written = saved.save(out, {"card.md": f"{card}\n"})
+    print(f"Written to {out}: {', '.join(path.name for path in written)}")

@@ -1,0 +1,218 @@
+"""Rows of whatever holds a table: text, spreadsheets, data frames, and programs of robots."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import re
+import zipfile
+from functools import partial
+from itertools import islice
+
+from sklearn_raacmm.app._cells import Dialect, TableError, clean, find_encoding, text_dialect
+from sklearn_raacmm.utils import check_path
+
+_LOOKED_AT = 300
+# A record of a program stands within so many, or the file is none.
+_HEAD_CHARACTERS = 1 << 20
+# A sheet of a million rows unpacks to some 100 MB; more than this, or so many times the size of
+# the file, is no table.
+_MOST_BYTES, _MOST_RATIO = 1 << 30, 300
+_SHEETS = (".xlsx", ".xlsm")
+_FRAMES = {
+    ".parquet": "read_parquet", ".feather": "read_feather", ".jsonl": "read_json",
+    ".ndjson": "read_json",
+}  # fmt: skip
+_SAVE_AS = (".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf")
+_VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
+# Programs and logs of controllers: what they are, a record with its name and its body, and the
+# joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
+_PROGRAMS = (
+    # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
+    (
+        "KUKA KRL",
+        r"(?:\b(\w{1,80})\s?=\s?)?\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
+        rf"A\d\s+{_VALUE}",
+    ),
+    # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
+    ("KUKA RSI", r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
+    # ABB, RAPID data types: jointtarget is [robax, extax].
+    (
+        "ABB RAPID",
+        r"(?:\b(\w{1,80})\s?:=\s?)?\[\[([^][]*)\]\s?,\s?\[[^][]*\]\]",
+        rf"(?:^|,)\s*{_VALUE}",
+    ),
+    # Fanuc: section /POS of an LS file in joint representation.
+    ("Fanuc LS", r"P\[(\d+(?:\s*:\s*\"[^\"]*\")?)\]\s*\{([^{}]*)\}", rf"J\d\s*=\s*{_VALUE}\s*deg"),
+)
+
+
+def find_source(path, n_numbers, sheet=None):
+    """Look into a file and find how its rows are read.
+
+    Parameters
+    ----------
+    path : str or path-like
+    n_numbers : int
+        How many numbers a row of data has at least.
+    sheet : str, default=None
+        Name or number, from 1, of a spreadsheet's sheet. None: the first that has such rows.
+
+    Returns
+    -------
+    Dialect
+
+    Raises
+    ------
+    TableError
+        If there is no such file or no row with so many numbers.
+    """
+    path = check_path("path", path)
+    if not path.is_file():
+        raise TableError(f"There is no file {path}.")
+    kind = path.suffix.lower()
+    if kind in _SAVE_AS:
+        raise TableError(f"{path}: files {kind} are not read; save the table as .xlsx or CSV.")
+    if kind in _SHEETS:
+        return _find_sheet(path, n_numbers, sheet)
+    if sheet is not None:
+        raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
+    if kind in _FRAMES:
+        return _frame(path, _FRAMES[kind])
+    return _program(path, n_numbers) or text_dialect(path, n_numbers)
+
+
+# -- spreadsheets ---------------------------------------------------------------------------------
+
+
+def _find_sheet(path, n_numbers, wanted):
+    """The sheet that is wanted, or the first with rows of so many numbers; and its decimal sign."""
+    names = _with_book(path, lambda book: [list(book.sheetnames)])
+    names = next(iter(names))
+    number = 0
+    if wanted is not None:
+        number = int(wanted) if wanted.isdigit() else 0
+        if wanted not in names and not 1 <= number <= len(names):
+            raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
+    candidates = names if wanted is None else [wanted if wanted in names else names[number - 1]]
+    for name in candidates:
+        best, most = None, 0
+        for decimal in ".,":
+            others = [other for other in names if other != name]
+            what = f"Spreadsheet, sheet {name!r}"
+            if others:
+                what += f" (--sheet takes another: {', '.join(others)})"
+            read = partial(_with_book, path, lambda book, name=name: _rows_of(book[name]))
+            dialect = Dialect(path, decimal=decimal, what=what, read=read)
+            if decimal == ",":
+                dialect = Dialect(path, "utf-8-sig", ";", ",", what, read)
+            counts = [
+                sum(dialect.number(cell) is not None for cell in cells)
+                for _, cells in islice(dialect.rows(), _LOOKED_AT)
+            ]
+            found = sum(count for count in counts if count >= n_numbers)
+            if found > most:
+                best, most = dialect, found
+        if best is not None:
+            return best
+    raise TableError(
+        f"{path}: no row with {n_numbers} numbers was found in {_sheets_of(candidates)}."
+    )
+
+
+def _sheets_of(names):
+    return f"the sheet{'s' * (len(names) > 1)} {', '.join(names)}"
+
+
+def _rows_of(sheet):
+    if not hasattr(sheet, "iter_rows"):  # a sheet that is a chart
+        return
+    sheet.reset_dimensions()  # what some programs write there is not how far the rows go
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        cells = [clean(cell) for cell in row]
+        if any(cell != "" for cell in cells):
+            yield number, cells
+
+
+def _with_book(path, what):
+    """Yield what is asked of a workbook, and close it."""
+    try:
+        import openpyxl
+    except ImportError:
+        raise TableError(
+            f"{path}: to read spreadsheets, install openpyxl (pip install openpyxl), or save the "
+            "sheet as CSV."
+        ) from None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > _MOST_BYTES or size > _MOST_RATIO * max(path.stat().st_size, 1 << 20):
+            raise TableError(
+                f"{path} of {path.stat().st_size / 1e6:.1f} MB unpacks to {size / 1e6:.0f} MB, "
+                "which is no table: save the sheet as CSV."
+            )
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        try:
+            yield from what(book)
+        finally:
+            book.close()
+    except TableError:
+        raise
+    except Exception as error:  # a zip file of anything, damaged XML, or no zip file
+        raise TableError(f"{path} is not a spreadsheet that can be read: {error}.") from None
+
+
+# -- data frames ----------------------------------------------------------------------------------
+
+
+def _frame(path, reader):
+    """A table that pandas reads; lists in cells become columns of their own."""
+    try:
+        import pandas
+    except ImportError:
+        raise TableError(f"{path}: to read it, install pandas (pip install pandas).") from None
+    options = {"lines": True} if reader == "read_json" else {}
+    try:
+        frame = getattr(pandas, reader)(path, **options)
+    except ImportError:
+        raise TableError(f"{path}: to read it, install pyarrow (pip install pyarrow).") from None
+    except Exception as error:  # of a damaged file, anything
+        raise TableError(f"{path} cannot be read: {error}.") from None
+
+    def read():
+        columns = {}
+        for name in frame.columns:
+            values = frame[name].tolist()
+            widths = {len(v) if isinstance(v, list | tuple) else -1 for v in values}
+            if widths == {-1} or len(widths) != 1:
+                columns[str(name)] = values
+            else:
+                columns |= {f"{name}{i}": [v[i] for v in values] for i in range(*widths)}
+        yield 0, list(columns)
+        for number, cells in enumerate(zip(*columns.values(), strict=True), 1):
+            yield number, [clean(cell) for cell in cells]
+
+    return Dialect(path, what=f"Read by pandas ({reader})", read=read)
+
+
+# -- programs of robots ---------------------------------------------------------------------------
+
+
+def _program(path, n_joints):
+    """A program or log of a robot's controller that holds joint positions; None if it is none."""
+    encoding = find_encoding(path)
+    with open(path, encoding=encoding) as file:
+        head = file.read(_HEAD_CHARACTERS)
+    for what, record, value in _PROGRAMS:
+        if not re.search(record, head):
+            continue
+        text, rows = path.read_text(encoding=encoding), []
+        for match in re.finditer(record, text):
+            values = re.findall(value, match[2])
+            # Coupled or external axes may follow the robot's own.
+            if len(values) >= n_joints:
+                line = text.count("\n", 0, match.start()) + 1
+                rows.append((line, [match[1] or f"line {line}", *values[:n_joints]]))
+        if rows:
+            rows.insert(0, (0, ["name", *(f"A{i} [deg]" for i in range(1, n_joints + 1))]))
+            return Dialect(path, what=f"{what}, degrees", read=partial(iter, rows))
+    return None

@@ -1,0 +1,385 @@
+"""Chains of revolute joints in a robot's own files: URDF, and UR's calibration in YAML."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from sklearn_raacmm.utils import show, write_whole
+
+MM_PER_M = 1000.0
+# A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
+_DECIMALS = {2: 2, 4: 4}
+# With so many, a few units of the last decimal off is still meant to be it.
+_MANY_DECIMALS, _LAST_UNITS = 6, 3
+_BRANCHES_SHOWN = 6
+# Cosines smaller than this are rounding.
+_ROUNDING = 1e-12
+# Keys of Universal Robots' kinematics files and the joints that they belong to, as in the package
+# ur_description: origins of joints about z, in m and rad.
+_UR_JOINTS = {
+    "shoulder": "shoulder_pan_joint",
+    "upper_arm": "shoulder_lift_joint",
+    "forearm": "elbow_joint",
+    "wrist_1": "wrist_1_joint",
+    "wrist_2": "wrist_2_joint",
+    "wrist_3": "wrist_3_joint",
+}
+_UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+_UR_FILE = re.compile(r"^kinematics:", re.MULTILINE)
+_UR_LINE = re.compile(r"^(\s*)(\w+):[ \t]*([^#\s]*)(.*)$", re.MULTILINE)
+
+
+class Joint(NamedTuple):
+    """A joint of a chain; `axis` is None where it is fixed."""
+
+    name: str
+    origin: np.ndarray  # (4, 4): the joint's frame in that of its parent at zero, mm
+    axis: np.ndarray | None
+    limits: tuple
+
+
+def read_chain(source, base=None, tip=None):
+    """Joints from base to tip of a URDF or of UR's kinematics.
+
+    Parameters
+    ----------
+    source : str or path-like
+        A path, or the text itself.
+    base, tip : str or None
+        Links where the chain begins and ends.
+
+    Returns
+    -------
+    joints : list of Joint
+    name : str
+        Of the robot.
+    text : str
+        Of the file.
+    where : str
+        Name of the source for messages.
+    """
+    if not isinstance(source, str | PathLike):
+        raise TypeError(f"source must be a path or the text of a URDF file, got {show(source)}.")
+    is_text = isinstance(source, str) and bool(re.match(r"\s*<", source) or _UR_FILE.search(source))
+    where = "the URDF text" if is_text else str(source)
+    text: Any = source if is_text else _text_of(source)
+    if _UR_FILE.search(text):
+        if base or tip:
+            raise ValueError(f"{where} holds the kinematics of a UR robot, which has no links.")
+        return _ur_joints(text, where), "", text, where
+    elements, name = _joints(text, where)
+    return [_joint(e, where) for e in _chain(elements, base, tip, where)], name, text, where
+
+
+def _text_of(path):
+    try:
+        return Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not UTF-8 text.") from None
+
+
+def _joints(text, where):
+    """Joints of the file, as elements by name, and the robot's name."""
+    # Entities can expand without end and name other files; no URDF needs them.
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError(f"{where} declares a document type or entities: such files are refused.")
+    try:
+        # Without the declaration, whose encoding is no longer that of the text.
+        root = ET.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", text, flags=re.DOTALL))
+    except ET.ParseError as error:
+        raise ValueError(f"{where} is not valid XML: {error}.") from None
+    if root.tag != "robot":
+        raise ValueError(f"{where} is not a URDF: its outermost element is {root.tag!r}.")
+    if re.search(r"<xacro:|\$\{", text):
+        raise ValueError(f"{where} holds xacro macros: expand it first (xacro file.xacro).")
+    joints = root.findall("joint")
+    for joint in joints:
+        if joint.find("parent") is None or joint.find("child") is None:
+            raise ValueError(f"{where}: joint {joint.get('name')!r} has no parent or no child.")
+    if not joints:
+        raise ValueError(f"{where} has no joints.")
+    return joints, root.get("name", "")
+
+
+def _chain(joints, base, tip, where):
+    """Joints from base to tip."""
+    by_child = {}
+    for joint in joints:
+        child = joint.find("child").get("link")
+        if child in by_child:
+            raise ValueError(f"{where}: link {child!r} has two parents.")
+        by_child[child] = joint
+    parents = {joint.find("parent").get("link") for joint in joints}
+    tip = _one_of(sorted(set(by_child) - parents), tip, "tip", {*by_child}, where)
+    roots = sorted(parents - set(by_child))
+    base = _one_of(roots, base, "base", parents, where)
+    chain, link = [], tip
+    while link != base:
+        if link not in by_child or len(chain) > len(joints):
+            raise ValueError(f"{where}: no chain leads from {base!r} to {tip!r}.")
+        chain.append(by_child[link])
+        link = chain[-1].find("parent").get("link")
+    return chain[::-1]
+
+
+def _one_of(ends, given, what, links, where):
+    if given is not None:
+        if given not in links:
+            raise ValueError(f"{where} has no link {given!r} that could be the {what}.")
+        return given
+    if len(ends) != 1:
+        shown = ", ".join(ends[:_BRANCHES_SHOWN]) or "none"
+        more = ", ..." if len(ends) > _BRANCHES_SHOWN else ""
+        raise ValueError(
+            f"{where} branches: it has {len(ends)} links that could be the {what} ({shown}{more}); "
+            f"say which is the {what}."
+        )
+    return ends[0]
+
+
+def _joint(element, where):
+    """A joint as the file has it, in mm."""
+    name, kind = element.get("name"), element.get("type")
+    if kind not in ("revolute", "continuous", "fixed"):
+        raise ValueError(f"{where}: joint {name!r} is {kind}; only revolute joints are known.")
+    if element.find("mimic") is not None:
+        raise ValueError(f"{where}: joint {name!r} mimics another; the arm has no such joints.")
+    xyz, rpy = (
+        _numbers(element.find("origin"), key, (0.0, 0.0, 0.0), name, where)
+        for key in ("xyz", "rpy")
+    )
+    if kind == "fixed":
+        return Joint(name, pose(xyz, rpy), None, ())
+    axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), name, where))
+    if not np.linalg.norm(axis) > 0:
+        raise ValueError(f"{where}: the axis of joint {name!r} has no direction.")
+    limit, ends = element.find("limit"), (-np.inf, np.inf)
+    if kind == "revolute" and limit is not None:
+        try:
+            ends = tuple(float(limit.get(key, 0)) for key in ("lower", "upper"))
+        except ValueError:
+            raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
+    return Joint(name, pose(xyz, rpy), axis / np.linalg.norm(axis), ends)
+
+
+def pose(xyz, rpy):
+    """Origin of a joint, from m and rad."""
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = _from_rpy(*rpy), MM_PER_M * np.array(xyz)
+    return result
+
+
+def _ur_joints(text, where):
+    values, part = {}, ""
+    for _, key, value, _ in _UR_LINE.findall(text):
+        part = key if not value else part
+        values[part, key] = value
+    joints = []
+    for key, name in _UR_JOINTS.items():
+        try:
+            six = [_meant(values[key, one]) for one in _UR_KEYS]
+        except (KeyError, ValueError):
+            raise ValueError(
+                f"{where}: the joint {key!r} needs the numbers {', '.join(_UR_KEYS)}, one a line."
+            ) from None
+        joints.append(Joint(name, pose(six[:3], six[3:]), np.eye(3)[2], (-np.inf, np.inf)))
+    return joints
+
+
+def _numbers(element, key, default, name, where):
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    try:
+        values = [_meant(part) if key == "rpy" else float(part) for part in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise ValueError(f"{where}: joint {name!r}: {key}={text!r} must be three numbers.")
+    return values
+
+
+def _meant(text):
+    """Angle as it was meant: "1.5708" is pi/2, which no file can hold in full."""
+    value = float(text)
+    match = re.fullmatch(r"[+-]?\d*\.(\d+)", text)
+    for part, least in _DECIMALS.items():
+        exact = round(value * part / math.pi) * math.pi / part
+        if match and len(match[1]) >= least and value and exact:
+            unit = 10.0 ** min(len(match[1]), 15)
+            rounded, cut = round(abs(exact) * unit), math.floor(abs(exact) * unit)
+            last = round(abs(value) * unit)
+            # Half of a rounded pi, such as 1.570796325, is off by more than rounding.
+            near = len(match[1]) >= _MANY_DECIMALS and abs(last - rounded) <= _LAST_UNITS
+            if near or last in (rounded, cut):
+                return exact
+    return value
+
+
+def _from_rpy(roll, pitch, yaw):
+    """Rotation of a URDF: about the fixed axes x, y and z in this order."""
+    cr, sr, cp, sp = _cos(roll), _sin(roll), _cos(pitch), _sin(pitch)
+    cy, sy = _cos(yaw), _sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _cos(angle):
+    """Cosine that is exactly 0 at pi/2, so that parallel axes stay parallel."""
+    return 0.0 if abs(math.remainder(angle, math.pi)) == math.pi / 2 else math.cos(angle)
+
+
+def _sin(angle):
+    return 0.0 if math.remainder(angle, math.pi) == 0 else math.sin(angle)
+
+
+# -- writing --------------------------------------------------------------------------------------
+
+
+def edited(text, origins):
+    """Text of a file with other origins of some joints, and everything else as it is.
+
+    Parameters
+    ----------
+    text : str
+        Of a URDF, or of UR's kinematics.
+    origins : dict of str to ndarray of shape (4, 4)
+        By the names of the joints, mm.
+
+    Returns
+    -------
+    str
+    """
+    if not text.lstrip().startswith("<"):
+        return _edited_ur(text, origins)
+    data, path, places = text.encode(), [], {}
+
+    def start(tag, attributes):
+        path.append((tag, attributes.get("name")))
+        if [part[0] for part in path] in (["robot", "joint"], ["robot", "joint", "origin"]):
+            places[path[1][1], tag] = parser.CurrentByteIndex
+
+    parser = expat.ParserCreate("utf-8")
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: path.pop()
+    parser.Parse(data, True)
+    changes = []
+    for name, origin in origins.items():
+        xyz, rpy = _xyz_rpy(origin)
+        has_origin = (name, "origin") in places
+        at = places[name, "origin" if has_origin else "joint"]
+        tag = re.compile(rb"<(?:\"[^\"]*\"|'[^']*'|[^\"'>])*>").findall(data, at)[0].decode()
+        if has_origin:
+            rest = re.sub(
+                r"\s(xyz|rpy)\s*=\s*(\"[^\"]*\"|'[^']*')", "", tag.removeprefix("<origin")
+            )
+            new = f'<origin xyz="{xyz}" rpy="{rpy}"{rest}'
+        else:
+            new = f'{tag}\n    <origin xyz="{xyz}" rpy="{rpy}"/>'
+        changes.append((at, len(tag.encode()), new.encode()))
+    for at, length, new in sorted(changes, reverse=True):
+        data = data[:at] + new + data[at + length :]
+    return data.decode()
+
+
+def _edited_ur(text, origins):
+    part = ""
+
+    def line(match):
+        nonlocal part
+        indent, key, value, rest = match.groups()
+        part = key if not value else part
+        origin = origins.get(_UR_JOINTS.get(part))
+        if not value or origin is None or key not in _UR_KEYS:
+            return match[0]
+        numbers = " ".join(_xyz_rpy(origin)).split()
+        return f"{indent}{key}: {numbers[_UR_KEYS.index(key)]}{rest}"
+
+    return _UR_LINE.sub(line, text)
+
+
+def _xyz_rpy(origin):
+    """Numbers of an origin in m and rad, to the last digit."""
+    parts = origin[:3, 3] / MM_PER_M, _to_rpy(origin[:3, :3])
+    return tuple(" ".join(repr(float(value)) for value in part) for part in parts)
+
+
+def write_urdf(arm, path=None):
+    """Text of an arm as URDF, and the file if a path is given; see `Arm.to_urdf`."""
+    rows = []
+    before = np.eye(4)
+    for i in range(arm.n_joints):
+        link = _along(arm.a[i], arm.alpha[i])
+        spin = _about(arm.theta_offset[i], 0.0)
+        rise = _about(0.0, arm.d[i])
+        if arm.convention == "standard":
+            origin, before = before @ spin, rise @ link
+        else:
+            # A rotation about z and a shift along it change places.
+            origin, before = link @ spin @ rise, np.eye(4)
+        limits = arm.limits[i] if arm.limits is not None else (-np.inf, np.inf)
+        name = arm.names[i] if arm.names else f"joint{i + 1}"
+        rows.append((name, origin, arm.joint_signs[i], limits))
+    last = before.copy()
+    last[:3, 3] += last[:3, :3] @ arm.probe
+    rows.append(("probe_joint", last, None, ()))
+    links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
+    lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
+    lines += [f'  <link name="{link}"/>' for link in links]
+    for parent, child, (name, origin, sign, limits) in zip(links, links[1:], rows, strict=False):
+        xyz, rpy = _xyz_rpy(origin)
+        kind = (
+            "fixed" if sign is None else "revolute" if np.isfinite(limits).all() else "continuous"
+        )
+        lines += [
+            f'  <joint name={quoteattr(name)} type="{kind}">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="{child}"/>',
+            f'    <origin xyz="{xyz}" rpy="{rpy}"/>',
+            *([] if sign is None else [f'    <axis xyz="0 0 {sign:.0f}"/>']),
+        ]
+        if kind == "revolute":  # the format asks for effort and velocity, which nobody measured
+            low, high = map(float, limits)
+            lines.append(f'    <limit lower="{low!r}" upper="{high!r}" effort="0" velocity="0"/>')
+        lines.append("  </joint>")
+    text = "\n".join([*lines, "</robot>"]) + "\n"
+    if path is not None:
+        write_whole({path: text})
+    return text
+
+
+def _along(length, angle):
+    """Shift along x and rotation about it."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1, 0, 0, length], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
+
+
+def _about(angle, length):
+    """Rotation about z and shift along it."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, length], [0, 0, 0, 1.0]])
+
+
+def _to_rpy(rotation):
+    """Angles about the fixed axes x, y, z; at a pitch of a right angle the roll is 0."""
+    across = rotation[2, 1], rotation[2, 2]
+    roll = math.atan2(*across) if math.hypot(*across) > _ROUNDING else 0.0
+    s, c = math.sin(roll), math.cos(roll)
+    pitch = math.atan2(-rotation[2, 0], s * rotation[2, 1] + c * rotation[2, 2])
+    x, y = c * rotation[:2, 1] - s * rotation[:2, 2]
+    return roll, pitch, math.atan2(-x, y)

@@ -1,0 +1,142 @@
+"""Causes that were written down with the poses, and those that the order of the rows tells."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import replace
+
+import numpy as np
+
+from sklearn_raacmm.error_model import check_extra
+from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
+from sklearn_raacmm.utils import Finding, encode_groups, floats, say_findings
+
+# The family of columns by which each kind of cause is judged.
+_FAMILIES = {"time": "temperature", "payload": "force"}
+# Standard deviation of coefficients below which the evidence has put a family aside, see
+# `_IDLE_VARIANCE` of the error model.
+_IDLE_SD = 1e-5
+
+
+def checked_causes(extra, in_order, angles):
+    """Names and values of the causes that are offered to a model.
+
+    Parameters
+    ----------
+    extra : dict of str to array-like of shape (n_samples,), or None
+    in_order : bool
+        Whether the rows are in the order of measurement: directions are then offered, too.
+    angles : ndarray of shape (n_samples, n_joints)
+        In rad.
+
+    Returns
+    -------
+    names : tuple of str
+    values : ndarray of shape (n_samples, n_causes)
+    """
+    given = dict(extra or {})
+    names = check_extra(tuple(given), angles.shape[1])
+    values = [floats(name, given[name]).ravel() for name in names]
+    for name, column in zip(names, values, strict=True):
+        if len(column) != len(angles):
+            raise ValueError(f"extra[{name!r}] has {len(column)} rows, angles have {len(angles)}.")
+    if in_order:
+        ways = directions_of(angles)
+        others = [f"direction {joint + 1}" for joint in range(angles.shape[1])]
+        values += [ways[:, i] for i, name in enumerate(others) if name not in names]
+        names += tuple(name for name in others if name not in names)
+    return names, np.column_stack(values) if values else np.empty((len(angles), 0))
+
+
+def refuse_told_time(names, angles, positions):
+    """Refuse time that the angles tell: what it explains may be the place."""
+    if "time" not in names:
+        return
+    told = order_told_by(angles, encode_groups(positions, len(angles))[1])
+    if told > MOST_TOLD:
+        raise ValueError(
+            f"time cannot be learnt from this run: the angles tell the number of the row (R2 "
+            f"{told:.2f}, at most {MOST_TOLD}), so that time and place are not apart. Measure the "
+            "positions in mixed order, or leave time out."
+        )
+
+
+def with_kept_causes(data, calibration):
+    """The data with those causes only that are worth their price in a fit to all rows."""
+    if not data.causes:
+        return data
+    rows, _ = data.without_lonely(np.arange(len(data.angles)))
+    prior_sd = replace(data, like=()).fit(None, calibration, rows)[0].prior_sd_
+    kinds = [name.split()[0] for name in data.causes]
+    keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > _IDLE_SD for kind in kinds])
+    named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
+    gone = [name for name, kept in zip(data.causes, keep, strict=True) if not kept]
+    if gone:
+        said = f"The evidence does not ask for {', '.join(gone)}: left out of the model."
+        say_findings([Finding("cause-not-kept", said, weight="note")])
+    return replace(data, causes=tuple(named), values=data.values[:, keep])
+
+
+def usual_values(names, values):
+    """What counts where a cause is not known: the mean, of time the last value, no direction."""
+    usual = {}
+    for name, column in zip(names, values.T, strict=True):
+        kind = name.split()[0]
+        if kind == "tool":  # a probe has a number
+            numbers, counts = np.unique(column, return_counts=True)
+            usual[name] = float(numbers[np.argmax(counts)])
+        else:
+            usual[name] = float({"time": column[-1], "direction": 0.0}.get(kind, column.mean()))
+    return usual
+
+
+def with_causes(angles, usual, extra=None):
+    """Angles with the columns of the causes that a model has.
+
+    Parameters
+    ----------
+    angles : ndarray of shape (n, n_joints)
+        In rad.
+    usual : dict of str to float
+        The causes of the model, and what counts where they are not given.
+    extra : dict of str to array-like of shape (n,) or float, default=None
+
+    Returns
+    -------
+    ndarray of shape (n, n_joints + n_causes)
+    """
+    given = dict(extra or {})
+    unknown = sorted(set(given) - set(usual))
+    if unknown:
+        raise ValueError(
+            f"extra names {unknown[0]!r}, of which the model knows nothing; it was fitted with "
+            f"{', '.join(usual) or 'none'}."
+        )
+    columns = [
+        np.broadcast_to(given.get(name, value), len(angles)) for name, value in usual.items()
+    ]
+    return np.column_stack([angles, *columns])
+
+
+def say_worth_of_directions(data, left, unknown):
+    """Say what directions of approach are worth at positions left out, where they are known."""
+    if not any(name.startswith("direction") for name in data.causes):
+        return
+    used = np.isfinite(left).all(axis=1)
+    known, lost = (np.linalg.norm(part[used], axis=1).mean() for part in (left, unknown))
+    said = (
+        f"With the directions from which joints came {known:.4f} mm are left at positions left "
+        f"out, and {lost:.4f} mm where they are not known."
+    )
+    advice = "Hand them on when you correct: see directions_of."
+    say_findings([Finding("directions", said, advice, weight="note", size_mm=lost - known)])
+
+
+def say_make(model):
+    """Say whether earlier arms of the make were believed."""
+    (entry,) = model.updates_
+    n, gain, believed = entry["n_arms"], entry["gain_nats"], bool(entry["tau"])
+    said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "
+    said += f"for them is {gain:.1f} nats."
+    code = "make-believed" if believed else "make-not-believed"
+    say_findings([Finding(code, said, weight="note")])

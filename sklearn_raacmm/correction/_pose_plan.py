@@ -1,0 +1,207 @@
+"""A plan of a first single-point test: where cones may stand, and poses that reach them."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.utils import check_random_state
+
+from sklearn_raacmm.arm import Arm, check_arm, reach_mm
+from sklearn_raacmm.error_model import angles_for, limits_of
+from sklearn_raacmm.utils import check_whole_number, floats
+
+# Places tried for each cone, and starts of the search for poses for each pose that is wanted.
+_PLACES, _STARTS = 4, 8
+# Shares of the reach between which cones stand, and up to which height.
+_NEAREST, _FARTHEST, _HIGHEST = 0.25, 0.85, 0.45
+# Seconds that a person takes for a pose, and to fix the next cone: a choice.
+_PER_POSE_S, _PER_CONE_S = 6.0, 60.0
+
+
+class PosePlan(NamedTuple):
+    """A plan of a single-point test, in the order in which to measure.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (n_positions, 3)
+        Centres of the cones in the base frame, mm: a few centimetres more or less do not matter.
+    angles : ndarray of shape (n_positions * n_poses, n_joints)
+        Poses in rad.
+    groups : ndarray of shape (n_positions * n_poses,)
+        Cone of each pose, from 1.
+    minutes : float
+        About how long it takes, at 6 s for a pose and a minute for a cone.
+    """
+
+    positions: np.ndarray
+    angles: np.ndarray
+    groups: np.ndarray
+    minutes: float
+
+
+def plan_poses(
+    arm: Arm,
+    n_positions: int = 8,
+    n_poses: int = 12,
+    *,
+    region: ArrayLike | None = None,
+    lean_deg: float | None = 60.0,
+    random_state: int | np.random.RandomState | None = 0,
+) -> PosePlan:
+    """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
+
+    Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
+    allows, and in an order of short ways.
+
+    Parameters
+    ----------
+    arm : Arm
+        Nominal or calibrated.
+    n_positions, n_poses : int, default=8 and 12
+        Cones, and poses in each. The defaults take about twenty minutes.
+    region : array-like of shape (2, 3), default=None
+        Lowest and highest x, y and z where cones can stand, base frame, mm. None: all around the
+        base, from a quarter to 85 % of the reach away, up to 45 % of it high.
+    lean_deg : float or None, default=60
+        How far the probe may lean from the vertical, degrees; no frame of the wrist may be lower
+        than the cone then. None: a probe that may come from anywhere, as a ball in a magnet.
+    random_state : int, RandomState instance or None, default=0
+        Draws the places and poses that are tried.
+
+    Returns
+    -------
+    PosePlan
+
+    Raises
+    ------
+    ValueError
+        If too few places are found.
+
+    See Also
+    --------
+    next_poses : Chooses from poses by what a model or a registration does not know yet.
+
+    Notes
+    -----
+    Spread cones are what a plan is worth. In a first test a choice by `next_poses` is no better
+    than cones that are spread by hand.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_raacmm import Arm, plan_poses
+    >>> arm = Arm.from_name("aacmm6")
+    >>> plan = plan_poses(arm, n_positions=3, n_poses=5)
+    >>> plan.angles.shape
+    (15, 6)
+    >>> bool(np.abs(arm.forward(plan.angles) - plan.positions[plan.groups - 1]).max() < 1e-6)
+    True
+    """
+    check_arm(arm)
+    check_whole_number("n_positions", n_positions, 1)
+    check_whole_number("n_poses", n_poses, 2)
+    rng, reach = check_random_state(random_state), reach_mm(arm)
+    if region is not None:
+        region = floats("region", region)
+        if region.shape != (2, 3) or not np.all(region[0] <= region[1]):
+            raise ValueError(
+                "region must be the lowest and the highest x, y and z in mm, shape (2, 3), got "
+                f"{region.tolist()}."
+            )
+    places, poses = [], []
+    for _ in range(_PLACES * n_positions):
+        place = _place(rng, reach, region)
+        found = _poses_at(arm, place, n_poses, lean_deg, rng)
+        if found is not None:
+            places.append(place)
+            poses.append(found)
+    if len(places) < n_positions:
+        raise ValueError(
+            f"only {len(places)} of {_PLACES * n_positions} places that were tried are reached in "
+            f"{n_poses} poses, and {n_positions} are needed: give another region, a larger "
+            "lean_deg, or wider limits."
+        )
+    chosen = _spread(np.array(places), n_positions)
+    chosen = [chosen[i] for i in _short_way(np.array(places)[chosen], 0)]
+    positions, angles, last = np.array(places)[chosen], [], None
+    for cone in chosen:
+        own = poses[cone]
+        first = 0 if last is None else int(np.argmin(_travel(own, last)))
+        own = own[_short_way(own, first)]
+        angles.append(own)
+        last = own[-1]
+    minutes = (n_positions * _PER_CONE_S + n_positions * n_poses * _PER_POSE_S) / 60
+    groups = np.repeat(np.arange(1, n_positions + 1), n_poses)
+    return PosePlan(positions, np.concatenate(angles), groups, minutes)
+
+
+def _place(rng, reach, region):
+    """A place for a cone."""
+    if region is not None:
+        return rng.uniform(*region)
+    azimuth, share = rng.uniform(-np.pi, np.pi), rng.uniform(_NEAREST, _FARTHEST)
+    height = rng.uniform(0, _HIGHEST) * reach
+    radius = np.sqrt(max((share * reach) ** 2 - height**2, (_NEAREST * reach) ** 2))
+    return np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), height])
+
+
+def _poses_at(arm, place, n_poses, lean_deg, rng):
+    """Poses that reach a place, as different as may be, or None where there are too few."""
+    low, high = limits_of(arm)
+    low, high = np.maximum(low, -np.pi), np.minimum(high, np.pi)
+    start = rng.uniform(low, high, (_STARTS * n_poses, arm.n_joints))
+    aim = np.broadcast_to(place, (len(start), 3))
+    found, _ = angles_for(arm, lambda angles, rows: 0.0, aim, start)
+    found = found[~np.isnan(found[:, 0])]
+    inside = (found >= limits_of(arm)[0]) & (found <= limits_of(arm)[1])
+    found = found[inside.all(axis=1)]
+    if lean_deg is not None and len(found):
+        found = found[_stands(arm, found, place, lean_deg)]
+    if len(found) < n_poses:
+        return None
+    found = np.remainder(found + np.pi, 2 * np.pi) - np.pi if _turns_freely(arm) else found
+    return found[_spread(np.hstack([np.cos(found), np.sin(found)]), n_poses)]
+
+
+def _turns_freely(arm):
+    """Whether any angle is allowed, so that whole turns may be taken off."""
+    return not np.isfinite(limits_of(arm)).any()
+
+
+def _stands(arm, angles, place, lean_deg):
+    """Whether the probe stands in the cone from above, the wrist above it."""
+    frames = arm.frames(angles)
+    line = place - frames[:, -1, :, 3]
+    length = np.linalg.norm(line, axis=1)
+    # A probe of no length has no direction.
+    upright = (-line[:, 2] >= np.cos(np.deg2rad(lean_deg)) * length) | (length < 1.0)
+    half = arm.n_joints // 2
+    return upright & (frames[:, half:-1, 2, 3] >= place[2]).all(axis=1)
+
+
+def _spread(points, n):
+    """Numbers of n points that are far from each other: each the farthest from those before."""
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    far = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < n:
+        chosen.append(int(np.argmax(far)))
+        far = np.minimum(far, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return chosen
+
+
+def _travel(points, start):
+    """Longest way of any coordinate from a start: what a move takes."""
+    return np.abs(points - start).max(axis=1)
+
+
+def _short_way(points, first):
+    """An order of short steps: each time to the nearest that is left."""
+    left, order = set(range(len(points))) - {first}, [first]
+    while left:
+        rest = sorted(left)
+        order.append(rest[int(np.argmin(_travel(points[rest], points[order[-1]])))])
+        left.remove(order[-1])
+    return order

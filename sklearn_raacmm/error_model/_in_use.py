@@ -1,0 +1,290 @@
+"""A fitted model of an arm in use: moved to a probe, uncertain together, the other way round."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+from copy import copy
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.error_model._fading import warn_where_unknown
+from sklearn_raacmm.error_model._moved import moved_fading, moved_model
+from sklearn_raacmm.error_model._poses import check_poses
+from sklearn_raacmm.error_model._solve import angles_for
+from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, warn_user
+
+
+class ModelInUseMixin:
+    """What a fitted `ArmResidualRegressor` can do beside predicting."""
+
+    def with_arm(self: Any, arm: Arm) -> Any:
+        """Move the fitted model to another probe.
+
+        A correction of the joints belongs to every probe: each cause is multiplied by the Jacobian
+        of the new one. Find its vector by a registration through the correction: :func:`calibrate`
+        with ``correction=model, free=["probe"]`` moves the model by itself.
+
+        Parameters
+        ----------
+        arm : Arm
+            The table that the model was fitted with, and the new probe.
+
+        Returns
+        -------
+        model : Any
+            This one is left as it is.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If the table is another one; or if the model has a second stage, which has seen the old
+            probe only.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_raacmm import Arm, ArmResidualRegressor
+        >>> arm = Arm.from_name("aacmm6")
+        >>> angles = np.random.default_rng(0).uniform(-2, 2, (200, 6))
+        >>> y = arm.jacobian(angles)[:, :, 4] * 1e-4  # joint 5 is off by 0.1 mrad
+        >>> model = ArmResidualRegressor(arm, orders=2).fit(angles, y)
+        >>> longer = arm.replace(probe=(0, 0, 400))
+        >>> moved = model.with_arm(longer)
+        >>> left = longer.jacobian(angles)[:, :, 4] * 1e-4 - moved.predict(angles)
+        >>> bool(np.abs(left).max() < 1e-3)
+        True
+        """
+        check_is_fitted(self)
+        check_arm(arm)
+        old = self.linear_model_
+        if self.regressor_ is not None and not np.array_equal(arm.probe, old.arm.probe):
+            raise ValueError(
+                f"{type(self).__name__} has a second stage, which has seen the old probe only: a "
+                "model with regressor=None can be moved."
+            )
+        moved = copy(self)
+        moved.arm, moved.linear_model_ = arm, moved_model(old, arm)
+        moved.fading_ = moved_fading(self.fading_, old.arm, arm)
+        return moved
+
+    def sample_y(
+        self: Any,
+        X: ArrayLike,
+        n_samples: int = 1,
+        random_state: int | np.random.RandomState | None = None,
+        *,
+        with_noise: bool = False,
+        with_unseen: bool = False,
+    ) -> np.ndarray:
+        """Draw corrections of all poses together, as the posterior has them.
+
+        What is computed from corrected points, a diameter or a flatness, is computed from each of
+        200 draws: their standard deviation is that of the result.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_poses, n_joints + n_extra)
+            As for `predict`.
+
+        n_samples : int, default=1
+            Number of draws.
+
+        random_state : int, RandomState instance or None, default=None
+            Draws the numbers.
+
+        with_noise : bool, default=False
+            Add the noise of a measured coordinate, independent from pose to pose.
+
+        with_unseen : bool, default=False
+            See `predict`.
+
+        Returns
+        -------
+        residuals : ndarray of shape (n_poses, 3, n_samples)
+            In mm, about what `predict` returns.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import ArmResidualRegressor
+        >>> from sklearn_raacmm.datasets import make_single_point
+        >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
+        >>> model = ArmResidualRegressor(test.arm, orders=4)
+        >>> model = model.fit(test.data, test.target, groups=test.groups)
+        >>> model.sample_y(test.data[:10], 200, random_state=0).shape
+        (10, 3, 200)
+        """
+        check_flags(with_noise=with_noise, with_unseen=with_unseen)
+        check_whole_number("n_samples", n_samples, 1)
+        linear, rng = self.linear_model_, check_random_state(random_state)
+        root = linear.std_scale * linear.root_at(check_poses(self, X), with_unseen)
+        draws = root @ rng.normal(size=(root.shape[1], n_samples))
+        if with_noise:
+            draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
+        return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
+
+    def angles_for(self: Any, points: ArrayLike, start: ArrayLike) -> np.ndarray:
+        """Joint angles that bring the corrected probe to wanted points.
+
+        Parameters
+        ----------
+        points : array-like of shape (n, 3)
+            In the arm's base frame, mm.
+
+        start : array-like of shape (n, n_joints + n_extra) or (1, n_joints + n_extra)
+            Poses to begin at, in the unit that the model takes, such as those of a program that
+            knows nothing of the correction; then the extra columns. Of all the angles that reach a
+            point those near the start are taken, within ``arm_.limits`` where the arm has some.
+
+        Returns
+        -------
+        angles : ndarray of shape (n, n_joints)
+            In the unit that the model takes: ``model.correct`` of them are the points to 1e-6 mm.
+            NaN where there are none.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit or something is not a finite number.
+
+        Warns
+        -----
+        UserWarning
+            If points are not reached: how many, the first of them, and how near the probe came.
+
+        Notes
+        -----
+        Newton's method: the shortest step that the Jacobian asks for, with the correction found
+        anew after each (the correction hardly changes from one step to the next).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_raacmm import Arm, ArmResidualRegressor
+        >>> arm = Arm.from_name("ur10")
+        >>> angles = np.random.default_rng(0).uniform(-2, 2, (200, 6))
+        >>> model = ArmResidualRegressor(arm, orders=2)
+        >>> model = model.fit(angles, arm.jacobian(angles)[:, :, 1] * 1e-4)
+        >>> wanted = arm.forward(angles[:5])
+        >>> found = model.angles_for(wanted, angles[:5])
+        >>> bool(np.abs(model.correct(found) - wanted).max() < 1e-6)
+        True
+        """
+        points = check_points(points, 3)
+        start = np.asarray(start, dtype=float)
+        if start.ndim == 2 and len(start) == 1:
+            start = np.repeat(start, len(points), axis=0)
+        X = check_poses(self, start)
+        if len(X) != len(points):
+            raise ValueError(
+                f"start has {len(X)} poses for {len(points)} points: give one, or one each."
+            )
+        in_rad = copy(self)
+        in_rad.angle_unit = "rad"
+        n, extra = self.arm_.n_joints, X[:, self.arm_.n_joints :]
+
+        def correction(angles, rows):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                return in_rad.predict(np.hstack([angles, extra[rows]]))
+
+        angles, missed = angles_for(self.arm_, correction, points, X[:, :n])
+        if missed.size:
+            row, off = int(missed["row"][0]), missed["off_mm"][0]
+            warn_user(
+                f"{len(missed)} of {len(points)} points are not reached: first that of row {row}, "
+                f"to which the probe came as near as {off:.3g} mm. Their angles are NaN."
+            )
+        return np.rad2deg(angles) if self.angle_unit == "deg" else angles
+
+    def predict_orientation(
+        self: Any, X: ArrayLike, return_std: bool = False, with_noise: bool = False
+    ) -> Any:
+        """Predict how far the last link is turned from where the arm shows it.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`.
+
+        return_std : bool, default=False
+            Also return standard deviations.
+
+        with_noise : bool, default=False
+            Add the noise of a measured component to them, where orientations were in the fit.
+
+        Returns
+        -------
+        turns : ndarray of shape (n_samples, 3)
+            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
+            times the orientation that the arm shows is the corrected one. Faded as the correction
+            of the points is, and 0 where that is.
+
+        std : ndarray of shape (n_samples, 3)
+            Standard deviations in rad, where asked for.
+
+        Notes
+        -----
+        A model that was fitted to points only knows of the orientation what the same causes do to
+        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
+        goes through the probe.
+        """
+        check_flags(return_std=return_std, with_noise=with_noise)
+        X, model = check_poses(self, X), self.linear_model_
+        mean, std = model.predict_turn(X, return_std)
+        mean = mean * self.helps_
+        if self.fading_.factor > 0:
+            share = self.fading_.share(model.predict_with_doubt(X)[2])
+            if self.helps_:
+                warn_where_unknown(share)
+            mean = share[:, None] * mean
+        if not return_std:
+            return mean
+        noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
+        return mean, np.hypot(model.std_scale * std, noise)
+
+    def fading(self: Any, X: ArrayLike) -> np.ndarray:
+        """Share of the correction that `predict` returns at each pose.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
+
+        Returns
+        -------
+        share : ndarray of shape (n_samples,)
+            1 where nothing is faded, towards 0 where nothing is known.
+        """
+        X = check_poses(self, X)
+        return self.fading_.share(self.linear_model_.predict_with_doubt(X)[2])
+
+    def distance_std(self: Any, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
+        """Standard deviation of corrected lengths between two poses each, without noise.
+
+        Parameters
+        ----------
+        X1, X2 : array-like of shape (n_samples, n_joints + n_extra)
+            As for `predict`, at the two ends.
+
+        Returns
+        -------
+        std : ndarray of shape (n_samples,)
+            In mm, before the correction fades.
+
+        Raises
+        ------
+        ValueError
+            If X1 and X2 have different numbers of rows, or as in `predict`.
+        """
+        X1, X2 = check_poses(self, X1), check_poses(self, X2)
+        if len(X1) != len(X2):
+            raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
+        return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)

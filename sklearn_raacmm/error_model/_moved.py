@@ -1,0 +1,116 @@
+"""A linear error model moved to another probe: causes stay, the Jacobian is the new probe's."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm, reach_mm
+from sklearn_raacmm.error_model._columns import TEMPERATURE, other_columns
+
+# Fields of the table, none of which a probe changes, and by how much rounding may.
+_TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
+_ROUNDING = 1e-9
+# Families whose columns are all per reach.
+_PER_REACH = ("gravity", "force")
+
+
+def check_same_table(old, new):
+    """Refuse an arm that differs from another one in more than its probe."""
+    if old.n_joints != new.n_joints or old.convention != new.convention:
+        raise ValueError(
+            f"the correction is of an arm of {old.n_joints} joints, {old.convention} DH, and is to "
+            f"be moved to {new.n_joints} joints, {new.convention} DH: only the probe may differ."
+        )
+    for name in _TABLE:
+        one, other = getattr(old, name), getattr(new, name)
+        far = np.flatnonzero(np.abs(one - other) > _ROUNDING)
+        if len(far):
+            i = far[0]
+            raise ValueError(
+                f"{name}{i + 1} of the correction's arm is {one[i]:.9g} and that of the new arm "
+                f"{other[i]:.9g}: only the probe may differ. Register the new probe with the "
+                "correction's own table, by calibrate(model.arm_, ..., correction=model, "
+                "free=['probe']), or fit the model again."
+            )
+
+
+def moved_model(linear, arm):
+    """The same causes, seen by another probe.
+
+    Coefficients are counted in units of the arm's reach, which the probe changes; growth by
+    temperature is in proportion to each length.
+
+    Parameters
+    ----------
+    linear : LinearModel
+    arm : Arm
+        With the new probe, and the same table.
+
+    Returns
+    -------
+    LinearModel
+
+    Raises
+    ------
+    ValueError
+        If the arms differ in more than their probes.
+    """
+    check_same_table(linear.arm, arm)
+    n_waves = 2 * len(linear.terms.harmonics)
+    old = {c.name: (i, c) for i, c in enumerate(other_columns(linear.arm, linear.terms))}
+    others = other_columns(arm, linear.terms)
+    matrix = np.zeros((n_waves + len(others), len(linear.coef)))
+    matrix[:n_waves, :n_waves] = np.eye(n_waves)
+    fresh = []  # the probe has a length along an axis along which the old one had none
+    for row, column in enumerate(others, start=n_waves):
+        if column.name not in old:
+            fresh.append(row)
+            continue
+        place, before = old[column.name]
+        same = column.family == TEMPERATURE or before.unit == column.unit
+        matrix[row, n_waves + place] = 1.0 if same else before.unit / column.unit
+    unknown = np.zeros((len(matrix), len(fresh)))
+    unknown[fresh, range(len(fresh))] = linear.prior_sd.get("temperature", 0.0)
+    ratio = reach_mm(arm) / reach_mm(linear.arm)
+    prior_sd = {
+        name: sd * ratio if name in _PER_REACH else sd for name, sd in linear.prior_sd.items()
+    }
+    return replace(
+        linear,
+        arm=arm,
+        prior_sd=prior_sd,
+        coef=matrix @ linear.coef,
+        half=np.hstack([matrix @ linear.half, unknown]),
+        gauge_free_half=np.hstack([matrix @ linear.gauge_free_half, unknown]),
+        fading_half=np.hstack([matrix @ linear.fading_half, unknown]),
+    )
+
+
+def moved_fading(fading, old, new):
+    """Fading that takes no more of a correction than with the old probe.
+
+    A longer probe makes every standard deviation larger, and the errors with it: that is no reason
+    to take the correction back. Those of the last joint grow as its lever does, others less.
+
+    Parameters
+    ----------
+    fading : Fading
+        Of a model of the arm `old`.
+    old, new : Arm
+
+    Returns
+    -------
+    Fading
+    """
+    ratio = max(lever_mm(new) / lever_mm(old), 1.0) if lever_mm(old) > 0 else 1.0
+    return replace(fading, size_mm=ratio * fading.size_mm)
+
+
+def lever_mm(arm: Arm, probe_mm: Any = None) -> Any:
+    """Length of the last link and of the probe, or of one of another length, mm."""
+    own = np.linalg.norm(arm.probe) if probe_mm is None else probe_mm
+    return float(np.hypot(arm.a[-1], arm.d[-1]) + own)

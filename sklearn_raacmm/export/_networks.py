@@ -1,0 +1,142 @@
+"""Networks of radial functions as operations of a program: prediction and variance."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+
+# Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
+MOST_CENTERS = 2000
+# Variance of the noise over that of the signal from which on one matrix does for two: at 1e-6 it
+# was good to 1e-6 of a standard deviation, at 1e-11 to nothing: tests/export/test_c_network.py
+# tries both sides.
+_CLEAR = 1e-6
+
+
+def network(p, step, x, std, with_noise):
+    """Prediction and variance (or None) of an `RBFNetRegressor`."""
+    found = [_one_network(p, part, x, std, with_noise) for part in step.networks_]
+    if len(found) == 1:
+        return found[0]
+    place = np.argsort(np.concatenate([part.outputs for part in step.networks_]))
+    y = p.take(p("join", *(y for y, _ in found)), place)
+    return y, p.take(p("join", *(v for _, v in found)), place) if std else None
+
+
+def _one_network(p, net, x, std, with_noise):
+    """Prediction and variance (or None) of outputs that share centres."""
+    k, phi = len(net.centers), None
+    linear = net.polynomial[1:].T
+    y = p("add", p.constant(net.polynomial[0]), 0.0)
+    if np.any(linear):
+        y = p("affine", x, matrix=linear, shift=net.polynomial[0])
+    if k:
+        # Centred as predict does it: the rounding is the same.
+        shift = net.centers.mean(axis=0)
+        phi = p(
+            "radial", x, kernel=net.kernel, centers=(net.centers - shift) / net.length_scale,
+            shift=shift, inverse_width=1 / net.length_scale,
+        )  # fmt: skip
+        nothing = np.zeros(len(linear))
+        if np.any(linear):
+            y = p("add", y, p("affine", phi, matrix=net.coef.T, shift=nothing))
+        else:
+            y = p("affine", phi, matrix=net.coef.T, shift=net.polynomial[0])
+    return y, _network_variance(p, net, x, phi, with_noise) if std else None
+
+
+def _network_variance(p, net, x, phi, with_noise):
+    """Variances of a network's outputs, as `Network` has them, by the same two matrices.
+
+    The first of them has rows of very different sizes where data have little noise. It must not be
+    multiplied by another then: what is left of the prior's variance is small beside it, and 8 of
+    its digits would be lost.
+    """
+    k, parts = len(net.centers), []
+    if np.any(net.noise_variance < 0) or np.any(net.signal_variance < 0):
+        raise ValueError(
+            f"The network's variances must not be negative, got {net.noise_variance} of the noise "
+            f"and {net.signal_variance} of the signal: it cannot be exported."
+        )
+    if k > MOST_CENTERS:
+        raise ValueError(
+            f"The standard deviation of a network of {k} centres would need a table of "
+            f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
+            f"max_centers={MOST_CENTERS}."
+        )
+    if k and np.all(net.noise_variance > _CLEAR * net.signal_variance):
+        return _variance_by_one_matrix(p, net, x, phi, with_noise)
+    columns = [phi] if k else []
+    if len(net.tail_map):
+        slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
+        varies = np.any(slopes)
+        tail = p("affine", x, matrix=slopes, shift=constant) if varies else p.constant(constant)
+        columns.insert(0, tail)
+    for output in range(len(net.outputs)):
+        of_prior, of_weights = net.roots(output)
+        variance = p.constant(float(with_noise))
+        if len(of_weights):
+            # From the last row to the first, so that each column ends where its zeros begin.
+            seen = p(
+                "affine", p("join", *columns), matrix=of_weights[::-1], shift=_zeros(of_weights)
+            )
+            variance = p("add", p("dots", seen, seen), variance)
+        variance = p("mul", variance, net.noise_variance[output])
+        outside = p.constant(1.0)
+        if k:
+            seen = p("affine", phi, matrix=of_prior, shift=_zeros(of_prior))
+            outside = p("max", p("sub", 1.0, p("dots", seen, seen)), 0.0)
+        parts.append(p("add", p("mul", outside, net.signal_variance[output]), variance))
+    return p("join", *parts)
+
+
+def _variance_by_one_matrix(p, net, x, phi, with_noise):
+    r"""The same of data with noise, in a half or a third of the time.
+
+    With g the radial functions in coordinates in which prior and data are diagonal, 1 and s_i, and
+    t the polynomial's terms, the variance of an output is, given the weights first, then the
+    polynomial, ``signal (1 - sum(g^2)) + noise (sum(g^2 / (s + alpha)) + |R (t - J g)|^2)``. The
+    two sums are one.
+    """
+    noise, signal, size = net.noise_variance, net.signal_variance, len(net.tail_map)
+    rows, whiten = net.design_triangle(), net.prior_root
+    T, D = rows[:, :size], rows[:, size:] @ whiten.T
+    _, singular, turn = np.linalg.svd(D)
+    spectrum = np.zeros(len(turn))
+    spectrum[: len(singular)] = np.square(singular)
+    known = np.maximum(spectrum + net.alpha[:, None], np.finfo(float).tiny)
+    D, turn = D @ turn.T, turn @ whiten
+    variance = p.constant(noise * float(with_noise))
+    if size:
+        tails = [
+            _of_polynomial(p, net, x, phi, T, D, turn, *ridge)
+            for ridge in zip(net.alpha, known, strict=True)
+        ]
+        variance = p("add", variance, p("mul", p("join", *tails), noise))
+    weights = 1 - (noise / signal)[:, None] / known
+    distinct, which = np.unique(weights, axis=0, return_inverse=True)
+    if len(distinct) > 2 or np.any(distinct < 0):
+        g = p("affine", phi, matrix=turn, shift=_zeros(turn))
+        inside = p("affine", p("mul", g, g), matrix=weights, shift=_zeros(weights))
+    else:
+        roots = [np.linalg.qr(np.sqrt(row)[:, None] * turn, mode="r") for row in distinct]
+        g = [p("affine", phi, matrix=root, shift=_zeros(root)) for root in roots]
+        inside = p.take(p("join", *(p("dots", one, one) for one in g)), which.ravel())
+    outside = p("max", p("sub", 1.0, inside), 0.0)
+    return p("add", variance, p("mul", outside, signal))
+
+
+def _of_polynomial(p, net, x, phi, T, D, turn, alpha, known):
+    """Squared length of R (t - J g), see above: what T is beside D, by orthogonal columns."""
+    weights = D.T @ T / known[:, None]
+    left = np.vstack([T - D @ weights, -np.sqrt(alpha) * weights])
+    root = np.asarray(np.linalg.qr(left, mode="r")).T
+    of_x, J = np.linalg.solve(root, net.tail_map), np.linalg.solve(root, weights.T @ turn)
+    u = p("sub", p.constant(of_x[:, 0]), p("affine", phi, matrix=J, shift=_zeros(J)))
+    if np.any(of_x[:, 1:]):
+        u = p("add", u, p("affine", x, matrix=of_x[:, 1:], shift=_zeros(J)))
+    return p("dots", u, u)
+
+
+def _zeros(matrix):
+    return np.zeros(len(matrix))

@@ -1,0 +1,152 @@
+"""Rows that a logger wrote while the arm stood still: one pose, however many rows."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.utils import Finding, group_means
+
+# A row joins the run while every joint is within this of the run's running mean, in rad, and runs
+# of so many rows are one pose. With 20 and 100 samples a pose and 5e-6 to 1e-4 rad of jitter what
+# is learnt is that of one row a pose; of 20 143 rows of real series none are merged
+# (``benchmarks/bench_gate.py dwells``).
+_STILL_RAD, _LEAST = 1e-3, 3
+# No encoder has such digits: rows that are closer are copies.
+_COPY_RAD = 1e-12
+
+
+class Dwells(NamedTuple):
+    """Which rows are one pose."""
+
+    pose: np.ndarray  # (n,) pose of each row, from 0 in the order of their first rows
+    first: np.ndarray  # (n_poses,) first row of each
+    n_copies: int = 0  # rows that are equal to another pose
+
+    @property
+    def merges(self) -> Any:
+        return len(self.first) < len(self.pose)
+
+    def mean(self, values: Any) -> Any:
+        """Mean over the rows of each pose; of what are no numbers, the first."""
+        if values is None or not self.merges:
+            return values
+        values = np.asarray(values)
+        if values.dtype.kind != "f":
+            return values[self.first]
+        return group_means(values, self.pose)
+
+    def mean_angles(self, angles: np.ndarray) -> np.ndarray:
+        """Mean angles of each pose, whole turns apart or not."""
+        if not self.merges:
+            return angles
+        origin = angles[self.first]
+        return origin + group_means(within_turn(angles - origin[self.pose]), self.pose)
+
+    def findings(self) -> Any:
+        """What is to be said of it."""
+        n, n_poses = len(self.pose), len(self.first)
+        if self.n_copies:
+            yield Finding(
+                "copied-rows",
+                f"{self.n_copies} rows are copies of others, to the last digit: they count once.",
+                weight="note",
+            )
+        if n_poses + self.n_copies < n:
+            yield Finding(
+                "dwells",
+                f"{n} rows are {n_poses} poses: rows in which the arm stood still count as their "
+                "mean, with the weight of one.",
+                weight="note",
+            )
+
+
+def find_dwells(
+    angles: np.ndarray, codes: np.ndarray | None = None, copies_count: bool = False
+) -> Dwells:
+    """Find the rows that are one pose.
+
+    Parameters
+    ----------
+    angles : ndarray of shape (n, n_joints)
+        In rad, in the order in which they were taken.
+    codes : ndarray of shape (n,), default=None
+        Rows of different labels are different poses.
+    copies_count : bool, default=False
+        Runs of equal rows stay as they are: a row that is repeated has the weight of its repeats.
+
+    Returns
+    -------
+    Dwells
+    """
+    n = len(angles)
+    codes = np.zeros(n, dtype=int) if codes is None else codes
+    step = np.abs(within_turn(np.diff(angles, axis=0))).max(axis=1, initial=0.0)
+    # Both ends of a step are within the limit of one mean.
+    breaks = np.flatnonzero(~(step <= 2 * _STILL_RAD) | (np.diff(codes) != 0)) + 1
+    new = np.ones(n, dtype=bool)
+    for low, high in zip(np.r_[0, breaks], np.r_[breaks, n], strict=True):
+        if high - low < _LEAST:
+            continue
+        runs = _runs(within_turn(angles[low:high] - angles[low]))
+        for first, end in zip(runs, [*runs[1:], high - low], strict=True):
+            rows = slice(low + first, low + end)
+            of_run = angles[rows]
+            is_copy = copies_count and np.ptp(of_run, axis=0).max() < _COPY_RAD
+            if end - first >= _LEAST and not is_copy:
+                new[rows.start + 1 : rows.stop] = False
+    return Dwells(np.cumsum(new) - 1, np.flatnonzero(new))
+
+
+def _runs(angles):
+    """First rows of the runs within the limit of their running means."""
+    if (np.ptp(angles, axis=0) <= _STILL_RAD).all():
+        return [0]
+    first, total, runs = 0, angles[0].copy(), [0]
+    for i in range(1, len(angles)):
+        if np.abs(angles[i] - total / (i - first)).max() > _STILL_RAD:
+            first, total = i, np.zeros_like(total)
+            runs.append(i)
+        total += angles[i]
+    return runs
+
+
+def find_poses(
+    angles: np.ndarray, codes: np.ndarray | None = None, points: np.ndarray | None = None
+) -> Dwells:
+    """Find the rows that are one pose, copies of rows among them.
+
+    Parameters
+    ----------
+    angles : ndarray of shape (n, n_joints)
+        In rad.
+    codes : ndarray of shape (n,), default=None
+        Rows of different labels are different poses.
+    points : ndarray of shape (n, 3), default=None
+        Measured points: rows of which are no copies if these differ.
+
+    Returns
+    -------
+    Dwells
+    """
+    dwells = find_dwells(angles, codes)
+    columns = [dwells.mean_angles(angles)]
+    if codes is not None:
+        columns.append(codes[dwells.first][:, None])
+    if points is not None:
+        columns.append(dwells.mean(points))
+    _, first, of = np.unique(np.hstack(columns), axis=0, return_index=True, return_inverse=True)
+    if len(first) == len(dwells.first):
+        return dwells
+    order = np.argsort(first)  # in the order of the first rows again
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    n_copies = int(np.sum(np.bincount(dwells.pose)) - np.bincount(dwells.pose)[first].sum())
+    return Dwells(place[of.ravel()][dwells.pose], dwells.first[first[order]], n_copies)
+
+
+def within_turn(angles: np.ndarray) -> np.ndarray:
+    """Angles in rad from -pi to pi."""
+    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi

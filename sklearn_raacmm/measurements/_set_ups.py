@@ -1,0 +1,112 @@
+"""Two set-ups in one table: the tracker, the base or the tool moved between two rows."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from sklearn_raacmm.utils import Finding
+
+# A set-up of its own behind a row has to take away this share of the squares, beside what chance
+# does (``benchmarks/bench_gate.py set-ups``); rows on either side.
+_SHARE, _LEAST_ROWS = 0.25, 8
+# No move is smaller: rounding is none.
+_LEAST_MM = 0.005
+# Part of the squares of a move that is added: rows at one place cannot show a turn.
+_RIDGE = 1e-4
+
+
+def moved_set_up(
+    left: np.ndarray,
+    columns: np.ndarray,
+    ridge: np.ndarray,
+    points: np.ndarray,
+    turns: np.ndarray,
+    weights: np.ndarray,
+    numbers: Any = None,
+) -> Iterator[Finding]:
+    r"""A tracker, a base or a tool that moved during the measurement, in one finding.
+
+    A calibration of all rows takes up what it can of the move. Behind every row in turn the rest is
+    given a base, or a probe, of its own: with H the normal matrix of the columns C and E those of
+    the new set-up the squares fall by :math:`g' S^{-1} g`, :math:`g = E'r` and
+    :math:`S = E'E - E'C H^{-1} C'E`.
+
+    Parameters
+    ----------
+    left : ndarray of shape (n, 3)
+        What calibration leaves of measured points, mm, in the order in which they were taken.
+    columns : ndarray of shape (n, 3, p)
+        Their derivatives by what was fitted.
+    ridge : ndarray of shape (p,)
+        What the priors add to the diagonal of the normal matrix.
+    points : ndarray of shape (n, 3)
+        Of the arm, mm.
+    turns : ndarray of shape (n, 3, 3)
+        Orientation of the last link: a tool moves along with it.
+    weights : ndarray of shape (n,)
+    numbers : ndarray of shape (n,), default=None
+        What the rows are called; None: from 0.
+
+    Yields
+    ------
+    Finding
+    """
+    n = len(left)
+    if n < 3 * _LEAST_ROWS:
+        return
+    reach = np.abs(points).max()
+    around = np.stack([np.cross(axis, points) / reach for axis in np.eye(3)], axis=2)
+    base = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), around], axis=2)
+    root = np.sqrt(weights)[:, None, None]
+    columns, left = root * columns, root[:, :, 0] * left
+    found = {
+        what: _best_split(left, columns, ridge, root * extra)
+        for what, extra in (("stations", base), ("tools", turns))
+    }
+    what = max(found, key=lambda name: found[name][0])
+    share, row, move = found[what]
+    usual = len(move) / (3 * n) * np.log(n)  # the best of n splits of noise
+    if share < _SHARE + usual:
+        return
+    size = np.linalg.norm((base if what == "stations" else turns)[row:] @ move, axis=1).mean()
+    if size < _LEAST_MM:
+        return
+    numbers = np.arange(n) if numbers is None else numbers
+    moved = "the tracker or the arm's base" if what == "stations" else "the probe or target"
+    yield Finding(
+        "moved-station" if what == "stations" else "moved-tool",
+        f"The measured points jump beside the arm's, as if {moved} had moved by {size:.3g} mm "
+        f"between rows {numbers[row - 1]} and {numbers[row]} (rows counted from 0).",
+        f"Give each part a label of its own, calibrate(..., {what}=labels), or measure again.",
+        "repair",
+        rows=(numbers[row],),
+        size_mm=size,
+    )
+
+
+def _best_split(left, columns, ridge, extra):
+    """Share of the squares that a set-up behind a row takes away, the row, and the move."""
+    n, _, p = columns.shape
+    flat = columns.reshape(-1, p)
+    normal = flat.T @ flat + np.diag(ridge)
+    inverse = np.linalg.pinv(normal, hermitian=True)
+
+    def behind(values):  # sums over the row and all after it
+        return np.cumsum(values[::-1], axis=0)[::-1]
+
+    own = behind(np.einsum("ncq,ncr->nqr", extra, extra))
+    shared = behind(np.einsum("ncq,ncp->nqp", extra, columns))
+    slope = behind(np.einsum("ncq,nc->nq", extra, left))
+    rows = np.arange(_LEAST_ROWS, n - _LEAST_ROWS)
+    rest = own[rows] - shared[rows] @ inverse @ shared[rows].transpose(0, 2, 1)
+    # What the rows cannot tell from the fit is no move.
+    scale = np.trace(own[rows], axis1=1, axis2=2)[:, None, None] * np.eye(extra.shape[2])
+    moves = np.linalg.solve(rest + _RIDGE * scale, slope[rows][:, :, None])[:, :, 0]
+    gains = np.einsum("nq,nq->n", slope[rows], moves)
+    best = int(np.argmax(gains))
+    total = max(np.square(left).sum(), 1e-300)
+    return float(gains[best] / total), int(rows[best]), moves[best]

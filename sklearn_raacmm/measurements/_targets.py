@@ -1,0 +1,271 @@
+"""Whether targets can be residuals of this arm, as they are said to be."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
+from sklearn_raacmm.utils import CENTRED, Finding, align, centred, share_of_means
+
+# Part of their spread by which measured points may differ from the arm's, after a motion of the
+# base: no calibrated arm is that far off.
+_SHARE_OF_SPREAD = 0.05
+# Median residual, as a share of the arm's reach, that is no residual; where the arm is not known,
+# that of an arm of two metres, mm.
+_SHARE_OF_REACH, _LARGEST_MM = 0.05, 100.0
+# A motion of the base is worth a word where it leaves no more than this part of the residuals,
+# and they are larger than this share of the reach (or so many mm): small motions do no harm.
+_LEFT, _STRIKING_SHARE, _STRIKING_MM = 0.1, 1e-3, 1.0
+# With fewer rows, a motion (six numbers) explains anything; so do factors and tables.
+_LEAST_ROWS, _ROWS_OF_FACTORS, _COORDINATES_OF_TABLES = 4, 10, 3
+# What may be left, as a share, where targets are a factor times the deviations of the arm's points,
+# and how far the factor may be from 1. Of positions whose points deviate by more than this share of
+# the reach, the probe was not held in one seat.
+_LEFT_OF_FACTOR, _FACTOR, _ONE_SEAT = 0.05, 0.05, 0.01
+# A table explains what is left by less than this share, and is larger than this, mm: a calibrated
+# arm leaves nothing that its table explains.
+_LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.5
+_WIDE = 0.1  # spread of the points, as a share of the reach
+# What a table and a probe are off by as a rule.
+_TABLE_MM, _TABLE_RAD, _PROBE_MM = 2.0, 3e-3, 20.0
+_UNITS = {1 / 25.4: "inches", 0.1: "centimetres", 1e-3: "metres", 1e3: "micrometres"}
+HOW_TO = (
+    "Give arm.forward(angles) minus the reference in the arm's base frame: "
+    "calibrate(arm, angles, points=points).residuals(angles, points), or position_residuals."
+)
+
+
+class Targets(NamedTuple):
+    """What a model of residuals is given to learn."""
+
+    y: np.ndarray  # (n, 3) mm
+    weights: np.ndarray  # (n,)
+    arm: Arm | None = None  # None: where the probe was is not known
+    angles: Any = None  # (n, n_joints) rad
+    codes: np.ndarray | None = None  # (n,) position of each row
+    offsets: bool = False  # whether positions have constants that nobody knows
+
+    @property
+    def reach(self) -> float:
+        return np.inf if self.arm is None else reach_mm(self.arm)
+
+    def used(self) -> tuple[Self, np.ndarray | None]:
+        """The same without rows of no weight, and with the arm's points or None."""
+        kept = self.weights > 0
+        parts = (None if v is None else v[kept] for v in (self.angles, self.codes))
+        angles, codes = parts
+        some = self._replace(y=self.y[kept], weights=self.weights[kept], angles=angles, codes=codes)
+        return some, None if self.arm is None else points_of(self.arm, some.angles)
+
+
+def are_points(targets, points):
+    """The probe's points, in whatever frame, are refused."""
+    y = targets.y
+    if points is None or len(y) < _LEAST_ROWS:
+        return
+    rotation, shift = align(points, y)
+    left = _rms(y - points @ rotation.T - shift)
+    spread = _rms(points - points.mean(axis=0))
+    # The points of a single position are residuals but for a shift.
+    if left < _SHARE_OF_SPREAD * spread and spread > _SHARE_OF_REACH * targets.reach:
+        yield Finding(
+            "points-for-residuals",
+            "y are points, not residuals: up to a motion of the base they are where the arm "
+            f"says that its probe is, with a root mean square difference of {left:.4g} mm.",
+            HOW_TO,
+            "refuse",
+        )
+
+
+def are_too_large(targets, points):
+    """Half of the targets are longer than any residual."""
+    y, reach = targets.y, targets.reach
+    if targets.offsets:  # offsets may be of any size
+        y = centred(y, targets.codes, targets.weights)
+    half = np.median(np.linalg.norm(y, axis=1))
+    known = np.isfinite(reach)
+    if half > (_SHARE_OF_REACH * reach if known else _LARGEST_MM):
+        of_what = f"of an arm that reaches {reach:.4g} mm" if known else "in mm"
+        yield Finding(
+            "no-residuals",
+            f"y are no residuals {of_what}: half of them are longer than {half:.4g} mm.",
+            f"Are they points, differences between two frames, or in another unit? {HOW_TO}",
+            "refuse",
+            size_mm=half,
+        )
+
+
+def are_of_another_frame(targets, points):
+    """A motion of the base explains nearly all of them; without the arm, a shift."""
+    y = targets.y
+    size = _rms(y)
+    striking = _STRIKING_MM if points is None else _STRIKING_SHARE * targets.reach
+    if targets.offsets or len(y) < _LEAST_ROWS or size < striking:
+        return
+    if points is None:
+        turn, left, n_found = 0.0, y - y.mean(axis=0), 3
+    else:
+        rotation, shift = align(points, points - y)
+        turn = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))
+        left, n_found = points - y - points @ rotation.T - shift, 6
+    rest = _rms(left) * np.sqrt(y.size / (y.size - n_found))
+    if rest < _LEFT * size:
+        mean = np.linalg.norm(y.mean(axis=0))
+        about = f"a turn by {turn:.2g} rad and " if points is not None else ""
+        yield Finding(
+            "another-frame",
+            f"The residuals of {size:.4g} mm (root mean square) are nearly one motion of the base: "
+            f"{about}a shift by {mean:.4g} mm on the average leave {rest:.4g} mm.",
+            f"Is the reference in another frame? {HOW_TO}",
+            "repair",
+            size_mm=size,
+        )
+
+
+def are_not_of_these_points(targets, points):
+    """In a single-point test y are the deviations of the arm's own points, in mm."""
+    if points is None or targets.codes is None or not targets.offsets:
+        return
+    y, shown = (centred(v, targets.codes, targets.weights) for v in (targets.y, points))
+    size, of_points = _rms(y), _rms(shown)
+    one_seat = 0 < of_points < _ONE_SEAT * targets.reach
+    if len(y) < _ROWS_OF_FACTORS or not one_seat or not size > 0:
+        return
+    factor = float(np.vdot(y, shown) / np.vdot(shown, shown))
+    if _rms(y - factor * shown) < _LEFT_OF_FACTOR * size:
+        if abs(factor - 1) > _FACTOR:
+            what = "the sign is wrong" if abs(factor + 1) < _FACTOR else "the unit is wrong"
+            unit = min(_UNITS, key=lambda u: abs(np.log(abs(factor) / u)))
+            named = f" They may be in {_UNITS[unit]}." * (abs(abs(factor) / unit - 1) < _FACTOR)
+            yield Finding(
+                "sign-of-residuals" if factor < 0 else "unit-of-residuals",
+                f"y are {factor:.4g} times the deviations of the arm's own points: {what}.{named}",
+                "Give measured minus reference, in mm.",
+                "repair",
+                size_mm=size,
+            )
+        return
+    together = targets.codes[1:] == targets.codes[:-1]
+    for shift, of_y, of_shown in ((1, y[1:], shown[:-1]), (-1, y[:-1], shown[1:])):
+        left = of_y[together] - of_shown[together]
+        if together.any() and _rms(left) < _LEFT_OF_FACTOR * size * 4:
+            late = "later" if shift > 0 else "earlier"
+            yield Finding(
+                "rows-shifted",
+                f"y are the deviations of the arm's points one row {late} than the angles of their "
+                "row.",
+                "Are angles and points from two files, of which one has a row more?",
+                "repair",
+                size_mm=size,
+            )
+            return
+
+
+def are_of_positions_unnamed(targets, points):
+    """Deviations from the means of positions, which the fit was not told."""
+    if points is None or targets.codes is not None:
+        return
+    labels, codes = np.unique(np.round(points - targets.y, 3), axis=0, return_inverse=True)
+    codes = codes.ravel()
+    if 2 * len(labels) > len(codes) or len(labels) < 2:
+        return
+    if share_of_means(targets.y, codes, targets.weights) < CENTRED:
+        yield Finding(
+            "groups-missing",
+            f"y are deviations from the means of {len(labels)} positions, and the fit does not "
+            "know of these.",
+            "Give groups, the label of the position of each row.",
+            "note",
+        )
+
+
+def are_what_calibration_takes(targets, points):
+    """The arm's static parameters explain nearly all: it has not been calibrated."""
+    y, arm = targets.y, targets.arm
+    # In a small part of the volume a table explains whatever is smooth.
+    if (
+        points is None
+        or _rms(y) < _LARGE_MM
+        or _rms(points - points.mean(axis=0)) < _WIDE * (targets.reach)
+    ):
+        return
+    jac, n = parameter_jacobian(arm, targets.angles)[1], arm.n_joints
+    # An arm without lengths has no deviations at all, but tables change by millimetres only.
+    sizes = np.repeat([_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM], [n] * 4 + [3])
+    jac = jac * sizes
+    if not targets.offsets:
+        turns = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
+        base = np.broadcast_to(np.eye(3), (len(y), 3, 3))
+        jac = np.concatenate([jac, 1e3 * base, turns], axis=2)
+    else:
+        y, jac = (centred(v, targets.codes, targets.weights) for v in (y, jac))
+    n_columns = jac.shape[2]
+    # Every second position by the others: those at hand could be imitated.
+    fold = (np.arange(len(y)) if targets.codes is None else targets.codes) % 2 == 0
+    if min(fold.sum(), (~fold).sum()) * 3 < _COORDINATES_OF_TABLES * n_columns:
+        return
+    off, ridge = np.empty_like(y), _LEFT_OF_TABLE / 3 * _rms(y) * np.eye(n_columns)
+    for rows in (fold, ~fold):
+        columns = np.concatenate([jac[~rows].reshape(-1, n_columns), ridge])
+        coef = np.linalg.lstsq(columns, np.r_[y[~rows].ravel(), np.zeros(n_columns)])[0]
+        off[rows] = y[rows] - jac[rows] @ coef
+    left = _rms(off)
+    if left < _LEFT_OF_TABLE * _rms(y):
+        yield Finding(
+            "not-calibrated",
+            f"The residuals of {_rms(y):.3g} mm (root mean square) are nearly what a calibration "
+            f"of the arm takes away: other lengths and zeros leave {left:.3g} mm.",
+            "Calibrate the arm first, and give its residuals and result.arm.",
+            size_mm=_rms(y),
+        )
+
+
+def are_all_zero(targets, points):
+    """The arm's own points were given as measured ones."""
+    if targets.y.size and not targets.y.any():
+        yield Finding(
+            "residuals-all-zero",
+            "All residuals are 0: there is nothing to learn.",
+            "Are the measured points the arm's own, arm.forward(angles)?",
+            "note",
+        )
+
+
+# Each takes `Targets` of rows that count and the arm's points or None, and yields findings; after a
+# finding of weight the rest has nothing to add.
+CHECKS = (
+    are_points,
+    are_too_large,
+    are_of_another_frame,
+    are_not_of_these_points,
+    are_of_positions_unnamed,
+    are_what_calibration_takes,
+    are_all_zero,
+)
+
+
+def check_targets(targets: Targets) -> list[Finding]:
+    """Findings on the targets of a model.
+
+    Parameters
+    ----------
+    targets : Targets
+
+    Returns
+    -------
+    list of Finding
+        The first kind that there is: the others would say the same in other words.
+    """
+    used, points = targets.used()
+    for check in CHECKS:
+        found = list(check(used, points))
+        if found:
+            return found
+    return []
+
+
+def _rms(vectors):
+    return float(np.sqrt(np.square(vectors).sum(axis=1).mean())) if len(vectors) else 0.0

@@ -1,0 +1,180 @@
+"""The words for the life of an arm: register, update, move, check; by cones and by a tracker."""
+
+import json
+from copy import copy
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, LearnedCorrection, learn_correction
+from sklearn_raacmm.app import main, read_table
+from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+
+MACHINE = SimulatedArm("typical", random_state=1)
+TURN, SHIFT = Rotation.from_rotvec([0.1, 0.2, 1]).as_matrix(), np.array([1500.0, 300.0, -100.0])
+
+
+def with_probe(length):
+    """The same simulated arm with a longer probe."""
+    other = copy(MACHINE)
+    for name in ("nominal_arm", "true_arm"):
+        arm = getattr(MACHINE, name)
+        setattr(other, name, arm.replace(probe=arm.probe + np.array([0, 0, length - 100.0])))
+    other.reach = MACHINE.reach + length - 100
+    return other
+
+
+def seen(test, moved=(0.0, 0.0, 0.0)):
+    """Points of a tracker that sees the true probe to 10 um."""
+    noise = np.random.default_rng(0).normal(0, 0.01, test.points.shape)
+    return test.simulation.true_points @ TURN.T + SHIFT + noise + moved
+
+
+def write(path, test, points=None):
+    header = ["cone", *(f"q{i} [deg]" for i in range(1, 7)), *("xyz" if points is not None else "")]
+    table = [np.rad2deg(test.data), *([points] if points is not None else [])]
+    rows = np.hstack(table)
+    lines = [";".join(header)]
+    for label, row in zip(test.groups, rows, strict=True):
+        lines.append(";".join([f"cone {label}", *(f"{value:.7f}" for value in row)]))
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Corrections learnt from cones and from a tracker, and tables of a probe of 250 mm."""
+    folder = tmp_path_factory.mktemp("life")
+    test = make_single_point(8, 16, machine=MACHINE, random_state=1)
+    model = ArmResidualRegressor(orders=4)
+    for name, points in (("cones", None), ("tracker", seen(test))):
+        found = learn_correction(
+            test.nominal_arm, test.data, test.groups, points, model=model, cv=3
+        )
+        found.save(folder / name)
+    long = with_probe(250)
+    new = make_single_point(2, 8, machine=long, random_state=5)
+    more = make_single_point(5, 8, machine=long, random_state=6)
+    write(folder / "new.csv", new)
+    spread = make_single_point(4, 5, machine=long, random_state=7)
+    write(folder / "new_points.csv", spread, seen(spread))
+    write(folder / "on_a_line.csv", new, seen(new))
+    write(folder / "more.csv", more)
+    write(folder / "more_points.csv", more, seen(more))
+    write(folder / "settled.csv", more, seen(more, (0.3, 0.2, 0.0)))
+    return folder
+
+
+def run(capsys, *words):
+    code = main([str(word) for word in words])
+    said = capsys.readouterr()
+    return code, said.out + said.err
+
+
+POINTS = ("--points", "x,y,z")
+
+
+def test_load_is_the_other_half_of_save(folder):
+    saved = LearnedCorrection.load(folder / "tracker")
+    assert saved.arm == saved.model.arm_
+    rotation, translation = saved.base
+    # The base that was simulated, as well as 128 poses of 10 um show it beside the arm's errors.
+    assert np.abs(rotation - TURN).max() < 1e-3
+    assert np.abs(translation - SHIFT).max() < 0.5
+    assert LearnedCorrection.load(folder / "cones").base is None
+
+
+@pytest.mark.parametrize(("learnt", "table", "more"), [
+    ("cones", "new.csv", ()), ("cones", "new_points.csv", POINTS),
+    ("tracker", "new_points.csv", POINTS), ("tracker", "new.csv", ()),
+])  # fmt: skip
+def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, table, more):
+    code, said = run(
+        capsys, "register", folder / table, "--model", folder / learnt, "--out", tmp_path, *more
+    )
+    assert code == 0, said
+    saved = LearnedCorrection.load(tmp_path)
+    # Of the vector that was built: two cones show it to some hundredths, the table to some tenths.
+    assert abs(saved.arm.probe - with_probe(250).true_arm.probe)[2] < 0.2
+    assert saved.model.arm_ == saved.arm
+    assert saved.facts["history"][-1]["what"] == "register"
+    assert "mm from where it was" in said
+    # Other poses scatter less with it than without.
+    more = make_single_point(4, 10, machine=with_probe(250), random_state=9)
+    corrected = saved.correct(more.data)[0]
+    bare = saved.arm.forward(more.data)
+    for label in np.unique(more.groups):
+        rows = more.groups == label
+        bare[rows] -= bare[rows].mean(axis=0)
+        corrected[rows] -= corrected[rows].mean(axis=0)
+    assert np.linalg.norm(corrected) < 0.6 * np.linalg.norm(bare)
+
+
+def test_a_base_that_has_moved_is_named_and_registered(folder, tmp_path, capsys):
+    out = tmp_path / "registered"
+    start = ["register", folder / "new_points.csv", "--model", folder / "tracker", "--out", out]
+    assert run(capsys, *start, *POINTS)[0] == 0
+    table = folder / "settled.csv"
+    code, said = run(capsys, "check", table, "--model", out, *POINTS, "--json")
+    facts = json.loads(said[said.index("{") : said.rindex("}") + 1])
+    assert code == 3
+    assert facts["suspect"] == "base"
+    assert facts["size_mm"] == pytest.approx(0.36, abs=0.1)
+    assert "register again" in said
+    code, said = run(capsys, "register", table, "--model", out, *POINTS)
+    assert code == 0
+    assert "Base: moved by 0." in said
+    assert run(capsys, "check", table, "--model", out, *POINTS)[0] == 0
+
+
+def test_update_keeps_a_history(folder, tmp_path, capsys):
+    code, said = run(
+        capsys, "update", folder / "more.csv", "--model", folder / "cones", "--out", tmp_path
+    )
+    assert code == 0
+    assert "mean deviation" in said
+    saved = LearnedCorrection.load(tmp_path)
+    assert len(saved.model.updates_) == 1
+    assert saved.facts["history"][-1]["n_poses"] == 40
+
+
+def test_move_by_a_known_vector(folder, tmp_path, capsys):
+    model = folder / "cones"
+    code, said = run(capsys, "move", "--model", model, "--probe", "0,0,250", "--out", tmp_path)
+    assert code == 0
+    assert "register the probe" in said
+    assert LearnedCorrection.load(tmp_path).arm.probe.tolist() == [0, 0, 250]
+    code, said = run(capsys, "move", "--model", model, "--probe", "0,250", "--out", tmp_path)
+    assert code == 2
+    assert "three numbers" in said
+
+
+@pytest.mark.parametrize(("words", "sentence"), [
+    (["register", "new_points.csv", "--points", "x,y"], "needs three columns"),
+    (["register", "on_a_line.csv", *POINTS], "spread in all directions"),
+    (["update", "more_points.csv", "--points", "x,y,z", "--lengths", "new.csv"], "lengths|length"),
+])  # fmt: skip
+def test_faults_get_one_sentence(folder, tmp_path, capsys, words, sentence):
+    words = [str(folder / word) if word.endswith(".csv") else word for word in words]
+    code, said = run(capsys, *words, "--model", folder / "cones", "--out", tmp_path)
+    assert code == 2
+    assert "raacmm" in said
+    assert any(part in said for part in sentence.split("|"))
+
+
+def test_a_plan_that_the_arm_reaches(tmp_path, capsys):
+    """The table is one that `raacmm learn` reads, and its poses do reach their cones."""
+    words = ["plan", "--arm", "aacmm6", "--out", tmp_path, "--cones", "3", "--poses", "5"]
+    code, said = run(capsys, *words)
+    assert code == 0
+    assert "spread" in said
+    table = read_table(tmp_path / "plan.csv", 6)
+    points = Arm.from_name("aacmm6").forward(np.deg2rad(table.angles))
+    for label in np.unique(table.positions):
+        own = points[table.positions == label]
+        # Angles are written to 0.01 degrees: 0.3 mm at the reach of 1.9 m, several joints.
+        assert np.abs(own - own.mean(axis=0)).max() < 1.5
+    page = (tmp_path / "plan.html").read_text()
+    assert page.count("<tr>") == 3 + 15 + 2
+    assert "<svg" in page

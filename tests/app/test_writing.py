@@ -1,0 +1,222 @@
+"""What is written: the old or the new whole, never an input, and refused before the work."""
+
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm
+from sklearn_raacmm.app import main
+from sklearn_raacmm.correction import read_correction, write_correction
+from sklearn_raacmm.utils import check_places
+
+skops_io = pytest.importorskip("skops.io")
+
+# Saves two corrections over each other by turns, in processes that end at each step of the writing.
+KILLED = """
+import builtins, os, signal, sys
+from pathlib import Path
+from sklearn.linear_model import Ridge
+from sklearn_raacmm import learn_correction
+from sklearn_raacmm.app._files import load_correction
+from sklearn_raacmm.datasets import make_single_point
+
+folder, n_kills = Path(sys.argv[1]), int(sys.argv[2])
+made = []
+for seed in (0, 1):
+    test = make_single_point(n_positions=4, n_poses=8, random_state=seed)
+    learned = learn_correction(test.nominal_arm, test.data, test.groups, model=Ridge(), cv=2)
+    others = {name: f"{name} of {seed}" for name in ("report.html", "card.md", "corrected.csv")}
+    made.append((learned, others))
+angles = test.data[:5]
+points = [learned.correct(angles)[0] for learned, _ in made]
+made[0][0].save(folder, made[0][1])
+
+def saved(learned, others, last_step):
+    step = [0]
+    def counted(function):
+        def inner(*args, **kwargs):
+            if isinstance(args[0], int) or str(args[0]).endswith(".tmp"):
+                step[0] += 1
+                if step[0] == last_step:
+                    os.kill(os.getpid(), signal.SIGKILL)
+            return function(*args, **kwargs)
+        return inner
+    builtins.open, os.fsync, Path.replace = map(counted, (open, os.fsync, Path.replace))
+    learned.save(folder, others)
+    os._exit(0)
+
+loaded = []
+for k in range(n_kills):
+    child = os.fork()
+    if not child:
+        saved(*made[(k + 1) % 2], 1 + k % 18)
+    ended = os.waitpid(child, 0)[1]
+    assert os.WIFSIGNALED(ended), "18 steps: 6 files are opened, synchronised and renamed"
+    correction = load_correction(folder)
+    is_one = [bool((correction.correct(angles)[0] == p).all()) for p in points]
+    assert sum(is_one) == 1, (k, is_one)
+    loaded.append(is_one.index(True))
+print(loaded)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
+def test_killed_at_each_file_a_folder_is_the_old_or_the_new(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path / "out"), "50"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    loaded = json.loads(done.stdout.splitlines()[-1])
+    assert len(loaded) == 50
+    assert set(loaded) == {0, 1}
+
+
+def test_a_folder_put_together_by_hand_is_refused(tmp_path):
+    for name in ("one", "two"):
+        write_correction(tmp_path / name, {"x": name}, {"arm.json": name, "model.skops": b"m"})
+    shutil.copy(tmp_path / "two" / "arm.json", tmp_path / "one" / "arm.json")
+    with pytest.raises(ValueError, match=r"arm\.json is not the one that correction\.json was wri"):
+        read_correction(tmp_path / "one", ["arm.json"])
+    facts, contents = read_correction(tmp_path / "two", ["arm.json", "model.skops"])
+    assert (facts["x"], contents) == ("two", [b"two", b"m"])
+    (tmp_path / "two" / "model.skops").unlink()
+    with pytest.raises(ValueError, match=r"model\.skops is missing"):
+        read_correction(tmp_path / "two", ["model.skops"])
+    with pytest.raises(FileNotFoundError, match=r"was written without model\.joblib"):
+        read_correction(tmp_path / "two", ["model.joblib"])
+    for text in ("{", "[]", "{}", '{"files": 3}'):
+        (tmp_path / "two" / "correction.json").write_text(text)
+        with pytest.raises(ValueError, match="holds no correction: learn again"):
+            read_correction(tmp_path / "two", ["arm.json"])
+
+
+def test_places_are_checked_before_the_work(tmp_path):
+    table, folder = tmp_path / "t.csv", tmp_path / "folder"
+    table.write_text("")
+    folder.mkdir()
+    check_places([folder / "new" / "deep" / "out.csv", tmp_path / "out.csv"], [table])
+    assert not (folder / "new").exists()
+    (tmp_path / "link.csv").symlink_to(table)
+    for outputs, error, message in (
+        ([table], ValueError, "is read and would be written over"),
+        ([tmp_path / "link.csv"], ValueError, "is read and would be written over"),
+        ([tmp_path / "a", folder / ".." / "a"], ValueError, "would be written twice"),
+        ([folder], IsADirectoryError, "this is a folder"),
+        ([table / "out.csv"], NotADirectoryError, r"t\.csv is a file, and no folder"),
+    ):
+        with pytest.raises(error, match=message):
+            check_places(outputs, [table])
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="is no ordinary file"):
+        check_places([tmp_path / "pipe"])
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
+def test_a_folder_that_cannot_be_written_into(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(PermissionError, match="Nothing can be written into the folder"):
+        check_places([tmp_path / "out" / "a.csv"])
+    tmp_path.chmod(0o700)
+
+
+@pytest.fixture
+def places(tmp_path, monkeypatch):
+    """A table, an arm and a correction; none of the refusals may compute anything."""
+    rows = np.random.default_rng(0).uniform(-90, 90, (6, 6)).round(3)
+    lines = ["cone," + ",".join(f"q{i} [deg]" for i in range(1, 7))]
+    lines += [f"{'AB'[i % 2]}," + ",".join(map(str, row)) for i, row in enumerate(rows)]
+    (tmp_path / "t.csv").write_text("\n".join(lines) + "\n")
+    Arm.from_name("aacmm6").to_json(tmp_path / "arm.json")
+    write_correction(tmp_path / "old", {}, {"arm.json": "a", "model.skops": b"m"})
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("learn t.csv --arm arm.json --out .", "arm.json is read and would be written over"),
+        ("learn t.csv --arm aacmm6 --out old", "old holds a correction; --force replaces it"),
+        ("learn t.csv --arm old/arm.json --out old --force", "is read and would be written over"),
+        ("learn t.csv --arm aacmm6 --out t.csv", "t.csv is a file, and no folder"),
+        ("correct t.csv --model old --out t.csv", "t.csv is read and would be written over"),
+        ("correct t.csv --model old --out old/arm.json", "written as CSV, and old/arm.json says"),
+        ("correct t.csv --model old --out t.xlsx", "written as CSV, and t.xlsx says"),
+        ("check t.csv --model old --record t.csv", "t.csv is read and would be written over"),
+        ("check t.csv --model old --record a --chart a", "would be written twice"),
+        ("export --model old --onnx old/model.skops", "is read and would be written over"),
+        ("arm arm.json --out arm.json", "arm.json is read and would be written over"),
+    ],
+)
+def test_no_output_is_an_input(places, capsys, arguments, message):
+    before = {path: path.read_bytes() for path in places.rglob("*") if path.is_file()}
+    assert main(arguments.split()) == 2
+    assert message in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in places.rglob("*") if path.is_file()} == before
+
+
+def test_json_goes_to_the_standard_output_alone(places, capsys):
+    assert main(["arm", "ur10", "--out", "-"]) == 0
+    said = capsys.readouterr()
+    assert Arm.from_json(said.out) == Arm.from_name("ur10")
+    assert "6 joints" in said.err
+    assert main(["arm", "ur10", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["exit_code"] == 0
+    assert main(["arm", "nothing", "--json", "--quiet"]) == 2
+    said = capsys.readouterr()
+    assert "there is no file nothing" in json.loads(said.out)["error"]
+    assert main(["arm", "ur10", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_help_is_there_without_the_numerics():
+    """`raacmm --help` and `completion` import neither NumPy nor scikit-learn."""
+    code = (
+        "import sys; from sklearn_raacmm.app import main; main(['completion'])\n"
+        "assert not {'numpy', 'sklearn', 'scipy'} & set(sys.modules), 'imported'"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "--limit-2s" in done.stdout
+    if bash := shutil.which("bash"):
+        script = f"{done.stdout}\nCOMP_WORDS=(raacmm le) COMP_CWORD=1; _raacmm; echo $COMPREPLY"
+        said = subprocess.run([bash, "-c", script], capture_output=True, text=True, check=True)
+        assert said.stdout.strip() == "learn"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "near"),
+    [(["lern"], "learn"), (["learn", "t", "--arm=a", "--out=b", "--limt-2s=1"], "--limit-2s")],
+)
+def test_a_word_nearly_right_is_named(capsys, arguments, near):
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert f"Was {near} meant?" in capsys.readouterr().err
+
+
+def test_whoever_closes_the_pipe_has_enough(places, monkeypatch):
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", Closed())
+        assert main(["arm", "ur10"]) == 0
+
+
+def test_every_word_has_an_example_in_its_help(capsys):
+    from sklearn_raacmm.app._main import _WORDS
+
+    for word in _WORDS:
+        with pytest.raises(SystemExit, match="0"):
+            main([word.name, "--help"])
+        said = capsys.readouterr().out
+        assert f"example:\n  {word.example}" in said
+        assert "Exit codes" in said

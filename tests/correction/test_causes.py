@@ -1,0 +1,80 @@
+"""Causes beside the angles, the order of the rows and a make, in the one call."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm.correction import with_causes
+from sklearn_raacmm.datasets import ArmErrors, make_single_point
+
+SMALL = ArmResidualRegressor(orders=3)
+
+
+@pytest.fixture(scope="module")
+def with_play():
+    """Simulated: joints that lag behind the direction from which they came."""
+    return make_single_point(8, 20, machine=ArmErrors(play_arcsec=8.0), random_state=1)
+
+
+def codes_of(learned):
+    return [finding.code for finding in learned.findings]
+
+
+def test_directions_are_worth_something_where_joints_have_play(with_play):
+    test = with_play
+    plain = learn_correction(test.nominal_arm, test.data, test.groups, model=SMALL, cv=3)
+    learned = learn_correction(
+        test.nominal_arm, test.data, test.groups, model=SMALL, cv=3, in_order=True
+    )
+    assert learned.scores.summary["after"][0] < 0.8 * plain.scores.summary["after"][0]
+    assert list(learned.causes) == [f"direction {joint}" for joint in range(1, 7)]
+    assert {"directions", "drift-of-run"} <= set(codes_of(learned))
+    # Where they are not known they count as none.
+    none = {name: np.zeros(5) for name in learned.causes}
+    points = learned.correct(test.data[:5])[0]
+    assert_allclose(points, learned.correct(test.data[:5], extra=none)[0], rtol=0)
+    with pytest.raises(ValueError, match="extra names 'payload', of which the model knows nothing"):
+        learned.correct(test.data[:5], extra={"payload": 1.0})
+
+
+def test_a_cause_that_is_none_is_not_kept():
+    test = make_single_point(8, 20, random_state=1)
+    noise = np.random.default_rng(0).normal(20, 2, len(test.data))
+    learned = learn_correction(
+        test.nominal_arm, test.data, test.groups, model=SMALL, cv=3, extra={"temperature": noise}
+    )
+    assert learned.causes == {}
+    assert "cause-not-kept" in codes_of(learned)
+    with pytest.raises(ValueError, match=r"extra\['temperature'\] has 3 rows, angles have 160"):
+        learn_correction(test.nominal_arm, test.data, test.groups, extra={"temperature": noise[:3]})
+
+
+def test_time_is_refused_where_the_angles_tell_it(with_play):
+    test = with_play  # one position after the other
+    with pytest.raises(ValueError, match=r"the angles tell the number of the row \(R2 0\.\d\d"):
+        learn_correction(
+            test.nominal_arm, test.data, test.groups, extra={"time": np.arange(len(test.data))}
+        )
+
+
+def test_unknown_causes_have_their_usual_value():
+    usual = {"temperature": 21.0, "time": 9.0, "direction 2": 0.0}
+    X = with_causes(np.zeros((2, 6)), usual, {"time": [3.0, 4.0]})
+    assert_allclose(X[:, 6:], [[21.0, 3.0, 0.0], [21.0, 4.0, 0.0]])
+
+
+def test_a_make_is_where_a_new_arm_starts():
+    """Simulated arms that yield alike; the evidence is said."""
+    earlier = []
+    for seed in (10, 11, 12):
+        data = make_single_point(12, 20, machine="gravity", random_state=seed)
+        arm = calibrate(data.nominal_arm, data.data, data.groups).arm
+        earlier.append(ArmResidualRegressor(arm).fit(data.data, data.target, groups=data.groups))
+    test = make_single_point(5, 10, machine="gravity", random_state=0)
+    learned = learn_correction(test.nominal_arm, test.data, test.groups, like=earlier, cv=3)
+    (entry,) = learned.model.updates_
+    believed = entry["gain_nats"] >= 4
+    assert ("make-believed" in codes_of(learned)) == believed
+    assert believed
+    assert learned.model.fading_.factor > 0

@@ -1,0 +1,89 @@
+"""Standard deviations of coordinates and distances against draws, geometry, and simulated arms."""
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, learn_correction
+from sklearn_raacmm.correction._deviations import _shoulder, distances
+from sklearn_raacmm.datasets import make_gauge, make_single_point
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "ur10", "panda"])
+def test_a_scale_moves_points_away_from_the_shoulder(name):
+    """Larger links, the height of the first axis kept, as no test at fixed points shows it."""
+    arm = Arm.from_name(name)
+    factor = 1.001
+    d = factor * arm.d
+    d[0] = arm.d[0]
+    larger = arm.replace(a=factor * arm.a, d=d, probe=factor * arm.probe)
+    angles = np.random.default_rng(0).uniform(-2, 2, (30, arm.n_joints))
+    points = arm.forward(angles)
+    moved = larger.forward(angles) - points
+    np.testing.assert_allclose(moved, (factor - 1) * (points - _shoulder(arm)), atol=1e-9)
+
+
+def test_distances_of_points_that_are_drawn():
+    rng = np.random.default_rng(1)
+    first, second = np.array([[100.0, 20, 300]]), np.array([[-400.0, 700, 10]])
+    sds, scale_sd = rng.uniform(0.01, 0.05, (2, 1, 3)), 5e-5
+    _, std = distances((first, sds[0]), (second, sds[1]), scale_sd)
+    factor = 1 + scale_sd * rng.normal(size=(20_000, 1))
+    pairs = zip((first, second), sds, strict=True)
+    ends = [p + sd * rng.normal(size=(20_000, 3)) for p, sd in pairs]
+    drawn = np.linalg.norm(factor * (ends[0] - ends[1]), axis=1)
+    assert drawn.std() == pytest.approx(std[0], rel=0.03)
+
+
+@pytest.fixture(scope="module")
+def learned():
+    found = []
+    for seed in (0, 1, 2):
+        test = make_single_point(8, 20, bars=[500], random_state=seed)
+        correction = learn_correction(
+            test.nominal_arm, test.data, test.groups, lengths=test.lengths, cv=3
+        )
+        found.append((seed, correction))
+    return found
+
+
+def test_errors_at_other_places_are_as_large_as_is_said(learned):
+    of_distances, of_coordinates = [], []
+    for seed, correction in learned:
+        other = make_gauge([300, 1000], 8, 2, random_state=seed)
+        points, std = correction.correct(other.data)
+        true = other.simulation.true_points
+        of_coordinates.append((points - true) / std)
+        i, j = np.arange(0, len(true), 4), np.arange(2, len(true), 4)
+        found, std = correction.distances(other.data[i], other.data[j])
+        of_distances.append((found - np.linalg.norm(true[i] - true[j], axis=1)) / std)
+    assert 0.6 < np.sqrt(np.mean(np.square(of_distances))) < 1.6
+    assert 0.4 < np.sqrt(np.mean(np.square(of_coordinates))) < 1.4
+
+
+def test_three_deviations_have_three_names(learned):
+    _, correction = learned[0]
+    angles = correction.angles[:20]
+    points, of_coordinate = correction.correct(angles)
+    same, within = correction.correct(angles, std_of="position")
+    np.testing.assert_array_equal(points, same)
+    scale = correction.calibration.scale_sd * (points - _shoulder(correction.arm))
+    assert np.all(of_coordinate**2 >= within**2 + scale**2 - 1e-15)
+    lengths, std = correction.distances(angles[:10], angles[10:])
+    expected = distances(
+        (points[:10], within[:10]), (points[10:], within[10:]), correction.calibration.scale_sd
+    )
+    np.testing.assert_allclose([lengths, std], expected)
+    with pytest.raises(ValueError, match="std_of"):
+        correction.correct(angles, std_of="length")
+    with pytest.raises(ValueError, match="There are 10 angles, but 9 others"):
+        correction.distances(angles[:10], angles[:9])
+
+
+def test_the_verdict_says_what_is_not_known_of_lengths(learned):
+    assert learned[0][1].verdict.startswith("It helps at new positions")
+    test = make_single_point(8, 20, random_state=0)
+    alone = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
+    assert alone.helps
+    assert alone.verdict.startswith("It repeats better at new positions")
+    per_metre = 2000 * alone.calibration.scale_sd
+    assert f"not known to better than {per_metre:.2g} mm per metre (k = 2)" in alone.verdict

@@ -1,0 +1,50 @@
+"""A plan of a first test: it is reached, spread, within limits, and in an order of short ways."""
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, plan_poses
+
+ARM = Arm.from_name("aacmm6")
+
+
+def test_poses_reach_their_cones_from_above():
+    plan = plan_poses(ARM, 4, 8, random_state=1)
+    points = ARM.forward(plan.angles)
+    assert np.abs(points - plan.positions[plan.groups - 1]).max() < 1e-6
+    assert plan.minutes == pytest.approx((4 * 60 + 32 * 6) / 60)
+    frames = ARM.frames(plan.angles)
+    down = -(frames[:, -1, :, :3] @ ARM.probe)[:, 2] / np.linalg.norm(ARM.probe)
+    # The line from the last frame to the cone's centre is the probe.
+    assert (down >= np.cos(np.deg2rad(60)) - 1e-9).all()
+    gaps = np.linalg.norm(plan.positions[:, None] - plan.positions, axis=2)
+    assert gaps[np.triu_indices(4, 1)].min() > 300
+
+
+def test_regions_and_directions_are_kept():
+    region = [[400, -300, 0], [900, 300, 200]]
+    plan = plan_poses(ARM, 3, 6, region=region, lean_deg=None)
+    assert (plan.positions >= region[0]).all()
+    assert (plan.positions <= region[1]).all()
+    again = plan_poses(ARM, 3, 6, region=region, lean_deg=None)
+    assert np.array_equal(plan.angles, again.angles)
+
+
+def test_the_order_is_one_of_short_ways():
+    plan = plan_poses(ARM, 3, 10)
+    rng = np.random.default_rng(0)
+
+    def way(order):
+        steps = np.diff(plan.angles[order], axis=0)
+        return np.abs(steps).max(axis=1).sum()
+
+    within = [rng.permutation(30).tolist() for _ in range(20)]
+    assert way(np.arange(30)) < min(map(way, within))
+
+
+def test_what_cannot_be_reached_is_said():
+    far = [[3000, 0, 0], [3500, 100, 100]]
+    with pytest.raises(ValueError, match="only 0 of 8 places that were tried are reached"):
+        plan_poses(ARM, 2, 5, region=far)
+    with pytest.raises(ValueError, match="region must be"):
+        plan_poses(ARM, 2, 5, region=[[0, 0, 0], [-1, 1, 1]])

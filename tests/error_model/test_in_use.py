@@ -1,0 +1,182 @@
+"""A fitted model in use: moved to a probe, uncertain together, and the other way round."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, calibrate, update_correction
+from sklearn_raacmm.datasets import make_single_point
+
+ARM = Arm.from_name("aacmm6")
+LONG = ARM.replace(probe=(20.0, -10.0, 350.0))
+ARCSEC = np.pi / 180 / 3600
+EXTRA = ["temperature", "force x"]
+
+
+def errors(arm, X):
+    """Eccentric encoders, one link that grows, and a force that bends joint 3."""
+    angles, warm, force = X[:, :6], X[:, 6] - 20, X[:, 7] - 5
+    turn = np.zeros_like(angles)
+    turn[:, 1] = 12 * np.cos(angles[:, 1])
+    turn[:, 4] = 30 * np.sin(2 * angles[:, 4])
+    jacobian = arm.jacobian(angles)
+    y = np.einsum("nij,nj->ni", jacobian, turn * ARCSEC)
+    y += 11.7e-6 * warm[:, None] * arm.forward(angles)
+    torque = jacobian[:, 0, 2] * force
+    return y + jacobian[:, :, 2] * (1e-7 * torque)[:, None]
+
+
+def rows(n, seed, noise_mm=0.002):
+    rng = np.random.default_rng(seed)
+    X = np.column_stack([rng.uniform(-2, 2, (n, 6)), rng.normal(20, 3, n), rng.normal(5, 2, n)])
+    return X, errors(ARM, X) + rng.normal(0, noise_mm, (n, 3))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ArmResidualRegressor(ARM, orders=4, extra=EXTRA, fade=0).fit(*rows(600, 0))
+
+
+def test_the_same_causes_move_another_probe(model):
+    """Against the simulation, and against the columns of the new arm in physical units."""
+    X = rows(300, 1)[0]
+    true = errors(LONG, X)
+    moved = model.with_arm(LONG)
+    assert moved.arm_ == LONG
+    assert model.arm_ == ARM
+    old, new = (np.linalg.norm(true - m.predict(X), axis=1).mean() for m in (model, moved))
+    # 0.0030 of 0.077 mm; the old probe leaves 0.021.
+    assert new < 0.005
+    assert new < 0.3 * old
+    back = moved.with_arm(ARM)
+    assert_allclose(back.predict(X), model.predict(X), atol=1e-9)
+    assert_allclose(
+        back.predict(X, return_std=True)[1], model.predict(X, return_std=True)[1], rtol=1e-6
+    )
+
+
+def test_every_cause_is_the_same_by_differences(model):
+    """A change of the table by the model's kinematics, seen by the new probe, by differences."""
+    linear = model.with_arm(LONG).linear_model_
+    table, step = linear.term_table(), 1e-4
+    angles = rows(5, 2)[0]
+    columns, n_waves = linear.columns(angles), 2 * len(linear.terms.harmonics)
+    old = model.linear_model_
+    old_columns = old.columns(angles)
+    for name in ("d3", "a2", "theta_offset4"):
+        i = n_waves + table["name"].tolist().index(name)
+        field, joint = name[:-1], int(name[-1]) - 1
+        # How far the coefficient changes the table, by the old probe.
+        value = getattr(ARM, field).copy()
+        value[joint] += step
+        by_old = ARM.replace(**{field: value}).forward(angles[:, :6]) - ARM.forward(angles[:, :6])
+        amount = np.vdot(by_old / step, old_columns[:, :, i]) / np.vdot(
+            by_old / step, by_old / step
+        )
+        by_new = LONG.replace(**{field: value}).forward(angles[:, :6]) - LONG.forward(angles[:, :6])
+        expected = by_new / step * amount * old.coef[i]
+        assert_allclose(columns[:, :, i] * linear.coef[i], expected, rtol=1e-3, atol=1e-9)
+
+
+def test_only_the_probe_may_differ(model):
+    with pytest.raises(ValueError, match=r"d3 of the correction's arm is 750\.7422 .* 751\.7422"):
+        model.with_arm(ARM.replace(d=ARM.d + np.eye(6)[2]))
+    with pytest.raises(ValueError, match="only the probe may differ"):
+        model.with_arm(Arm.from_name("panda"))
+    X, y = rows(100, 3)
+    stage = ArmResidualRegressor(ARM, orders=2, regressor=RBFNetRegressor(5))
+    stage.fit(X[:, :6], y)
+    with pytest.raises(ValueError, match="second stage"):
+        stage.with_arm(LONG)
+    assert stage.with_arm(ARM).arm_ == ARM
+
+
+def test_an_exchanged_arm_is_not_ignored(model):
+    X, y = rows(200, 4)
+    exchanged = ArmResidualRegressor(ARM, orders=2, extra=EXTRA).fit(X, y).set_params(arm=LONG)
+    for ask in (exchanged.predict, exchanged.correct, exchanged.fading):
+        with pytest.raises(ValueError, match="moved to another probe by with_arm"):
+            ask(X)
+    assert exchanged.fit(X, y).arm_ == LONG
+
+
+def test_a_registration_finds_the_probe_through_the_moved_model():
+    """A tracker with a new probe: as well as with a model that knew it from the start."""
+    rng = np.random.default_rng(5)
+    X, y = rows(400, 6)
+    model = ArmResidualRegressor(ARM, orders=4, fade=0).fit(X[:, :6], errors_bare(ARM, X))
+    new = rng.uniform(-2, 2, (40, 6))
+    points = LONG.forward(new) - errors_bare(LONG, new) + [500, 0, 0]
+    found = calibrate(ARM, new, points=points, correction=model, free=["probe"])
+    assert np.abs(found.arm.probe - LONG.probe).max() < 0.002
+    y = found.residuals(new, points)
+    moved = model.with_arm(found.arm)
+    assert np.abs(y - moved.predict(new)).max() < 0.003
+    updated = update_correction(model, new, y, arm=found.arm)
+    assert updated.arm_ == found.arm
+    assert np.abs(y - updated.predict(new)).max() < 0.003
+
+
+def errors_bare(arm, X):
+    X = np.column_stack([X[:, :6], np.full(len(X), 20.0), np.full(len(X), 5.0)])
+    return errors(arm, X)
+
+
+@pytest.fixture(scope="module")
+def cones():
+    test = make_single_point(n_positions=8, n_poses=15, random_state=2)
+    model = ArmResidualRegressor(test.arm, orders=4)
+    return test, model.fit(test.data, test.target, groups=test.groups)
+
+
+def test_the_joint_covariance_contains_the_single_ones(cones):
+    test, model = cones
+    X = test.data[:12]
+    mean, std = model.predict(X, return_std=True)
+    again, cov = model.predict(X, return_cov=True)
+    assert_allclose(again, mean)
+    assert_allclose(np.sqrt(cov.diagonal()), std.ravel(), rtol=1e-6)
+    noisy = model.predict(X, return_cov=True, with_noise=True)[1]
+    both = model.predict(X, return_std=True, with_noise=True)[1]
+    assert_allclose(np.sqrt(noisy.diagonal()), both.ravel(), rtol=1e-6)
+    # A length, by one product, is what distance_std has of it.
+    first, second = X[:1], test.data[-1:]
+    pair = np.vstack([first, second])
+    cov = model.predict(pair, return_cov=True, with_unseen=True)[1]
+    line = np.subtract(*test.arm.forward(pair)[::-1])
+    g = np.r_[-line, line] / np.linalg.norm(line)
+    assert_allclose(np.sqrt(g @ cov @ g), model.distance_std(first, second), rtol=1e-6)
+    with pytest.raises(ValueError, match="cannot both be True"):
+        model.predict(X, return_std=True, return_cov=True)
+
+
+def test_draws_have_that_covariance(cones):
+    test, model = cones
+    X = test.data[::20]
+    mean, cov = model.predict(X, return_cov=True)
+    draws = model.sample_y(X, 20_000, random_state=0)
+    assert draws.shape == (len(X), 3, 20_000)
+    found = np.cov(draws.reshape(3 * len(X), -1))
+    # 20 000 draws show a covariance to 1 % of the product of the two deviations; 5 of them.
+    sd = np.sqrt(cov.diagonal())
+    assert np.abs((found - cov) / np.outer(sd, sd)).max() < 0.05
+    assert np.abs((draws.mean(axis=2) - mean) / sd.reshape(-1, 3)).max() < 0.05
+    assert_allclose(model.sample_y(X, 3, random_state=1), model.sample_y(X, 3, random_state=1))
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_angles_for_points_are_those_of_the_corrected_probe(unit):
+    rng = np.random.default_rng(7)
+    X = rng.uniform(-2, 2, (300, 6))
+    model = ArmResidualRegressor(ARM, orders=30, angle_unit=unit)
+    turned = np.rad2deg(X) if unit == "deg" else X
+    model.fit(turned, errors_bare(ARM, X) + rng.normal(0, 0.002, (300, 3)))
+    wanted, start = ARM.forward(X), turned + rng.normal(0, 0.01, X.shape)
+    found = model.angles_for(wanted, start)
+    assert np.abs(model.correct(found) - wanted).max() < 1e-6
+    # One start for all, far away: what is found is right, or is said to be missing.
+    with pytest.warns(UserWarning, match=r"2 of 6 points are not reached: first that of row 4"):
+        far = model.angles_for(np.vstack([wanted[:4], [[9000, 0, 0]] * 2]), turned[:6])
+    assert np.isnan(far).all(axis=1).tolist() == [False] * 4 + [True] * 2
+    with pytest.raises(ValueError, match="start has 2 poses for 3 points"):
+        model.angles_for(wanted[:3], turned[:2])

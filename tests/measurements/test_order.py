@@ -1,0 +1,55 @@
+"""The order of measurement: directions, what the angles tell of it, and drift."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from sklearn_raacmm import Arm, directions_of
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.measurements import drift_of, order_told_by
+
+ARM = Arm.from_name("aacmm6")
+
+
+def test_directions_are_those_of_the_simulation():
+    """A simulated arm knows where its joints came from; of the first row nobody else does."""
+    test = make_single_point(4, 30, random_state=0)
+    found = directions_of(test.data)
+    moved = np.abs(np.diff(test.data, axis=0)) > 1e-3
+    same_position = np.diff(test.groups) == 0
+    agree = (found == test.directions)[1:][same_position][moved[same_position]]
+    assert agree.mean() > 0.99
+    assert_array_equal(found[0], 0)
+    assert_array_equal(directions_of(test.data[10:], test.data[9]), found[10:])
+
+
+def test_a_joint_that_stands_still_keeps_its_direction():
+    angles = np.zeros((5, 1))
+    angles[:, 0] = [0.0, 0.2, 0.2, 0.2 + 1e-7, 0.1]
+    assert_array_equal(directions_of(angles)[:, 0], [0, 1, 1, 1, -1])
+    across = directions_of([[np.deg2rad(359.0)], [np.deg2rad(1.0)]])
+    assert across[1, 0] == 1  # the short way
+    with pytest.raises(ValueError, match="previous must hold 1 angles, one for each joint, got 2"):
+        directions_of(angles, [0.0, 0.0])
+
+
+def test_angles_tell_the_order_of_a_single_point_test_only():
+    test = make_single_point(8, 20, random_state=0)  # one position after the other
+    assert order_told_by(test.data, test.groups) > 0.2
+    mixed = np.random.default_rng(0).permutation(len(test.data))
+    assert order_told_by(test.data[mixed], test.groups[mixed]) < 0.2
+
+
+def test_drift_of_a_zero_angle_is_found():
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-2, 2, (300, 6))
+    turn = np.zeros_like(angles)
+    turn[:, 1] = np.linspace(-0.5, 0.5, 300) * 1e-4  # 0.1 mrad in the run
+    moved = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn)
+    size = np.sqrt(np.square(ARM.jacobian(angles)[:, :, 1] * 1e-4).sum(axis=1).mean())
+    noise = rng.normal(0, 0.005, moved.shape)
+    found = drift_of(ARM, angles, moved + noise, None)
+    assert found.size_mm == pytest.approx(size, rel=0.05)
+    assert "noise" not in found.text
+    assert found.weight == "note"
+    assert "no more than noise explains" in drift_of(ARM, angles, noise, None).text
