@@ -358,7 +358,8 @@ class ArmResidualRegressor(
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra=extra)
+        gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
+        terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
         known = groups is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
@@ -369,8 +370,8 @@ class ArmResidualRegressor(
         model = replace(model, n_positions=float(positions.max() + 1))
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        self.fading_ = find_fading(rows.y, *rest, self.fade, model.std_scale)
-        self.judgement_ = None
+        self.fading_: Any = find_fading(rows.y, *rest, self.fade, model.std_scale)
+        self.judgement_: Any = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
         self.helps_: bool = self.judgement_ is None or self.judgement_.helps

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ class Fading:
     size_mm: float
     factor: float
 
-    def share(self, doubt):
+    def share(self, doubt: np.ndarray) -> np.ndarray:
         """Share that is left of each correction.
 
         Parameters
@@ -65,7 +66,7 @@ class Fading:
         return size / np.maximum(size + self.factor**2 * np.square(doubt), 1e-300)
 
 
-def find_fading(y, weights, codes, factor="auto", widening=1.0):
+def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0):
     """Fading of a correction of residuals of some size.
 
     Parameters

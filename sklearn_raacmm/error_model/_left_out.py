@@ -109,7 +109,7 @@ def leave_out(fitted, terms, positions, weights):
         block: used.at((blocks == block) & kept).sums(terms)[0]
         for block in np.unique(blocks[kept]).tolist()
     }
-    whole = combined(list(parts.values()), np.ones(len(parts)))
+    whole = combined(list(parts.values()), [1.0] * len(parts))
     n = len(points)
     found = LeftOut(*(np.empty(n if name == "doubt" else (n, 3)) for name in LeftOut._fields))
     for block in np.unique(blocks).tolist():
