@@ -76,7 +76,7 @@ class ArmResidualRegressor(
         The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
 
     angle_unit : {"rad", "deg"}, default="rad"
-        Unit of the joint angles in `X`. Everything else is in mm and rad in either case.
+        Unit of the joint angles in `X`.
 
     extra : list of str, default=()
         What the columns of `X` after the angles are, in any unit: "temperature" of the arm or
@@ -110,7 +110,7 @@ class ArmResidualRegressor(
     Attributes
     ----------
     linear_model_ : LinearModel
-        The fitted numbers as one value: columns, coefficients and their covariance.
+        Columns, coefficients and their covariance.
 
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
@@ -146,7 +146,7 @@ class ArmResidualRegressor(
         How corrections fade: `factor` and `size_mm` (r).
 
     helps_ : bool
-        Whether the model helped at positions left out. True where `groups` were not given.
+        Whether the model helped at positions left out; True without `groups`.
 
     judgement_ : Judgement or None
         The numbers behind it. None where nothing was left out.
