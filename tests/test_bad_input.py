@@ -396,7 +396,7 @@ WRONG_LABELS = {
     "NaN in a list of text": (lambda g: ["A", float("nan"), *["B"] * 38], "1 missing label"),
     "a number in a list of text": (lambda g: [*["A"] * 39, 3], "one kind"),
     "not a time": (
-        lambda g: np.append(np.full(39, "2020", "M8[D]"), np.datetime64("NaT")),
+        lambda g: np.append(np.full(39, "2020", "M8[D]"), np.datetime64("NaT", "D")),
         "missi",
     ),
     "tuples": (lambda g: [("A", int(label)) for label in g], "one text each"),

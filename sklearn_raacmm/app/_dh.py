@@ -5,6 +5,7 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def write_template(path):
     except ImportError:
         raise TableError("To write a workbook, install openpyxl: pip install openpyxl.") from None
     book = openpyxl.Workbook()
-    sheet = book.active
+    sheet: Any = book.active
     sheet.title = "arm"
     sheet.append(["joint", "a [mm]", "alpha [deg]", "d [mm]", "theta offset [deg]", "sign"])
     example = Arm.from_lengths("2-2-2", 375, 750, 500, 100)

@@ -32,7 +32,7 @@ def _iiwa(shoulder, upper):
     }
 
 
-BUILT_IN = {
+BUILT_IN: dict = {
     # Table 2 of article 1760190, Mathematical Problems in Engineering 2018: identified.
     "aacmm6": {
         "a": [-0.0226, 62.1163, -0.0061, 62.1025, 0.0049, 0.0],

@@ -4,6 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 # Twists in degrees; all neighbouring axes cross at right angles.
+from typing import Any
+
 _TWISTS = {
     "2-2-2": (-90.0, -90.0, 90.0, -90.0, 90.0, -90.0),
     "2-2-3": (-90.0, -90.0, 90.0, -90.0, 90.0, -90.0, 0.0),
@@ -24,7 +26,7 @@ def from_lengths(cls, layout, shoulder, upper, fore, probe, elbow_offset, wrist_
     )
 
 
-def usual_pose(n_joints, parallel, convention):
+def usual_pose(n_joints: int, parallel: Any, convention: str) -> dict[str, Any]:
     """Pose of an arm of so many joints; `parallel` if its second and third axes are.
 
     Returns

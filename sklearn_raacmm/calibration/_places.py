@@ -3,14 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.utils import floats, listed, show
 
 
-def lengths_of_places(places):
+def lengths_of_places(places: Iterable[Sequence[Any]]) -> list[Any]:
     """Known lengths between points of known places, wherever their frame stands.
 
     For a ball plate or a grid of cones with a certificate: where the plate lies need not be known.

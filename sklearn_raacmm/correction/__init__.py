@@ -36,6 +36,5 @@ __all__ = [
     "search_table",
     "transfer_correction",
     "update_correction",
-    "with_causes",
     "write_correction",
 ]

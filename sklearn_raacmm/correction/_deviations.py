@@ -9,8 +9,12 @@ below S by what the table says.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.error_model import unseen_variance
 from sklearn_raacmm.utils import Finding
@@ -21,7 +25,9 @@ STD_OF = ("coordinate", "position")
 _K = 2.0
 
 
-def corrected_points(arm, model, X, facts, std_of="coordinate"):
+def corrected_points(
+    arm: Arm, model: Any, X: Any, facts: dict[str, Any], std_of: str = "coordinate"
+) -> tuple[np.ndarray, np.ndarray]:
     """Corrected points and the standard deviations of their coordinates.
 
     Parameters
@@ -70,7 +76,7 @@ def distances(first, second, scale_sd):
     return lengths, np.sqrt(ends + (scale_sd * lengths) ** 2)
 
 
-def corrected_columns(arm, model, facts, X):
+def corrected_columns(arm: Arm, model: Any, facts: Any, X: ArrayLike) -> np.ndarray:
     """What a corrected table gets, (n_samples, 10); parameters as of `corrected_points`.
 
     Points; standard deviations of the coordinates in the base frame and within a position; that of

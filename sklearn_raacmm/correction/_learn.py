@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from os import PathLike
@@ -32,6 +32,7 @@ from sklearn_raacmm.correction._scores import (
     with_verdict,
 )
 from sklearn_raacmm.correction._table_search import search_table
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of
 from sklearn_raacmm.utils import Finding, check_option, encode_groups, hear, say_findings
 
@@ -80,8 +81,8 @@ class LearnedCorrection:
     angles: np.ndarray = field(repr=False)
     positions: np.ndarray = field(repr=False)
     points: np.ndarray | None = field(repr=False)
-    lengths: list = field(repr=False)
-    causes: dict = field(default_factory=dict)
+    lengths: list[Any] = field(repr=False)
+    causes: dict[str, Any] = field(default_factory=dict)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -98,7 +99,14 @@ class LearnedCorrection:
         """The same in one sentence."""
         return self.scores.verdict
 
-    def correct(self, angles, *, angle_unit="rad", std_of="coordinate", extra=None):
+    def correct(
+        self,
+        angles: ArrayLike,
+        *,
+        angle_unit: str = "rad",
+        std_of: str = "coordinate",
+        extra: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Corrected points, and how far to trust them.
 
         Parameters
@@ -290,15 +298,15 @@ def learn_correction(
     points: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
     *,
-    angle_unit="rad",
-    model=None,
-    cv=None,
-    n_jobs=None,
-    progress=None,
-    extra=None,
-    in_order=False,
-    like=(),
-):
+    angle_unit: str = "rad",
+    model: Any = None,
+    cv: Any = None,
+    n_jobs: int | None = None,
+    progress: Callable | None = None,
+    extra: dict[str, Any] | None = None,
+    in_order: bool = False,
+    like: Sequence[ArmResidualRegressor] = (),
+) -> LearnedCorrection:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
     Parameters

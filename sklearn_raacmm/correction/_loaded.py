@@ -112,13 +112,20 @@ class SavedCorrection:
         contents = {"arm.json": self.arm.to_json(), "model.skops": skops.io.dumps(self.model)}
         return write_correction(folder, facts, {**contents, **(others or {})})
 
-    def inputs(self, angles, extra=None):
+    def inputs(self, angles: np.ndarray, extra: dict[str, Any] | None = None) -> Any:
         """What the model takes: angles in rad, (n, n_joints), and those causes that it knows."""
         usual = self.facts.get("causes", {})
         known = {name: values for name, values in (extra or {}).items() if name in usual}
         return with_causes(angles, usual, known)
 
-    def correct(self, angles, *, angle_unit="rad", std_of="coordinate", extra=None):
+    def correct(
+        self,
+        angles: np.ndarray,
+        *,
+        angle_unit: str = "rad",
+        std_of: str = "coordinate",
+        extra: dict[str, Any] | None = None,
+    ) -> Any:
         """Corrected points and standard deviations, see `LearnedCorrection.correct`."""
         check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)

@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass
 from inspect import ismethod
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -165,7 +166,8 @@ class Data:
     def _fit_alone(self, model, calibration, rows, y):
         fitted = model_for(model, calibration.arm, self.causes)
         # Of a pipeline, what its last step takes.
-        prefix, last = "", fitted
+        last: Any = fitted
+        prefix = ""
         while isinstance(last, Pipeline):
             prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
         # A tracker knows where the positions are: lengths between them tell the model nothing.

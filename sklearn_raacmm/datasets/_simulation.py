@@ -432,7 +432,7 @@ def _per_row(name, value, n_rows):
     return numbers[:, None] if numbers.ndim else numbers
 
 
-def directions_of(angles):
+def directions_of(angles: np.ndarray) -> np.ndarray:
     """Direction from which each joint came, (n, n_joints), where poses were taken in this order.
 
     The first pose is taken to have been reached as the second one.

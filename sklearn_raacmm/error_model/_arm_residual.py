@@ -25,12 +25,7 @@ from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._in_use import ModelInUseMixin
-from sklearn_raacmm.error_model._left_out import (
-    judge,
-    leave_out,
-    too_few_positions,
-    with_honest_intervals,
-)
+from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
@@ -87,7 +82,7 @@ class ArmResidualRegressor(
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. A joint is offered no more orders than it shows different
-        angles, and those above 72 where its angles are scattered. A list offers these orders only.
+        angles, but all above 72 where these are scattered. A list offers these orders only.
 
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
@@ -162,7 +157,6 @@ class ArmResidualRegressor(
 
     See Also
     --------
-    RBFNetRegressor : For what is smooth in the pose and not in this model.
     learn_correction : Calibrates an arm, fits this model, and judges both.
 
     Notes
@@ -306,7 +300,8 @@ class ArmResidualRegressor(
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra=extra)
+        gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
+        terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
         known = groups is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
@@ -317,9 +312,8 @@ class ArmResidualRegressor(
         model = replace(model, n_positions=float(positions.max() + 1))
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        widening = None if too_few_positions(left_out, positions) else model.std_scale
-        self.fading_ = find_fading(rows.y, *rest, self.fade, widening)
-        self.judgement_ = None
+        self.fading_: Any = find_fading(rows.y, *rest, self.fade, model.std_scale)
+        self.judgement_: Any = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
         self.helps_: bool = self.judgement_ is None or self.judgement_.helps
@@ -460,23 +454,18 @@ class ArmResidualRegressor(
             raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
         X = check_poses(self, X)
         model, fading = self.linear_model_, self.fading_
-        if fading.factor > 0:
-            mean, std, doubt = model.predict_with_doubt(X, return_std)
-        else:
-            mean, std = model.predict(X, return_std)
+        mean, std, doubt = model.predict_with_doubt(X, return_std, fading.factor > 0)
         mean = mean * self.helps_ + self.second_stage(X)
-        if fading.factor > 0:
+        if doubt is not None:
             share = fading.share(doubt)
             if self.helps_:
                 warn_where_unknown(share)
             mean = share[:, None] * mean
         if return_cov:
             return mean, model.joint_covariance(X, with_noise, with_unseen)
-        if not return_std:
-            return mean
-        std = model.widened(std, with_noise)
         # Without a correction the errors are at least those that the residuals had.
-        return mean, std if self.helps_ else np.maximum(std, fading.size_mm / np.sqrt(3))
+        least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
+        return (mean, np.maximum(model.widened(std, with_noise), least)) if return_std else mean
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""

@@ -40,10 +40,10 @@ def fit_with_constants(rows, positions, terms, with_field, turns=None):
     Fitted
         Its rows are those given less their constants.
     """
-    fitted, known = fit_linear_model(rows, terms, with_field, turns), np.inf
+    fitted, known, rounds = fit_linear_model(rows, terms, with_field, turns), np.inf, 0
     if positions is None or rows.codes is not None or turns is not None:
         return fitted
-    for _ in range(_ROUNDS):
+    while True:
         # Of a position that is off as a whole no row may have any weight left.
         counts = np.mean(fitted.pose_weight == 0) < _MANY
         weights = rows.weights * (fitted.pose_weight if counts else 1.0)
@@ -54,6 +54,9 @@ def fit_with_constants(rows, positions, terms, with_field, turns=None):
         if abs(known - last) < _SETTLED * known:
             break
         fitted = fit_linear_model(rows._replace(codes=positions, known=known), terms, with_field)
+        rounds += 1
+        if rounds == _ROUNDS:
+            break
     total = group_weights(positions, weights)
     constants = group_sums(left, positions, weights) / (total + known)[:, None]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.utils import Finding, say_findings, show
@@ -49,7 +51,7 @@ def parsed(name, n_joints):
     raise ValueError(f"extra must hold names of columns, {_FORMS}; got {show(name)}.")
 
 
-def check_extra(extra, n_joints=_MOST_JOINTS):
+def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
         raise ValueError(f"extra must be a list of names, one for each column, got {show(extra)}.")
@@ -109,7 +111,7 @@ def check_values(extra, values):
     for (name, known), column in zip(extra, values.T, strict=True):
         if name != "tool" and len(known) == 3 and len(column):  # not so for the mean of many arms
             say_findings(_beyond(name, known, column))
-        new = np.setdiff1d(column, known) if name == "tool" else ()
+        new = np.setdiff1d(column, known) if name == "tool" else column[:0]
         if len(new):
             raise ValueError(
                 f"X has tool {new[0]:g}, of which the model knows nothing: it was fitted with "
@@ -128,10 +130,10 @@ def _beyond(name, known, column):
             f"from {low:g} to {high:g}."
         )
         advice = "Is the sensor alive, and the unit that of the fit?"
-        yield Finding("column-out-of-range", said, advice, rows=far)
+        yield Finding("column-out-of-range", said, advice, rows=tuple(far.tolist()))
 
 
-def force_on_probe(extra, values):
+def force_on_probe(extra: Any, values: np.ndarray) -> Any:
     """Force on the probe in the base frame, less that of the training mean, (n, 3).
 
     A payload is a weight: it pulls along -z.

@@ -176,7 +176,7 @@ def constrained(
     return replace(model, gauge_free_half=half, fading_half=half)
 
 
-def unseen_variance(model, X):
+def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
     """Variance of each coordinate that positions with offsets do not show, (n, 3), mm^2.
 
     What the posterior has beside `gauge_free_half`, without the motions of the base: the frame is

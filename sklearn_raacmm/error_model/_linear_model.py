@@ -172,7 +172,7 @@ class LinearModel:
         """
         return term_columns(self.arm, angles, self.terms)
 
-    def predict(self, angles, return_std=False):
+    def predict(self, angles: np.ndarray, return_std: bool = False) -> tuple[np.ndarray, Any]:
         """Posterior of the correction at some poses.
 
         Parameters
@@ -195,16 +195,20 @@ class LinearModel:
         mean, found = self._posterior(angles, [self._std_root] * return_std)
         return mean, found[0] if return_std else None
 
-    def predict_with_doubt(self, angles, return_std=False):
+    def predict_with_doubt(
+        self, angles: np.ndarray, return_std: bool = False, return_doubt: bool = True
+    ) -> tuple[np.ndarray, Any, Any]:
         """As `predict`, and what corrections fade by.
 
         Returns
         -------
         mean : ndarray of shape (n, 3)
         std : ndarray of shape (n, 3) or None
-        doubt : ndarray of shape (n,)
+        doubt : ndarray of shape (n,) or None
             Length of the standard deviation by `fading_half`, mm.
         """
+        if not return_doubt:
+            return *self.predict(angles, return_std), None
         roots = [self._fading_root]
         if return_std and roots[0] is not self._std_root:
             roots = [self._std_root, *roots]
@@ -350,5 +354,5 @@ def _triangle(half, n_pairs):
         return half
     order = np.roll(np.arange(len(half)), -2 * n_pairs)
     root = np.empty((len(half), min(half.shape)))
-    root[order] = np.linalg.qr(half[order].T, mode="r").T
+    root[order] = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
     return root

@@ -3,7 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import check_angles
@@ -11,12 +14,12 @@ from sklearn_raacmm.error_model._extra import check_values
 from sklearn_raacmm.utils import check_features
 
 
-def check_poses(model, X):
+def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
     """Rows of X as a fitted `LinearModel` takes them.
 
     Parameters
     ----------
-    model : ArmResidualRegressor
+    model : Any
         Fitted.
     X : array-like of shape (n, n_features_in_)
         As for its `predict`.

@@ -4,11 +4,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import f as f_distribution
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
-from sklearn_raacmm.arm import check_angles, points_of
+from sklearn_raacmm.arm import Arm, check_angles, points_of
 from sklearn_raacmm.utils import Finding, centred
 
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad.
@@ -21,7 +22,7 @@ _TREES, _FOLDS = 100, 5
 _BY_CHANCE = 0.01
 
 
-def directions_of(angles, previous=None):
+def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.ndarray:
     """Direction from which each joint came, from the order of the poses.
 
     Parameters
@@ -65,7 +66,7 @@ def directions_of(angles, previous=None):
     return np.take_along_axis(moved, last, axis=0)
 
 
-def order_told_by(angles, codes):
+def order_told_by(angles: np.ndarray, codes: np.ndarray) -> float:
     """Share of the variance of the row number that the angles tell at positions left out.
 
     Parameters
@@ -87,7 +88,7 @@ def order_told_by(angles, codes):
     return float(1 - np.square(number - told).mean() / number.var())
 
 
-def drift_of(arm, angles, left, codes):
+def drift_of(arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray | None) -> Finding:
     """What drifted during a run, from the first to the last row, of what a model leaves.
 
     Zero angles, the scale and, with a reference for every pose, the base move in proportion to the

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -268,7 +269,7 @@ def deviations_by_group(
     return centred(points, codes), codes, counts, labels
 
 
-def natural_order(labels):
+def natural_order(labels: Iterable[Any]) -> list[int]:
     """Order of labels in which cone 2 comes before cone 10.
 
     Parameters

@@ -9,6 +9,8 @@ References
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.special import chdtri
 
@@ -92,7 +94,7 @@ def tukey_weights(
     return np.square(1 - np.square(np.minimum(distances, cut) / cut))
 
 
-def many_without_weight(factor):
+def many_without_weight(factor: np.ndarray) -> Iterator[Finding]:
     """More rows without weight than slips can be.
 
     Parameters
@@ -110,5 +112,6 @@ def many_without_weight(factor):
             "many-without-weight",
             f"{len(none)} of {len(factor)} poses lie so far off that they have no weight.",
             "These are more than slips are: look at labels, references and set-up.",
-            rows=none,
+            "note",
+            rows=tuple(none.tolist()),
         )
