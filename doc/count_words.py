@@ -12,14 +12,14 @@ import sys
 from pathlib import Path
 
 DOC = Path(__file__).resolve().parent
-DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log", "maintenance")
+DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log")
 RESULTS = ("benchmarks", "beyond_the_paper", "paper_and_ours")
 LISTS = ("changelog", "citing", "code_of_conduct", "contributing", "glossary", "more", "references")
-LISTS += ("roadmap",)
+LISTS += ("maintenance", "roadmap")
 MODULES = ("", ".app", ".datasets", ".display", ".export", ".metrics", ".residuals", ".utils")
 # Most words of a kind, share of sentences with more than 30 words, most words of a docstring.
-LIMITS = {"user": 15_000, "result": 2_600, "developer": 10_000}
-LONG_SENTENCE, SHARE_OF_LONG, LONGEST_DOCSTRING = 30, 0.02, 1_600
+LIMITS = {"user": 14_000, "result": 2_600, "developer": 10_000}
+LONG_SENTENCE, SHARE_OF_LONG, LONGEST_DOCSTRING = 30, 0.02, 900
 
 
 def kind_of(page):

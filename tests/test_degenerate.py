@@ -336,7 +336,7 @@ SENTENCES = {
         lambda: ArmResidualRegressor(ARM, causes=["network"]).fit(ANGLES, RESIDUALS),
         "causes must be some of gravity, kinematics, wobble, got 'network'",
     ),
-    "arm: name": (lambda: Arm.from_name("ur5"), "one of .*'ur5'"),
+    "arm: name": (lambda: Arm.from_name("ur7"), "one of .*'ur7'"),
     "arm: convention": (lambda: ARM.replace(convention="craig"), "'craig'"),
     "arm: unit": (lambda: ARM.forward(ANGLES, angle_unit="degree"), "'degree'"),
     "arm: field": (lambda: ARM.replace(theta=0), "no parameter theta"),

@@ -122,6 +122,24 @@ def test_outliers_cost_what_is_said():
     assert_said("user_guide/widths_and_size.md", words, left, 0.05)
 
 
+def test_a_step_of_ols_lowers_the_error_more_than_one_of_omp():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (60, 1))
+    y = np.sin(3 * X[:, 0]) + 0.05 * rng.standard_normal(60)
+    columns = np.exp(-((X - X.T) ** 2) / (2 * 0.5**2))
+    chosen = RBFNetRegressor(4, length_scale=0.5, alpha=0).fit(X, y).center_indices_.tolist()
+
+    def left(some):
+        A = np.column_stack([np.ones(60), columns[:, some]])
+        return y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
+
+    centred = columns - columns.mean(axis=0)
+    by_omp = np.argmax(np.abs(left(chosen) @ centred) / np.linalg.norm(centred, axis=0))
+    errors = [np.sum(left([*chosen, j]) ** 2) for j in range(60)]
+    words = "squared error of @ by OMP and of @ by OLS"
+    assert_said("user_guide/ols.md", words, [errors[by_omp], min(errors)], 0.03)
+
+
 def test_the_simulated_joint_lags_as_is_said():
     test = make_single_point(10, 20, machine=ArmErrors(play_arcsec=6), random_state=0)
     readings = np.zeros((1, 6))

@@ -138,8 +138,7 @@ def calibrate(
         Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points, so
         that base, tool and table are fitted to corrected points. Needed wherever the correction
-        will be used with the result: a base that was fitted without it has already taken up a part
-        of what the correction subtracts.
+        will be used with the result.
     free : iterable of str, default=("a", "alpha", "d", "theta_offset", "probe")
         Fields of `arm` that may change.
     loss : {"soft_l1", "huber", "cauchy", "squared"}, default="soft_l1"

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction._one_fit import predict_with_std
 from sklearn_raacmm.error_model import unseen_variance
 from sklearn_raacmm.utils import Finding
 
@@ -127,3 +126,14 @@ def length_findings(calibration):
             size_mm=per_metre,
         )
     ]
+
+
+def predict_with_std(model, angles, noise):
+    """Prediction (n, 3) and standard deviation of a new measurement (n, 3), mm."""
+    try:
+        mean, std = model.predict(angles, return_std=True)
+        std = np.broadcast_to(std, mean.shape)
+    except (TypeError, ValueError):  # a regressor without standard deviations of this form
+        mean = model.predict(angles)
+        std = np.zeros_like(mean)
+    return mean, np.hypot(std, noise)

@@ -207,14 +207,3 @@ def model_for(model, arm, causes=()):
         elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):
             changes[name] = arm.azimuth
     return model.set_params(**changes)
-
-
-def predict_with_std(model, angles, noise):
-    """Prediction (n, 3) and standard deviation of a new measurement (n, 3), mm."""
-    try:
-        mean, std = model.predict(angles, return_std=True)
-        std = np.broadcast_to(std, mean.shape)
-    except (TypeError, ValueError):  # a regressor without standard deviations of this form
-        mean = model.predict(angles)
-        std = np.zeros_like(mean)
-    return mean, np.hypot(std, noise)

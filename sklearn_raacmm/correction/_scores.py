@@ -17,8 +17,8 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._causes import say_worth_of_directions
-from sklearn_raacmm.correction._deviations import length_findings
-from sklearn_raacmm.correction._one_fit import Data, predict_with_std
+from sklearn_raacmm.correction._deviations import length_findings, predict_with_std
+from sklearn_raacmm.correction._one_fit import Data
 from sklearn_raacmm.measurements import moved_positions
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (

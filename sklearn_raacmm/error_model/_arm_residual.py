@@ -25,12 +25,7 @@ from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._in_use import ModelInUseMixin
-from sklearn_raacmm.error_model._left_out import (
-    judge,
-    leave_out,
-    too_few_positions,
-    with_honest_intervals,
-)
+from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
@@ -63,18 +58,12 @@ class ArmResidualRegressor(
 
     .. math:: \delta\theta_j = \sum_k a_{jk} \cos k\theta_j + b_{jk} \sin k\theta_j,
 
-    and reaches the probe through the arm's Jacobian: one pair of numbers serves x, y and z, at
-    every pose. Which orders k are there (an eccentric disc gives 1 and 2, gears give others) is
-    found, not assumed. Beside the harmonics the model holds the causes
+    and reaches the probe through the arm's Jacobian: one pair of numbers serves x, y and z at every
+    pose. Gravity, kinematics (what calibration left) and wobble of the axes are further columns.
 
-    - gravity: every link and joint yields about its three axes in proportion to the torque of each
-      load beyond it, from the arm's geometry;
-    - kinematics: small changes of the arm's static parameters, which calibration had to guess while
-      it took the other errors for noise;
-    - wobble: every axis tilts once and twice a turn about the two directions across it.
-
-    Subtract what `predict` returns from the measured point to correct it. The correction fades
-    where little is known, and is 0 where it did not help at positions that were left out.
+    Take it for residuals of a calibrated arm, and subtract what `predict` returns from the measured
+    point. You may need `groups` in `fit`, and `extra` where temperatures, directions or loads were
+    recorded. The correction is 0 where it did not help at positions that were left out.
 
     Parameters
     ----------
@@ -82,69 +71,50 @@ class ArmResidualRegressor(
         The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
 
     angle_unit : {"rad", "deg"}, default="rad"
-        Unit of the joint angles in `X`. Everything else is in mm and rad in either case.
+        Unit of the joint angles in `X`.
 
     extra : list of str, default=()
-        What the columns of `X` after the angles are, one name for each: other causes of errors that
-        were written down with the angles. Each goes through the arm's geometry and is judged by the
-        evidence.
-
-        - "temperature", of the whole arm, or "temperature J", near joint J (from 1): lengths grow
-          and zero offsets drift in proportion to it. "time" is one more of the whole arm.
-        - "direction J": the direction from which joint J came, 1 from smaller angles and -1 from
-          larger ones: its backlash.
-        - "payload": a weight at the probe. "force x", "force y", "force z": a force on the probe in
-          the base frame, such as the probing force. All frames yield in proportion to the torque.
-        - "tool": the number of the probe, where several are in use: each has offsets of its own.
-
-        Numbers count from their mean over the training data, in whatever unit they are in.
+        What the columns of `X` after the angles are, in any unit: "temperature" of the arm or
+        "temperature J" near joint J (from 1); "time"; "direction J", from which joint J came (1
+        from smaller angles, -1 from larger ones); "payload"; "force x", "force y", "force z" on the
+        probe in the base frame; "tool", the number of the probe.
 
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
-        at multiples of their ratio. The higher an order, the more it has to explain to be taken. A
-        joint is offered no more orders than it shows different angles, and those above 72 where its
-        angles are scattered. 0 offers none. A list offers these orders only, for all joints or for
-        each.
+        at multiples of their ratio. A joint is offered no more orders than it shows different
+        angles, but all above 72 where these are scattered. A list offers these orders only.
 
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
 
     offsets : bool or "auto", default="auto"
-        Whether each position (`groups` of `fit`) has an unknown constant offset, of any size: it
-        has where `y` are deviations from the position's own mean. "auto": where the positions'
-        means are zero; else the evidence finds how large the constants of their references are.
-        False: there are none.
+        Whether each position (`groups` of `fit`) has an unknown constant offset of any size: it has
+        where `y` are deviations from the position's own mean. "auto": where the positions' means
+        are zero; else the evidence finds how large they are. False: there are none.
 
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s its posterior standard
         deviation at this pose and r the root mean square of the training residuals, both as lengths
-        of vectors: nearly 1 where the data know, towards 0 away from them. 0: not at all. "auto":
-        1, or where four positions or more have offsets 0.3 times the factor by which errors at
-        positions left out widen s, up to 1.
+        of vectors. 0: not at all. "auto": 1, or where four positions or more have offsets 0.3 times
+        the factor by which errors at positions left out widen s, up to 1.
 
     regressor : estimator, default=None
-        A second stage: fitted on joint angles in rad to what the linear model leaves, in the
-        cylindrical frame of the probe (see :class:`CylindricalResidualTarget`), such as
-        ``make_pipeline(PoseFeatures(arm), RBFNetRegressor())``. It fades with the linear model.
-        None: no second stage, which has been as good on every real arm tried.
+        A second stage, fitted on joint angles in rad to what the linear model leaves, in the
+        cylindrical frame of the probe.
 
     Attributes
     ----------
     linear_model_ : LinearModel
-        The fitted numbers as one value: columns, coefficients and their covariance. The attributes
-        below show what is in it.
+        Columns, coefficients and their covariance.
 
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
-        and `sin_arcsec` with their standard deviations, and `log_bayes_factor`, by how much each
-        raises the log evidence beside all others. Parts of a smooth function are among them; theirs
-        is about 0 each.
+        and `sin_arcsec` with standard deviations, and `log_bayes_factor` (of the log evidence).
 
     terms_ : structured ndarray of shape (n_terms,)
-        The other causes: `family`, `name`, `value`, `sd`. In arc seconds; for lengths in the length
-        that one arc second spans at the stretched arm's reach; for loads in arc seconds under the
-        torque of the load at that reach.
+        The other causes: `family`, `name`, `value`, `sd`, in arc seconds; for lengths in the length
+        that one arc second spans at the arm's reach, for loads under their torque at that reach.
 
     prior_sd_ : dict
         Standard deviation of the coefficients of each family in these units.
@@ -159,11 +129,10 @@ class ArmResidualRegressor(
         Effective number of coefficients that the data determine.
 
     coef_ : ndarray of shape (n_columns,)
-        Coefficients in the order of the model's columns: cosine and sine of each of
-        `column_harmonics_`, then those of `terms_`.
+        Cosine and sine of each of `column_harmonics_`, then the values of `terms_`.
 
     column_harmonics_ : ndarray of shape (n_chosen, 2)
-        Joint from 1 and order of the harmonics in that order.
+        Joint from 1 and order of each.
 
     regressor_ : CylindricalResidualTarget or None
         The fitted second stage.
@@ -172,68 +141,35 @@ class ArmResidualRegressor(
         How corrections fade: `factor` and `size_mm` (r).
 
     helps_ : bool
-        Whether the linear model helped at positions left out; `predict` returns 0 where it did not.
-        True where `groups` were not given.
+        Whether the model helped at positions left out; True without `groups`.
 
     judgement_ : Judgement or None
-        The numbers behind it: `mean_before_mm`, `mean_after_mm`, `gain_se_mm`, `n_positions`,
-        `helps`. None where nothing was left out.
-
-    pose_weight_ : ndarray of shape (n_samples,)
-        What the robust weights left of each training pose: 0 for outliers, and for rows of weight
-        0.
-
-    arm_ : Arm
-        The arm in use.
+        The numbers behind it. None where nothing was left out.
 
     findings_ : tuple of Finding
         What there is to say about the data.
 
-    n_features_in_ : int
-        Number of joints, and of extra columns.
+    pose_weight_ : ndarray of shape (n_samples,)
+        What the robust weights [1]_ left of each training pose: 0 for outliers.
 
-    feature_names_in_ : ndarray of shape (`n_features_in_`,)
-        Names of the columns of `X`, where they are all text.
+    arm_ : Arm
+        The arm in use.
 
     See Also
     --------
-    RBFNetRegressor : For what is smooth in the pose and not in this model.
     learn_correction : Calibrates an arm, fits this model, and judges both.
 
     Notes
     -----
-    Coefficients have normal priors of mean zero, one variance a family, found with the noise by
-    maximising the marginal likelihood (MacKay's fixed point). Harmonics are chosen by orthogonal
-    least squares, a pair at a time: the one that raises the marginal likelihood most, as long as
-    the rise is more than the price of its order k, ``2 log(k)`` nats. Where the data ask for it,
-    all orders up to 48 are there together, with one small variance that falls with the order
-    (`prior_sd_` then has the entry "smooth"): each joint's error is a smooth function of its angle,
-    of which little is known where there are no poses.
+    Coefficients have normal priors, one variance a family, found by maximising the marginal
+    likelihood. An order k joins where it raises that by more than ``2 log(k)`` nats. Intervals are
+    as wide as errors at positions left out ask for.
 
-    Where poses lie farther off than 5.5 standard deviations, all are weighed by Tukey's biweight
-    [1]_, which gives those none, and the model is fitted again.
-
-    Offsets are exact fixed effects: means over the position are taken out of the columns, too. A
-    common scale of all lengths then leaves no trace in the data, so that without known lengths the
-    scale of the model is set to that of the calibrated arm: over the training positions, corrected
-    distances are as long as uncorrected ones on the average (an inner constraint, as geodesists
-    have it in free networks). Without kinematics no column takes up what calibration left, the
-    other causes strain the volume in its place, and holding the scale is no cure: `fit` warns.
-    Known lengths are observations of their own, beside the noise of the two mean points.
-
-    The posterior's standard deviations suppose that the model is complete. Of ten blocks of
-    neighbouring positions, left out in turn, the errors show how much larger they have to be. The
-    same errors say whether the correction helps: if their mean over positions is less than without
-    correction by more than the standard error of the difference. With P < 4 positions that have
-    offsets, intervals are 1 + 2 / P times as wide, and the correction has to help at each of them.
-    Where it is not used, intervals are at least as wide as the residuals ask for.
-
-    The harmonic form is that of encoder eccentricity; the composition of the model is our own.
+    A single-point test shows no common scale: without known lengths it stays that of the arm.
 
     References
     ----------
-    .. [1] A. E. Beaton, J. W. Tukey, "The fitting of power series, meaning polynomials, illustrated
-       on band-spectroscopic data", Technometrics 16(2), 1974, 147-185.
+    .. [1] A. E. Beaton, J. W. Tukey, "The fitting of power series", Technometrics 16, 1974.
 
     Examples
     --------
@@ -376,8 +312,7 @@ class ArmResidualRegressor(
         model = replace(model, n_positions=float(positions.max() + 1))
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        widening = None if too_few_positions(left_out, positions) else model.std_scale
-        self.fading_: Any = find_fading(rows.y, *rest, self.fade, widening)
+        self.fading_: Any = find_fading(rows.y, *rest, self.fade, model.std_scale)
         self.judgement_: Any = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
@@ -519,10 +454,7 @@ class ArmResidualRegressor(
             raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
         X = check_poses(self, X)
         model, fading = self.linear_model_, self.fading_
-        if fading.factor > 0:
-            mean, std, doubt = model.predict_with_doubt(X, return_std)
-        else:
-            (mean, std), doubt = model.predict(X, return_std), None
+        mean, std, doubt = model.predict_with_doubt(X, return_std, fading.factor > 0)
         mean = mean * self.helps_ + self.second_stage(X)
         if doubt is not None:
             share = fading.share(doubt)
@@ -531,11 +463,9 @@ class ArmResidualRegressor(
             mean = share[:, None] * mean
         if return_cov:
             return mean, model.joint_covariance(X, with_noise, with_unseen)
-        if not return_std:
-            return mean
-        std = model.widened(std, with_noise)
         # Without a correction the errors are at least those that the residuals had.
-        return mean, std if self.helps_ else np.maximum(std, fading.size_mm / np.sqrt(3))
+        least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
+        return (mean, np.maximum(model.widened(std, with_noise), least)) if return_std else mean
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""

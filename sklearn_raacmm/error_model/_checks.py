@@ -6,6 +6,7 @@
 from typing import Any
 
 import numpy as np
+from scipy.special import fdtr
 
 from sklearn_raacmm.arm import arm_for, reach_mm
 from sklearn_raacmm.calibration import check_length
@@ -35,6 +36,10 @@ _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 _LARGEST_REACHES = 10.0
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
+# A share of the means between CENTRED and 1 is worth a word where independent rows have one as
+# small in fewer fits than one of a thousand. Against a reference it is above 1, as neighbours err
+# alike.
+_BY_CHANCE = 1e-3
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths):
@@ -137,8 +142,26 @@ def _check_offsets(offsets, y, weights, groups):
         return None
     _, codes = encode_groups(groups, len(y))
     if offsets == "auto":
-        offsets = share_of_means(y, codes, weights) < CENTRED
+        share = share_of_means(y, codes, weights)
+        offsets = share < CENTRED
+        if not offsets:
+            say_findings(_deviations_of_other_rows(share, y.shape[1], codes, weights))
     return codes if offsets else None
+
+
+def _deviations_of_other_rows(share, n_outputs, codes, weights):
+    """Means that are not zero, and smaller than those of independent rows."""
+    weights = weights / min(weights[weights > 0].mean(), 1.0)
+    n_groups = len(np.unique(codes[weights > 0]))
+    n_free = weights.sum() - n_groups
+    if n_free > 0 and fdtr(n_outputs * n_groups, n_outputs * n_free, share) < _BY_CHANCE:
+        yield Finding(
+            "deviations-of-other-rows",
+            f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those of "
+            "independent rows of this scatter: y may be deviations from the means of more rows "
+            "than these.",
+            "No offsets are fitted; set offsets to True or False.",
+        )
 
 
 def poses_of(rows, extra, *others):

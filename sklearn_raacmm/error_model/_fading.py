@@ -16,10 +16,10 @@ from sklearn_raacmm.utils import Finding, centred, say_findings
 _OF_TRACKER = 1.0
 # In single-point tests: so many times the factor by which errors at positions left out have widened
 # the standard deviation; 1 where there are too few positions to leave some out, and at most 1, for
-# outliers widen it, too. Of no correction 0.3, 0.4 and 0.6 leave 0.793 each on Pandas of 120 and
-# 200 rows of four placements and more (``benchmarks/bench_few_poses.py``), and 0.576, 0.593 and
-# 0.625 on 40 simulated tests of 3 to 12 positions, half of them in one corner.
-_OF_WIDENED, _MOST = 0.3, 1.0
+# outliers widen it, too. Of no correction 0.3, 0.4 and 0.6 leave 0.793 each on Pandas, thinned to
+# 120 and 200 rows of four placements and more (``benchmarks/bench_few_poses.py``), and 0.576, 0.593
+# and 0.625 on 40 simulated tests of 3 to 12 positions, half of them in one corner.
+_OF_WIDENED, _MOST, _LEAST_POSITIONS = 0.3, 1.0, 4
 # predict warns where less than this share is left of more than half of the corrections.
 _WARN_SHARE = 0.1
 
@@ -66,7 +66,7 @@ class Fading:
         return size / np.maximum(size + self.factor**2 * np.square(doubt), 1e-300)
 
 
-def find_fading(y, weights, codes, factor: Any = "auto", widening=None):
+def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0):
     """Fading of a correction of residuals of some size.
 
     Parameters
@@ -78,9 +78,8 @@ def find_fading(y, weights, codes, factor: Any = "auto", widening=None):
         Position of each row, from 0, where positions have unknown offsets.
     factor : float or "auto", default="auto"
         Factor of the doubt.
-    widening : float or None
-        How much wider than the standard deviation errors at positions left out ask for; None where
-        too few positions could be left out.
+    widening : float, default=1
+        How much wider than the standard deviation errors at positions left out ask for.
 
     Returns
     -------
@@ -91,7 +90,8 @@ def find_fading(y, weights, codes, factor: Any = "auto", widening=None):
         factor = _OF_TRACKER
         if codes is not None:
             # A flat optimum has few reliable digits; corrections must not depend on the others.
-            factor = _MOST if widening is None else min(round(_OF_WIDENED * widening, 3), _MOST)
+            few = codes.max() + 1 < _LEAST_POSITIONS
+            factor = _MOST if few else min(round(_OF_WIDENED * widening, 3), _MOST)
     size = np.sqrt(np.average(np.square(y).sum(axis=1), weights=weights))
     return Fading(float(size), float(factor))
 

@@ -53,13 +53,15 @@ class ModelInUseMixin:
         >>> import numpy as np
         >>> from sklearn_raacmm import Arm, ArmResidualRegressor
         >>> arm = Arm.from_name("aacmm6")
-        >>> angles = np.random.default_rng(0).uniform(-2, 2, (200, 6))
-        >>> y = arm.jacobian(angles)[:, :, 4] * 1e-4  # joint 5 is off by 0.1 mrad
+        >>> rng = np.random.default_rng(0)
+        >>> angles = rng.uniform(-2, 2, (200, 6))
+        >>> def residuals(arm):  # encoder 5 is eccentric
+        ...     return arm.jacobian(angles)[:, :, 4] * 1e-4 * np.cos(angles[:, 4:5])
+        >>> y = residuals(arm) + rng.normal(scale=0.002, size=(200, 3))
         >>> model = ArmResidualRegressor(arm, orders=2).fit(angles, y)
         >>> longer = arm.replace(probe=(0, 0, 400))
-        >>> moved = model.with_arm(longer)
-        >>> left = longer.jacobian(angles)[:, :, 4] * 1e-4 - moved.predict(angles)
-        >>> bool(np.abs(left).max() < 1e-3)
+        >>> left = residuals(longer) - model.with_arm(longer).predict(angles)
+        >>> bool(np.linalg.norm(left) < 0.05 * np.linalg.norm(residuals(longer)))
         True
         """
         check_is_fitted(self)

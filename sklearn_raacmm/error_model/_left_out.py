@@ -149,11 +149,6 @@ def _blocks(points, positions, weights):
     return blocks[place.ravel()[positions]]
 
 
-def too_few_positions(left_out, positions):
-    """Whether errors at positions left out say too little of intervals."""
-    return left_out is None or len(np.unique(positions)) < LEAST_POSITIONS
-
-
 def with_honest_intervals(model, left_out, weights, codes, positions):
     """Model whose intervals are as wide as its errors at positions left out ask for.
 
@@ -180,7 +175,7 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
         The same one where a tracker gave too few positions to leave some out.
     """
     n_positions = len(np.unique(positions))
-    if too_few_positions(left_out, positions):
+    if left_out is None or n_positions < LEAST_POSITIONS:
         wider = 1.0 if codes is None else 1 + _PER_FEW_POSITIONS / n_positions
         return replace(model, noise_scale=wider, std_scale=wider)
     noise = np.full(left_out.errors.shape, model.noise_sd)

@@ -196,17 +196,19 @@ class LinearModel:
         return mean, found[0] if return_std else None
 
     def predict_with_doubt(
-        self, angles: np.ndarray, return_std: bool = False
-    ) -> tuple[np.ndarray, Any, np.ndarray]:
+        self, angles: np.ndarray, return_std: bool = False, return_doubt: bool = True
+    ) -> tuple[np.ndarray, Any, Any]:
         """As `predict`, and what corrections fade by.
 
         Returns
         -------
         mean : ndarray of shape (n, 3)
         std : ndarray of shape (n, 3) or None
-        doubt : ndarray of shape (n,)
+        doubt : ndarray of shape (n,) or None
             Length of the standard deviation by `fading_half`, mm.
         """
+        if not return_doubt:
+            return *self.predict(angles, return_std), None
         roots = [self._fading_root]
         if return_std and roots[0] is not self._std_root:
             roots = [self._std_root, *roots]

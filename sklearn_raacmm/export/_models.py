@@ -343,8 +343,7 @@ def arm_model(chain, step):
                 f"{name} of Fading must be a finite number of at least 0, got {value}."
             )
     y, v, doubt = linear_model(chain, linear, fading.factor > 0)
-    if not step.helps_:
-        y = p.constant(np.zeros(3))
+    y = y if step.helps_ else p.constant(np.zeros(3))
     if step.regressor_ is not None:
         steps = list(leaves(step.regressor_))
         second = _Chain(step.regressor_, p, False, chain.angles(), "rad")
@@ -356,10 +355,8 @@ def arm_model(chain, step):
             share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
         chain.trust, y = share, p("mul", y, share)
     y = _known_tools(chain, linear.terms.extra, y)
-    if not chain.std:
-        return y, None
-    v = p("mul", v, linear.std_scale**2)
-    return y, v if step.helps_ else p("max", v, fading.size_mm**2 / 3)
+    v = p("mul", v, linear.std_scale**2) if chain.std else None
+    return y, v if step.helps_ or v is None else p("max", v, fading.size_mm**2 / 3)
 
 
 def _known_tools(chain, extra, y):

@@ -199,7 +199,11 @@ def are_what_calibration_takes(targets, points):
     if not targets.offsets:
         turns = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
         base = np.broadcast_to(np.eye(3), (len(y), 3, 3))
-        jac = np.concatenate([jac, 1e3 * base, turns], axis=2)
+        # A base that stands elsewhere is another finding.
+        base = np.concatenate([base, turns / targets.reach], axis=2)
+        place = np.linalg.qr(base.reshape(-1, 6))[0]
+        y = y - (place @ (place.T @ y.ravel())).reshape(y.shape)
+        jac = np.concatenate([jac, 1e3 * base], axis=2)
     else:
         y, jac = (centred(v, targets.codes, targets.weights) for v in (y, jac))
     n_columns = jac.shape[2]
@@ -213,7 +217,7 @@ def are_what_calibration_takes(targets, points):
         coef = np.linalg.lstsq(columns, np.r_[y[~rows].ravel(), np.zeros(n_columns)])[0]
         off[rows] = y[rows] - jac[rows] @ coef
     left = _rms(off)
-    if left < _LEFT_OF_TABLE * _rms(y):
+    if _rms(y) > _LARGE_MM and left < _LEFT_OF_TABLE * _rms(y):
         yield Finding(
             "not-calibrated",
             f"The residuals of {_rms(y):.3g} mm (root mean square) are nearly what a calibration "

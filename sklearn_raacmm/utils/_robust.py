@@ -112,5 +112,6 @@ def many_without_weight(factor: np.ndarray) -> Iterator[Finding]:
             "many-without-weight",
             f"{len(none)} of {len(factor)} poses lie so far off that they have no weight.",
             "These are more than slips are: look at labels, references and set-up.",
+            "note",
             rows=tuple(none.tolist()),
         )

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
-from sklearn_raacmm.correction import with_causes
+from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 SMALL = ArmResidualRegressor(orders=3)

@@ -338,6 +338,7 @@ def test_bad_input_gets_one_sentence(test_data, change, message):
         learn_correction(test_data.nominal_arm, **{**given, "model": QUICK, **change})
 
 
+@pytest.mark.filterwarnings("ignore:The points still scatter")  # said beside the refusal
 def test_an_arm_of_another_table_is_refused_and_told(test_data):
     wrong = test_data.nominal_arm.replace(joint_signs=[1, 1, 1, -1, 1, 1])
     message = (

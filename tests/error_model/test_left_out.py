@@ -176,8 +176,9 @@ def test_fading_is_wieners_factor():
     assert_array_equal(Fading(0.1, 0.0).share(doubt), 1)
     y, weights = np.full((3, 3), 0.1), np.ones(3)
     assert find_fading(y, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0)
-    single_point = np.ones((9, 3)), np.ones(9), np.arange(9) // 3
-    assert find_fading(*single_point).factor == 1.0  # too few positions to leave some out
+    few = np.ones((9, 3)), np.ones(9), np.arange(9) // 3
+    assert find_fading(*few, widening=1.5).factor == 1.0  # too few positions to leave some out
+    single_point = np.ones((8, 3)), np.ones(8), np.arange(8) // 2
     assert find_fading(*single_point, widening=1.5).factor == pytest.approx(0.45)
     assert find_fading(*single_point, widening=4.0).factor == 1.0
     assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
