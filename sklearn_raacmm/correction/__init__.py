@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._deviations import corrected_columns, corrected_points
 from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
 from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
@@ -36,5 +37,6 @@ __all__ = [
     "search_table",
     "transfer_correction",
     "update_correction",
+    "with_causes",
     "write_correction",
 ]

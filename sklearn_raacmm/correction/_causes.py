@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,7 @@ def usual_values(names, values):
     return usual
 
 
-def with_causes(angles, usual, extra=None):
+def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
     """Angles with the columns of the causes that a model has.
 
     Parameters
