@@ -138,6 +138,7 @@ def test_refuses_before_the_work(example, capsys, arguments, message):
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("ignore:At other poses")  # few goals are alike
 def test_real_data(example, panda, ur10, monkeypatch):
     """Small pieces of the real series: what is uncorrected is what calibration left."""
     module = example("compare_regressors")

@@ -7,12 +7,12 @@ from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
 
 _PICTURE = r"""
-           elbow: axes 3 and 4 cross, or pass at the elbow offset
+           elbow: axes 2 and 3 cross, or pass at the elbow offset
               o
     upper    / \    fore
             /   \
            o     o--( probe
-   shoulder|     wrist: axes 5 and 6 cross, or pass at the wrist offset
+   shoulder|     wrist: axes 4 and 5 cross, or pass at the wrist offset
     height |
          =====  base: axis 1 upright, axis 2 across it
 """
@@ -29,13 +29,13 @@ drawing, to half a millimetre, or measure a known distance. The height of the sh
 where the origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
 
 
-def ask_for_an_arm(answer=input):
+def ask_for_an_arm(answer=None):
     """Arm whose lengths are asked for one by one.
 
     Parameters
     ----------
-    answer : callable, default=input
-        Takes the question, returns what was typed.
+    answer : callable, default=None
+        Takes the question, returns what was typed. None: ``input``.
 
     Returns
     -------
@@ -46,6 +46,7 @@ def ask_for_an_arm(answer=input):
     TableError
         If a length is no number.
     """
+    answer = answer or input
     print(_PICTURE)
     print(_ADVICE)
     layout = answer("Layout, 2-2-2 or 2-2-3: ").strip()

@@ -266,13 +266,15 @@ def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
     assert main([*arguments.split(), "--limit-2s", "0.1", "--force"]) == 2
     assert "not for a tracker's points" in capsys.readouterr().err
     assert main(["check", f"{tmp_path}/t.csv", "--model", str(tmp_path)]) == 2
-    assert "learnt from a single-point test" in capsys.readouterr().err
+    assert "with --position NAME" in capsys.readouterr().err
 
 
 def test_demo(monkeypatch, tmp_path, capsys):
     small = functools.partial(make_single_point)
     monkeypatch.setattr(
-        _commands, "make_single_point", lambda **_: small(n_positions=5, n_poses=12, random_state=0)
+        _commands,
+        "make_single_point",
+        lambda **_: small(n_positions=5, n_poses=12, bars=[500], random_state=0),
     )
     opened = []
     monkeypatch.setattr(_commands.webbrowser, "open", opened.append)

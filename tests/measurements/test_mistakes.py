@@ -218,7 +218,7 @@ MISTAKES = [
     (calibrate_cones, "joints in reverse order", lambda: columns(5, 4, 3, 2, 1, 0), "no-such-arm"),
     (calibrate_cones, "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "no-such-arm"),
     (calibrate_cones, "joint 4 reversed", lambda: reversed_joints(4), "no-such-arm"),
-    (calibrate_cones, "all joints reversed", lambda: reversed_joints(1, 2, 3, 4, 5, 6), BECAUSE + "a mirror image has the same distances"),
+    (calibrate_cones, "all joints reversed", lambda: reversed_joints(1, 2, 3, 4, 5, 6), "table-off"),
     (calibrate_cones, "joint 1 reversed", lambda: reversed_joints(1), "no-such-arm"),
     (calibrate_cones, "the zero of joint 1 is 10 degrees off", lambda: base(angles=TEST.data + np.deg2rad([10, 0, 0, 0, 0, 0])), BECAUSE + "where the base points is nothing that cones show"),
     (calibrate_cones, "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
@@ -362,7 +362,8 @@ CLEAN = {
 
 @pytest.mark.parametrize("door", CLEAN, ids=lambda door: door.__name__)
 def test_nothing_is_said_of_clean_data(door):
-    assert not codes_of(door, CLEAN[door]()) - {"outliers"}
+    notes = {"outliers", "lengths-unknown", "drift-of-run"}
+    assert not codes_of(door, CLEAN[door]()) - notes
 
 
 def test_findings_travel_with_what_is_learnt():
