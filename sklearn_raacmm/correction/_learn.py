@@ -409,7 +409,6 @@ def learn_correction(
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), heard = hear(inside)
-    say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,
         model=fitted,

@@ -138,7 +138,7 @@ class CorrectionCheck:
     },
     prefer_skip_nested_validation=True,
 )
-@one_warning()
+@one_warning
 def check_correction(
     model: ArmResidualRegressor,
     X: ArrayLike,

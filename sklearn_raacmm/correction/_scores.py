@@ -264,7 +264,6 @@ def cross_validate_correction(
         return scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
 
     (scores, *_), heard = hear(inside)
-    say_findings(heard)
     return with_verdict(scores, heard)
 
 

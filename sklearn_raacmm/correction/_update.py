@@ -25,7 +25,7 @@ _STRANGE = 10.0
 @validate_params(
     {"arm": [Arm, None], "date": [str, calendar, None]}, prefer_skip_nested_validation=True
 )
-@one_warning()
+@one_warning
 def update_correction(
     model: ArmResidualRegressor,
     X: ArrayLike,

@@ -182,7 +182,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
-    @one_warning()
     def fit(
         self,
         X: ArrayLike,
@@ -304,7 +303,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             y = y - constants[codes]
         return y, fit_params
 
-    @one_warning()
+    @one_warning
     def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
         """Predict Cartesian residuals, to be subtracted from the measured points.
 

@@ -54,8 +54,8 @@ from sklearn_raacmm.utils._groups import (
     slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
+from sklearn_raacmm.utils._matrices import align, invert_triangle, nearest_rotation
 from sklearn_raacmm.utils._progress import stage
-from sklearn_raacmm.utils._rigid import align, nearest_rotation
 from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
@@ -75,7 +75,6 @@ from sklearn_raacmm.utils._sklearn import (
     validate_parameter_constraints,
     validate_params,
 )
-from sklearn_raacmm.utils._triangles import invert_triangle
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
 from sklearn_raacmm.utils._whole_fit import whole_fit
