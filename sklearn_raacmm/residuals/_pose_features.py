@@ -1,9 +1,7 @@
-"""The pose of a measuring arm: its shape, as seen in the vertical plane that its base turns.
+"""The pose of a measuring arm: its shape, as seen in the vertical plane that its base turns."""
 
-Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
-doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
-here are reconstructions, checked numerically.
-"""
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
 
 from typing import Any, Self
 

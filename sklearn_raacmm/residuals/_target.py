@@ -2,13 +2,11 @@
 
 A measuring arm looks the same from every side: its base swivels about a vertical axis. What its
 geometry does to the probe is therefore the same at every azimuth, once it is said in the radial,
-tangential and axial direction of the probe instead of x, y and z. This module turns Cartesian
-residuals into that frame and back; it knows nothing of arms or of any particular regressor.
-
-Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
-doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
-here are reconstructions, checked numerically.
+tangential and axial direction of the probe instead of x, y and z.
 """
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
 from typing import Any, Self
