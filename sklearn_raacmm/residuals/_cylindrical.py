@@ -25,8 +25,8 @@ def position_residuals(
 ) -> np.ndarray:
     """Residual of each probe point from the mean point of its position.
 
-    In a cone-hole test the probe sits in one seat while the arm moves through many poses: all
-    points of one position should coincide, and their mean stands in for the unknown true point.
+    In a cone-hole test all points of one position should coincide; their mean stands in for the
+    unknown true point.
 
     Parameters
     ----------
@@ -51,9 +51,8 @@ def position_residuals(
 
     Notes
     -----
-    This is the reference of equation (10), before the rotation. A residual is known only up to
-    one constant per position: where the true point is, the arm cannot tell. Points that lie farther
-    than 11 standard deviations from the others, slips of the probe, take no part in it (Tukey's
+    This is the reference of equation (10), before the rotation. Points that lie farther than 11
+    standard deviations from the others, slips of the probe, take no part in the mean (Tukey's
     biweight).
 
     Examples

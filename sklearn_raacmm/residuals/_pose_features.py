@@ -24,14 +24,10 @@ from sklearn_raacmm.utils import (
     check_feature_names_in,
     check_features,
     check_fitted,
-    chunks,
     fit_context,
     whole_fit,
 )
 
-# Rows computed at once: sines, cosines and points of a batch (about 200 bytes per row) stay in a
-# core's cache.
-_BATCH_ROWS = 4096
 _ORIGIN = (0.0, 0.0, 0.0)
 _TURN = 2 * np.pi
 
@@ -76,16 +72,11 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
 
-    See Also
-    --------
-    CylindricalResidualTarget : Regress on residuals in the frame of the azimuth.
-
     Notes
     -----
-    With O2 and O5 the origins of the shoulder and wrist frames, equations (4) to (6) come to
-    ``theta_dis = atan2(z5 - z2, hypot(x5 - x2, y5 - y2))``. It does not depend on joint 1 at all,
-    nor, on an ideal arm, on the joints past the elbow's roll. Two shoulder angles share one
-    elevation: the second reaches over the top.
+    With O2 and O5 the origins of the shoulder and wrist frames, equations (4) to (6) of Gao et al.
+    (2020), doi 10.1177/1729881420925638, come to
+    ``theta_dis = atan2(z5 - z2, hypot(x5 - x2, y5 - y2))``. It does not depend on joint 1.
 
     Input in float32 gives output in float32; the kinematics is computed in float64.
 
@@ -162,7 +153,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, n_joints)
-            Joint angles, in the unit of `angle_unit`.
+            As in `fit`.
 
         Returns
         -------
@@ -177,29 +168,20 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         """
         check_fitted(self, "arm_")
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
-        features = np.empty((len(X), len(self._names())), dtype=X.dtype)
-        # All rows at once: a unit cannot be told from some of them.
         angles = check_angles(X, self.arm_.n_joints, self.angle_unit)
         turns = np.floor((angles - self.turn_start_) / _TURN)
         if turns.any():
             angles = angles - _TURN * turns
-        for rows in chunks(len(X), _BATCH_ROWS):
-            for i, column in enumerate(self._columns(angles[rows], rows.start)):
-                features[rows, i] = column
-        return features
-
-    def _columns(self, angles, first_row):
-        """Features of some rows of angles in rad, one array (n,) for each."""
         columns, probe = list(angles.T), None
         if self.joints == "pose":
-            columns, probe = pose_columns(self.arm_, angles, first_row)
+            columns, probe = _pose(self.arm_, angles)
         elif self.append_azimuth:
             probe = probe_points(self.arm_, dh_theta(self.arm_, angles))
         if self.encoding == "periodic":
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
-            columns += _checked_direction(probe, first_row)
-        return columns
+            columns += _checked_direction(probe)
+        return np.stack(columns, axis=1).astype(X.dtype, copy=False)
 
     def get_feature_names_out(self, input_features: ArrayLike | None = None) -> np.ndarray:
         """Get the names of the features.
@@ -247,59 +229,33 @@ def _turn_start(angles):
     return start + _TURN * np.floor(np.median((angles - start) / _TURN))
 
 
-def pose_columns(arm, angles, first_row=0):
-    """Compute the pose and the probe together: the sines and cosines of the joints serve both.
+def _pose(arm, angles):
+    """Columns (n,) of the pose, in rad, and probe points (3, n), mm: sines serve both.
 
-    Parameters
-    ----------
-    arm : Arm
-    angles : ndarray of shape (n, n_joints)
-        Joint angles in rad, checked before.
-    first_row : int
-        Number of the first row, for messages.
-
-    Returns
-    -------
-    columns : list of ndarray of shape (n,)
-        The angles of the pose's joints and theta_dis, in rad.
-    probe : ndarray of shape (3, n)
-        Probe points in mm.
-
-    Raises
-    ------
-    ValueError
-        If the wrist lies on the shoulder.
+    The last column is the elevation of the line from shoulder to wrist, equations (4) to (6).
     """
     shoulder, wrist = arm.pose_frames
     fixed = [(shoulder, _ORIGIN), (wrist, _ORIGIN), (arm.n_joints, arm.probe.tolist())]
     start, end, probe = carried(arm, dh_theta(arm, angles), fixed)
-    theta_dis = _elevation(end - start, arm.pose_frames, first_row)
-    return [angles[:, joint - 1] for joint in arm.pose_joints] + [theta_dis], probe
-
-
-def _elevation(line, pose_frames, first_row=0):
-    """Elevation of lines (3, n) from shoulder to wrist, equations (4) to (6)."""
-    x, y, z = line
+    x, y, z = end - start
     reach = np.hypot(x, y)
-    length = np.hypot(reach, z)
-    if length.min() < MIN_LENGTH_MM:
-        short = np.flatnonzero(length < MIN_LENGTH_MM)
-        shoulder, wrist = pose_frames
+    short = np.flatnonzero(np.hypot(reach, z) < MIN_LENGTH_MM)
+    if short.size:
         raise ValueError(
             f"theta_dis is undefined: the origins of frames {shoulder} and {wrist} coincide, first "
-            f"in row {first_row + short[0]}. Choose the arm's pose_frames (shoulder, wrist) apart."
+            f"in row {short[0]}. Choose the arm's pose_frames (shoulder, wrist) apart."
         )
-    return np.arctan2(z, reach)
+    return [angles[:, joint - 1] for joint in arm.pose_joints] + [np.arctan2(z, reach)], probe
 
 
-def _checked_direction(points, first_row=0):
+def _checked_direction(points):
     """Cosine and sine of the azimuth of points (3, n) about the base axis, which has to exist."""
     x, y, _ = points
     radius = np.hypot(x, y)
-    if radius.min() < MIN_LENGTH_MM:
-        on_axis = np.flatnonzero(radius < MIN_LENGTH_MM)
+    on_axis = np.flatnonzero(radius < MIN_LENGTH_MM)
+    if on_axis.size:
         raise ValueError(
-            f"The azimuth is undefined: the probe lies on the base axis, first in row "
-            f"{first_row + on_axis[0]} (radius {radius[on_axis[0]]:.3g} mm). Leave such poses out."
+            f"The azimuth is undefined: the probe lies on the base axis, first in row {on_axis[0]} "
+            f"(radius {radius[on_axis[0]]:.3g} mm). Leave such poses out."
         )
     return x / radius, y / radius

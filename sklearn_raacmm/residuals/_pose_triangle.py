@@ -36,8 +36,8 @@ def shoulder_wrist_distance(arm: Arm, angles: ArrayLike, *, angle_unit: str = "r
     Notes
     -----
     With right twists and a = (0, a2, 0, a4, 0, 0), L1 = d3, L2 = hypot(a4, d5) and
-    phi = atan2(a4, d5), the square of the distance is L1^2 + L2^2 + 2 L1 L2 cos(theta4 - phi): a
-    function of the elbow alone. Here it follows from the table as it is, with its imperfect twists.
+    phi = atan2(a4, d5), the square of the distance is L1^2 + L2^2 + 2 L1 L2 cos(theta4 - phi). Here
+    it follows from the table as it is, with its imperfect twists.
 
     Examples
     --------

@@ -77,20 +77,16 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     ----------
     regressor : object, default=None
         Regressor for the three components, cloned before fitting. If None,
-        :class:`~sklearn.linear_model.LinearRegression`. One that has no widths of its own needs
-        scaled features, by a scaler inside it. A search over its parameters, such as
-        ``regressor__n_centers``, needs one to be given.
+        :class:`~sklearn.linear_model.LinearRegression`. A scaler of the features goes inside it.
     azimuth : "appended", callable or None, default="appended"
         Where the azimuth of the probe comes from.
 
         - "appended": the last two columns of `X` are its direction, cosine and sine, as
           ``PoseFeatures(arm, append_azimuth=True)`` leaves them. They are not passed on to the
           regressor. Their norm is checked, so that a scaler put in between raises.
-        - callable: ``azimuth(X)`` returns it in rad, shape (n_samples,), from the `X` given to
-          `fit` and `predict`; usually ``arm.azimuth``, with `X` the joint angles in rad. Take a
-          method or a function defined in a module rather than a lambda, which cannot be saved.
-        - None: no rotation, the Cartesian residual is learnt directly. For comparison: an arm's
-          residual is not a function of its pose in this frame.
+        - callable: ``azimuth(X)`` returns it in rad, shape (n_samples,); usually ``arm.azimuth``,
+          with `X` the joint angles in rad. A lambda cannot be saved.
+        - None: no rotation, the Cartesian residual is learnt directly, for comparison.
 
     Attributes
     ----------
@@ -103,11 +99,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
 
-    See Also
-    --------
-    PoseFeatures : The arm's pose, and its azimuth, from joint angles.
-    position_residuals : The target from a cone-hole test.
-
     Notes
     -----
     Two forms give the same predictions. Outermost, on joint angles (A)::
@@ -116,8 +107,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             make_pipeline(PoseFeatures(arm), RBFNetRegressor()), azimuth=arm.azimuth
         )
 
-    and as the last step of a pipeline (B), which also serves angles in degrees, since only
-    `PoseFeatures` has to know their unit::
+    and as the last step of a pipeline (B), which also serves angles in degrees::
 
         make_pipeline(
             PoseFeatures(arm, append_azimuth=True),
@@ -132,11 +122,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     are not small are known in full, as those against a tracker, and have no constants.
 
     A target of one dimension or one column has no direction and passes through unrotated; so
-    does one of more than three columns if `X` has no azimuth appended. With an azimuth known,
-    more than three columns are an error, and two always are.
+    does one of more than three columns if no azimuth is known.
 
-    The model is equation (7) of Gao et al. (2020), (radial, tangential, axial) = f(pose), with
-    the rotation of equations (10) to (14).
+    The model is equation (7) of Gao et al. (2020), doi 10.1177/1729881420925638, (radial,
+    tangential, axial) = f(pose), with the rotation of equations (10) to (14).
 
     Examples
     --------
@@ -193,9 +182,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             position. ``regressor__groups`` is another name of it, for a search with metadata
             routing off, which keeps `groups` for its splitter.
         **fit_params : dict
-            Passed to the regressor's `fit`, such as `sample_weight`, or
-            `rbfnetregressor__sample_weight` where the regressor is a pipeline; routed by request
-            if metadata routing is enabled.
+            Passed to the regressor's `fit`, such as `sample_weight`; routed by request if metadata
+            routing is enabled.
 
         Returns
         -------
@@ -205,17 +193,14 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         Raises
         ------
         ValueError
-            If `y` has the wrong number of columns, or NaN or infinity; if a sample weight is
-            negative, NaN or infinite; if the last two columns of `X` are not a direction where they
-            should be; if the azimuth is not one finite number per row; if `y` are the probe's
-            points, or too large for residuals in mm; if labels of `groups` are missing, or their
-            number is wrong.
+            If `y` has the wrong number of columns, or are points and no residuals in mm; if a
+            sample weight is negative; if the last two columns of `X` are not a direction where they
+            should be; if the azimuth is not one number per row; if something is not finite.
 
         Warns
         -----
-        UserWarning
-            If a motion of the arm's base explains nearly all of `y`: the reference is then most
-            likely in another frame.
+        FindingWarning
+            If a motion of the arm's base explains nearly all of `y`.
         """
         X = _with_shape(X)
         refuse_disguised("y", y)
@@ -392,14 +377,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         return LinearRegression()
 
     def get_metadata_routing(self) -> Any:
-        """Get metadata routing of this object.
-
-        Returns
-        -------
-        routing : MetadataRouter
-            `fit` and `predict` route to those of the regressor; `groups` of `fit` and `score` are
-            our own, and requested.
-        """
+        """Route `fit` and `predict` to the regressor; `groups` are our own, and requested."""
         methods = MethodMapping().add(caller="fit", callee="fit")
         methods.add(caller="predict", callee="predict")
         # Without the self-request a pipeline that ends here could not score with routing on.

@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, PoseFeatures
-from sklearn_raacmm.residuals import _pose_features
 
 NAMES = ["aacmm6", "panda", "ur10"]
 
@@ -171,9 +170,8 @@ def test_parameters_are_validated(params):
         PoseFeatures(**params).fit(np.zeros((3, 6)))
 
 
-def test_probe_on_the_base_axis(monkeypatch):
+def test_probe_on_the_base_axis():
     """A hinge at the base that can bring the probe straight above it."""
-    monkeypatch.setattr(_pose_features, "_BATCH_ROWS", 2)  # rows are counted across batches
     arm = Arm(a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[400, 0, 0], pose_joints=(2, 3),
               pose_frames=(1, 2))  # fmt: skip
     pose = PoseFeatures(arm, append_azimuth=True).fit(np.zeros((1, 3)))
@@ -184,8 +182,7 @@ def test_probe_on_the_base_axis(monkeypatch):
     assert_allclose(PoseFeatures(arm).fit_transform(upright)[2, 2], np.pi / 2)
 
 
-def test_shoulder_and_wrist_that_coincide(monkeypatch):
-    monkeypatch.setattr(_pose_features, "_BATCH_ROWS", 2)
+def test_shoulder_and_wrist_that_coincide():
     arm = Arm.from_name("panda").replace(pose_frames=(1, 2))  # d2 = a1 = 0: one point, always
     with pytest.raises(ValueError, match="frames 1 and 2 coincide, first in row 0"):
         PoseFeatures(arm).fit_transform(np.zeros((3, 7)))
