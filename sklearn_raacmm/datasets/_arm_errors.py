@@ -35,9 +35,8 @@ class ArmErrors:
     quantisation_arcsec : float, default=0.62
         Step of a reading: 2**21 counts a turn. *Our choice*.
     wobble_arcsec : float, default=3.0
-        Tilt of each joint's axis, turning once a turn in the moving frame. (A tilt that is fixed
-        in the moving frame is a twist error, which calibration removes.) *Our choice*: 2 to 5
-        arcsec inferred.
+        Tilt of each joint's axis, turning once a turn in the moving frame: a fixed one is a twist
+        error, which calibration removes. *Our choice*: 2 to 5 arcsec inferred.
     runout_um : float, default=2.0
         Shift of each joint's axis, as the wobble. *Our choice*: 1 to 3 um inferred.
     joint_compliance_urad_per_nm : float, default=33.0
@@ -47,28 +46,26 @@ class ArmErrors:
         Share of the shoulder's (joint 2) torque that a spring carries. *Derived*: 0.8 to 0.9.
     sag_um : tuple of two float, default=(128.0, 24.0)
         How far the ends of the upper tube and of the forearm tube sink where the tube is
-        horizontal: bending under its own weight and that of what it carries. *Derived* for carbon
-        tubes 75/71 mm of 0.75 m and 60/56 mm of 0.5 m, E 100 GPa.
+        horizontal. *Derived* for carbon tubes 75/71 mm of 0.75 m and 60/56 mm of 0.5 m, E 100 GPa.
     warming_k : float, default=1.0
-        How much warmer the arm is than when it was calibrated, K, constant in a data set.
-        Expansions are makers' (carbon 0.5, aluminium 23 ppm/K); the size is *our choice*.
+        How much warmer the arm is than when it was calibrated, K. *Our choice*; expansions are
+        makers' (carbon 0.5, aluminium 23 ppm/K).
     seating_um : float, default=3.0
         Standard deviation, per coordinate, of how the probe sits in a cone. *Our choice*: 2 to 5
         um inferred.
     play_arcsec : float, default=0.0
-        Backlash of each joint: the joint lags by half of it behind the direction from which it
-        came; joints differ by half of it either way. Off by default: we found no published size.
+        Backlash of each joint: it lags by half of this behind the direction from which it came;
+        joints differ by half of it either way. We found no published size.
     softening_arcsec : float, default=0.0
         Turn of the elbow (joint 4) under the weight of the horizontal forearm, which grows with
-        the cube of the torque: an error that is not linear in any load. Off by default.
+        the cube of the torque.
     drift_k : float, default=0.0
-        Warming during a data set, K, on top of `warming_k`: fast at first, then slower (three time
-        constants). Off by default.
+        Warming during a data set, K, on top of `warming_k`, of three time constants.
     payload_n : float, default=0.0
         Weight at the probe, N: it varies between 0 and this number from pose to pose. Joints twist
-        and tubes bend under it as under the arm's own weight. Off by default.
+        and tubes bend under it as under the arm's own weight.
     slip_share : float, default=0.0
-        Share of the poses in which the probe has slipped out of its seat. Off by default.
+        Share of the poses in which the probe has slipped out of its seat.
     slip_mm : float, default=1.0
         How far it has slipped then, in a random direction.
 

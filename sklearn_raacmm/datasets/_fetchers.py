@@ -123,7 +123,7 @@ def fetch_panda_ball_socket(
         Folder to keep the files in, under ``panda_ball_socket``. None: that of
         :func:`sklearn.datasets.get_data_home`, usually ``~/scikit_learn_data``.
     download_if_missing : bool, default=True
-        If False, raise an OSError where a file is not there or is not what it should be.
+        If False, raise an OSError where a file is not there or damaged.
     return_X_y : bool, default=False
         Return ``(data, target, placements)`` only; split by the last.
     as_frame : bool, default=False
@@ -134,8 +134,7 @@ def fetch_panda_ball_socket(
         Seconds between tries.
     base_url : str, default=None
         Where to find ``<arm>/<placement>/hole_0.csv`` instead of the authors' repository: a mirror,
-        or ``"file:///..."`` for the folder ``data`` of a clone. What comes from there has to have
-        the same checksums.
+        or ``"file:///..."`` for the folder ``data`` of a clone, with the same checksums.
 
     Returns
     -------
@@ -267,16 +266,9 @@ def fetch_ur10_tracker(
     OSError
         If the file cannot be had, or is not byte for byte what its authors published.
 
-    Warns
-    -----
-    UserWarning
-        Before another try, and before a damaged file is replaced by a whole one.
-
     Notes
     -----
-    ``arm``, ``points`` and ``target`` come from a calibration that has seen all rows. To judge a
-    correction at goals left out, calibrate on the others alone, as
-    ``benchmarks/real_tracker.py`` does.
+    As of :func:`fetch_panda_ball_socket`; see ``benchmarks/real_tracker.py``.
 
     References
     ----------

@@ -66,9 +66,8 @@ class SimulatedArm:
     probe by e z x (P - O). A joint i under gravity turns by its compliance times
     z_i . sum (r_k - O_i) x F_k, over the weights F_k at r_k beyond it. A tube of length L with
     its own weight w per length and a load F at its end sinks by (w L^4 / 8 + F L^3 / 3) / EI and
-    slopes by (w L^3 / 6 + F L^2 / 2) / EI, times the cosine of its elevation (the cantilever of
-    every textbook); EI follows from the sag. The moment at its end is left out. Gravity points
-    along the base's -z.
+    slopes by (w L^3 / 6 + F L^2 / 2) / EI, times the cosine of its elevation (the textbook's
+    cantilever); EI follows from the sag. Gravity points along the base's -z.
 
     Examples
     --------
@@ -131,12 +130,12 @@ class SimulatedArm:
         angles : array-like of shape (n_samples, 6)
             Encoder angles free of noise, rad.
         warming_k : float or array-like of shape (n_samples,), default=None
-            Warming in K, of all poses or of each; None takes that of `errors`.
+            Warming in K; None takes that of `errors`.
         directions : array-like of shape (n_samples, 6), default=None
             Direction from which each joint came: 1 from smaller angles, -1 from larger ones, 0 in
             the middle of its play. None: all in the middle.
         payload_n : float or array-like of shape (n_samples,), default=0
-            Weight at the probe in N, of all poses or of each.
+            Weight at the probe in N.
 
         Returns
         -------
@@ -327,10 +326,10 @@ class SimulatedArm:
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
         check_whole_number("n_poses", n_poses, 0)
-        found = np.empty((0, 6))
+        found, arm = np.empty((0, 6)), self.nominal_arm
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)
-            reached = _reach(self.nominal_arm.forward, self.nominal_arm, candidates, point)
+            reached = _reach(arm.forward, arm, candidates, point)
             found = np.vstack([found, reached[self._is_handy(reached, point)]])
             # More than asked for, so that even steps from left to right can be chosen.
             if len(found) >= 1.5 * n_poses:
@@ -421,11 +420,11 @@ class SimulatedArm:
 
 
 def _per_row(name, value, n_rows):
-    """One number for all rows, or a column of one for each."""
+    """A column of one number for each row, (n_rows, 1), or one row of it for all."""
     numbers = floats(name, value)
     if numbers.shape not in ((), (n_rows,)) or not np.all(np.isfinite(numbers)):
         raise ValueError(f"{name} must be a finite number, or {n_rows} of them, got {show(value)}.")
-    return numbers[:, None] if numbers.ndim else numbers
+    return numbers.reshape(-1, 1)
 
 
 def directions_of(angles: np.ndarray) -> np.ndarray:

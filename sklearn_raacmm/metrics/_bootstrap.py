@@ -27,9 +27,8 @@ def repeatability_interval(
 ) -> np.ndarray:
     """Bootstrap interval of the single-point repeatability.
 
-    At every position, as many points as there are are drawn from them at random with replacement,
-    again and again. The interval shows what another choice of poses at the same positions would
-    change, and nothing about other positions.
+    At every position, as many points as there are are drawn from them with replacement, again and
+    again: the interval shows what another choice of poses at the same positions would change.
 
     Parameters
     ----------
@@ -55,9 +54,9 @@ def repeatability_interval(
 
     Notes
     -----
-    These are percentile intervals (B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap",
-    1993, section 13.3). A draw of n points repeats some of them, so that its mean square about its
-    mean is smaller by (n - 1) / n on average; "2s" and "mean" are corrected for that.
+    Percentile intervals (B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", 1993,
+    section 13.3). The mean square of a draw of n points about its mean is smaller by (n - 1) / n on
+    average; "2s" and "mean" are corrected for that.
 
     Examples
     --------
