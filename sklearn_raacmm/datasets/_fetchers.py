@@ -45,8 +45,6 @@ many poses: the single-point (cone-hole) test of a measuring arm. The points of 
 coincide. The two sockets of a placement are 50 mm apart.
 
 :Arms: panda_3, 387 poses at 6 placements; panda_2, 559 poses at 9 placements
-:Measured: joint angles, rad
-:Computed here: points and residuals, mm, with the arm calibrated on all rows and the 50 mm
 :Known faults: panda_2 holds outliers of up to 2.8 mm after calibration. panda_3 stood on a grid of
     holes (150 mm from front to back, 175 mm from left to centre to right); its placement frontleft
     is 25 mm off the grid. The ball is about 241 mm from joint 7's frame along its axis.
@@ -68,10 +66,7 @@ A UR10, six joints, went to 619 goal positions in up to 24 orientations each, wi
 breaks; a Leica T-Mac on its flange was followed by a laser tracker. Here the residual is known in
 full, not only up to a constant per position.
 
-:Rows: 11 911 poses
-:Measured: commanded joint angles, rad; points in the tracker's frame, mm; temperature, degC; time
-:Computed here: points and residuals in the arm's base frame, mm, with the arm calibrated on all
-    rows, the tracker's frame and the place of the T-Mac included
+:Rows: 11 911 poses; the joint angles are commanded, not read
 :Pose: the shoulder and elbow axes are parallel, there is no swivel between them; the pose is made
     of joints 4 and 3 and the elevation of the line from shoulder to wrist.
 
@@ -111,8 +106,8 @@ def fetch_panda_ball_socket(
 ) -> Any:
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
 
-    Downloads up to 100 kB the first time. The data are those of the MUKCa project [1]_ (MIT
-    licence) and not part of this package.
+    Downloads up to 100 kB the first time. The data are those of the MUKCa project,
+    arXiv:2503.12584 (MIT licence), and not part of this package.
 
     Parameters
     ----------
@@ -166,11 +161,6 @@ def fetch_panda_ball_socket(
     ``arm``, ``points`` and ``target`` come from a calibration that has seen all rows. To judge a
     correction at placements left out, calibrate on the others alone, as
     ``benchmarks/real_arm.py`` does.
-
-    References
-    ----------
-    .. [1] G. Franzese, M. Spahn, J. Kober, C. Della Santina, "MUKCa: Accurate and Affordable Cobot
-       Calibration Without External Measurement Devices", 2025, arXiv:2503.12584.
 
     Examples
     --------
@@ -228,8 +218,8 @@ def fetch_ur10_tracker(
 ) -> Any:
     """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
 
-    Downloads 2.4 MB the first time. The data were published with [1]_ (MIT licence) and are not
-    part of this package.
+    Downloads 2.4 MB the first time. The data are those of C. Landgraf et al., IEEE CASE 2021
+    (MIT licence), and not part of this package.
 
     Parameters
     ----------
@@ -269,11 +259,6 @@ def fetch_ur10_tracker(
     Notes
     -----
     As of :func:`fetch_panda_ball_socket`; see ``benchmarks/real_tracker.py``.
-
-    References
-    ----------
-    .. [1] C. Landgraf et al., "A Hybrid Neural Network Approach for Increasing the Absolute
-       Accuracy of Industrial Robots", IEEE CASE 2021.
 
     Examples
     --------

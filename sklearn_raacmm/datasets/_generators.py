@@ -298,17 +298,14 @@ def _draw_cones(machine, n, n_poses, rng):
     low, high = _SHARE_OF_REACH
     cones, poses = [], []
     for stratum in range(n):
-        share = 0.0
-        for _ in range(100):
+
+        def draw(stratum=stratum):
             share = low + (high - low) * (stratum + rng.uniform()) / n
-            cone = _in_direction(machine, share, rng)
-            found = _poses_or_none(machine, cone, n_poses, rng)
-            if found is not None:
-                break
-        else:
-            raise ValueError(f"No place for a cone was found at {share:.0%} of the reach.")
-        cones.append(cone)
-        poses.append(found)
+            return [_in_direction(machine, share, rng)]
+
+        found = _reachable(machine, n_poses, rng, draw, 100, f"cone {stratum + 1} of {n}")
+        cones += found[0]
+        poses += found[1]
     return np.array(cones), poses
 
 
@@ -316,21 +313,34 @@ def _draw_gauges(machine, lengths, n_poses, rng):
     """Place the gauges: their ends, two rows each, and poses that reach them."""
     ends, poses = [], []
     for length in lengths:
-        for _ in range(1000):
+
+        def draw(length=length):
             middle = _in_direction(machine, rng.uniform(*_SHARE_OF_REACH), rng)
             direction = rng.normal(size=3)
             half = length / 2 * direction / np.linalg.norm(direction)
-            pair = [middle - half, middle + half]
-            found = [_poses_or_none(machine, pair[0], n_poses, rng)]
-            if found[0] is not None:
-                found.append(_poses_or_none(machine, pair[1], n_poses, rng))
-                if found[1] is not None:
-                    break
-        else:
-            raise ValueError(f"No place for a gauge of {length:g} mm was found.")
-        ends += pair
-        poses += found
+            return [middle - half, middle + half]
+
+        found = _reachable(machine, n_poses, rng, draw, 1000, f"a gauge of {length:g} mm")
+        ends += found[0]
+        poses += found[1]
     return np.array(ends), poses
+
+
+def _reachable(machine, n_poses, rng, draw, n_tries, name):
+    """Points, drawn again until there are poses that reach each of them, and these poses."""
+    for _ in range(n_tries):
+        points, poses = draw(), []
+        for point in points:
+            share = np.linalg.norm(point - machine.shoulder) / machine.reach
+            if not _SHARE_OF_REACH[0] <= share <= _SHARE_OF_REACH[1] or point[2] < 0:
+                break  # out of the shell, or below the table
+            try:
+                poses.append(machine.find_poses(point, n_poses, rng))
+            except ValueError:
+                break
+        else:
+            return points, poses
+    raise ValueError(f"No place for {name} was found.")
 
 
 def _in_direction(machine, share, rng):
@@ -338,16 +348,6 @@ def _in_direction(machine, share, rng):
     across, up = np.cos(elevation), np.sin(elevation)
     direction = np.array([across * np.cos(azimuth), across * np.sin(azimuth), up])
     return machine.shoulder + share * machine.reach * direction
-
-
-def _poses_or_none(machine, cone, n_poses, rng):
-    share = np.linalg.norm(cone - machine.shoulder) / machine.reach
-    if not _SHARE_OF_REACH[0] <= share <= _SHARE_OF_REACH[1] or cone[2] < 0:  # below the table
-        return None
-    try:
-        return machine.find_poses(cone, n_poses, rng)
-    except ValueError:
-        return None
 
 
 @lru_cache(maxsize=8)

@@ -199,14 +199,8 @@ def within_position_scatter(
     ValueError
         If the shapes of y_true and y_pred differ; or as :func:`single_point_repeatability`.
 
-    See Also
-    --------
-    repeatability_scorer : The same as a scorer for cross-validation and search.
-
     Examples
     --------
-    An unknown constant per position does not count:
-
     >>> from sklearn_raacmm.metrics import within_position_scatter
     >>> y_true = [[0.1, 0, 0], [-0.1, 0, 0], [0, 0.1, 0], [0, -0.1, 0]]
     >>> y_pred = [[0.2, 0, 0], [0.0, 0, 0], [0, 0.0, 0], [0, -0.2, 0]]
@@ -288,8 +282,7 @@ def repeatability_scorer(
         If only one of X and groups is given, or if equal rows of X belong to different groups;
         when scoring, if groups were not routed, or if a row was not among those of X.
     RuntimeError
-        If neither is given and metadata routing is off: the scorer would never be given groups,
-        and scikit-learn would set every score to NaN.
+        If neither is given and metadata routing is off.
 
     Examples
     --------
