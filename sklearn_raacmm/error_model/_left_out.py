@@ -70,9 +70,9 @@ class Judgement(NamedTuple):
 def leave_out(fitted, terms, positions, weights):
     """Errors at the rows of each block of neighbouring positions by a model of the others.
 
-    The harmonics of `terms` were offered to the fit, and `positions` (n,) count from 0. Outliers keep
-    their `weights` in the means of their positions. A `LeftOut`, or None where all positions are at one
-    place, or all weight is in one block.
+    The harmonics of `terms` were offered to the fit, and `positions` (n,) count from 0. Outliers
+    keep their `weights` in the means of their positions. A `LeftOut`, or None where all positions
+    are at one place, or all weight is in one block.
     """
     model, state, rows = fitted.model, fitted.state, fitted.rows
     points = points_of(rows.arm, rows.X[:, : rows.arm.n_joints])

@@ -158,7 +158,7 @@ class LinearModel:
     def predict_with_doubt(
         self, angles: np.ndarray, return_std: bool = False, return_doubt: bool = True
     ) -> tuple[np.ndarray, Any, Any]:
-        """As `predict`, and the length (n,) by `fading_half` in mm, by which corrections fade, or None."""
+        """As `predict`, and what corrections fade by: the length (n,) by `fading_half` in mm."""
         if not return_doubt:
             return *self.predict(angles, return_std), None
         roots = [self._fading_root]

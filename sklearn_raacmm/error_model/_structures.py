@@ -43,8 +43,8 @@ def offered_harmonics(angles, orders):
 
     `angles` (n, n_joints) of the poses are in rad. `orders` may be the highest order: a joint at m
     different angles is offered none above m, for on a grid the waves of lower orders are the same
-    there; but all above 72 where its angles are scattered. Or the orders themselves, for all joints or
-    for each.
+    there; but all above 72 where its angles are scattered. Or the orders themselves, for all joints
+    or for each.
     """
     n_joints = angles.shape[1]
     if isinstance(orders, Integral):
@@ -86,8 +86,8 @@ def _named_orders(orders, n_joints):
 def structures_of(arm, terms, with_field, idle=frozenset()):
     """Families, lines and field of a model with some columns.
 
-    Variances are in the order of `FAMILIES`. The harmonics of `terms` are those that are offered. The
-    families `idle` have proved not to be worth their price.
+    Variances are in the order of `FAMILIES`. The harmonics of `terms` are those that are offered.
+    The families `idle` have proved not to be worth their price.
     """
     family, order = term_names(arm, terms)[1], terms.harmonics[:, 1]
     if not len(order) and not len(family):

@@ -53,11 +53,11 @@ _NODES = 64
 def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0, known=0.0):
     """Sum up what the choice of harmonics needs, as `Sums`.
 
-    `offered` (n_pairs, 2) are the candidates, joint from 0 and order, sorted by joint; the first column
-    of a pair is the cosine. `terms` are the columns that are always in. Offsets of the positions
-    `codes` are taken out exactly, by deviations from weighted means (Frisch-Waugh theorem); `known`,
-    the noise variance over that of the offsets, draws them to 0 as rows of this weight would. Without
-    offsets `weights` may be negative changes.
+    `offered` (n_pairs, 2) are the candidates, joint from 0 and order, sorted by joint; the first
+    column of a pair is the cosine. `terms` are the columns that are always in. Offsets of the
+    positions `codes` are taken out exactly, by deviations from weighted means (Frisch-Waugh
+    theorem); `known`, the noise variance over that of the offsets, draws them to 0 as rows of this
+    weight would. Without offsets `weights` may be negative changes.
     """
     poses = _sorted_poses(angles, y, weights, codes, known)
     spans = _joint_spans(offered)

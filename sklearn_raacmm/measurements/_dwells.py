@@ -68,8 +68,8 @@ def find_dwells(
 ) -> Dwells:
     """Find the rows that are one pose, by angles (n, n_joints) in rad, in their order.
 
-    Rows of different `codes` (n,) are different poses. Where copies count, runs of equal rows stay: a
-    row that is repeated has the weight of its repeats.
+    Rows of different `codes` (n,) are different poses. Where copies count, runs of equal rows stay:
+    a row that is repeated has the weight of its repeats.
     """
     n = len(angles)
     codes = np.zeros(n, dtype=int) if codes is None else codes

@@ -48,8 +48,6 @@ def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.nd
     >>> from sklearn_raacmm import directions_of
     >>> directions_of([[0.1, 0.0], [0.3, 0.0], [0.3, -0.2]]).tolist()
     [[0.0, 0.0], [1.0, 0.0], [1.0, -1.0]]
-    >>> directions_of([[0.1, 0.0]], previous=[0.3, 0.0]).tolist()
-    [[-1.0, 0.0]]
     """
     angles = np.asarray(angles, dtype=float)
     angles = check_angles(angles, angles.shape[1] if angles.ndim == 2 else 0, "rad")
