@@ -43,19 +43,7 @@ _BY_CHANCE = 1e-3
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths):
-    """All that `fit` is given.
-
-    Parameters
-    ----------
-    estimator : Any
-    X, y, sample_weight, groups, lengths
-        As for its `fit`.
-
-    Returns
-    -------
-    Rows
-        Those of weight 0 among them.
-    """
+    """Rows of all that `fit` of an estimator is given, those of weight 0 among them."""
     X, y = check_data(estimator, X, y)
     extra = check_extra(estimator.extra)
     arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
@@ -165,22 +153,10 @@ def _deviations_of_other_rows(share, n_outputs, codes, weights):
 
 
 def poses_of(rows, extra, *others):
-    """Rows in which the arm stood still as one pose each.
+    """Rows (of weights above 0) in which the arm stood still as one pose each.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of weights above 0.
-    extra : tuple of str
-        Names of the extra columns: a pose has one tool and one direction.
-    *others : ndarray of shape (n, ...) or None
-        What goes with the rows.
-
-    Returns
-    -------
-    dwells : Dwells
-    rows : Rows
-    *others : ndarray of shape (n_poses, ...) or None
+    A pose has one tool and one direction, which `extra` names. Returns the `Dwells`, the `Rows`,
+    and of each of the others, (n, ...) or None, the mean of each pose.
     """
     n_joints = rows.arm.n_joints
     kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith(("tool", "direction"))]

@@ -73,7 +73,7 @@ class Column(NamedTuple):
 
 
 class ColumnTable(NamedTuple):
-    """The fields of all columns, harmonics included, as arrays of shape (n_columns,)."""
+    """The fields of all columns as arrays of shape (n_columns,)."""
 
     kind: np.ndarray
     frame: np.ndarray
@@ -217,18 +217,7 @@ def term_names(arm, terms):
 
 
 def column_table(arm: Arm, terms: Terms) -> ColumnTable:
-    """What each column of the model is, in the order of `term_columns`.
-
-    Parameters
-    ----------
-    arm : Arm
-    terms : Terms
-
-    Returns
-    -------
-    ColumnTable
-        A cosine and a sine turn about its joint's axis for each harmonic, then the others.
-    """
+    """What each column is: a cosine and a sine turn for each harmonic, then the others."""
     joint, order = np.repeat(terms.harmonics.T, 2, axis=1)
     others = other_columns(arm, terms)
     fields = {name: [getattr(c, name) for c in others] for name in ColumnTable._fields}
@@ -344,14 +333,7 @@ class FactoredColumns(NamedTuple):
         return out
 
     def squares(self, root):
-        """Squared lengths of ``columns @ root``, (n, 3).
-
-        Parameters
-        ----------
-        root : ndarray of shape (n_columns, r)
-            Rows need not be full: zeros before the first and after the last column that any of a
-            run's rows has are not multiplied.
-        """
+        """Squared lengths (n, 3) of ``columns @ root`` for a root (n_columns, r)."""
         if not self.runs:
             dots = self.rest @ root
             return np.einsum("ncr,ncr->nc", dots, dots)
@@ -375,53 +357,22 @@ def _filled(rows):
 
 
 def factored_columns(arm, angles, terms, of_turns=False):
-    """Columns as :func:`term_columns` or :func:`turn_columns` gives them, not multiplied out.
-
-    Parameters
-    ----------
-    arm, angles, terms
-        As for :func:`term_columns`.
-    of_turns : bool, default=False
-        Whether the columns of the orientation are asked for.
-
-    Returns
-    -------
-    FactoredColumns
-    """
+    """Columns as `term_columns` or `turn_columns` gives them, not multiplied out."""
     return _factored(arm, angles, _plan_of(arm, terms), terms, of_turns, None)
 
 
 def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
-    """Columns of the model at some poses.
+    """Columns (n, 3, n_columns) of the model, in mm per unit coefficient.
 
-    Parameters
-    ----------
-    arm : Arm
-    angles : ndarray of shape (n, n_joints + n_extra)
-        In rad; then the extra columns that `terms` names.
-    terms : Terms
-
-    Returns
-    -------
-    ndarray of shape (n, 3, n_columns)
-        mm per unit coefficient.
+    The angles (n, n_joints + n_extra) are in rad; then come the extra columns that `terms` names.
     """
     return _columns(arm, angles, terms, False)
 
 
 def turn_columns(arm, angles, terms):
-    """What the same coefficients do to the orientation of the last link.
+    """What the same coefficients do to the orientation of the last link, (n, 3, n_columns).
 
-    Parameters
-    ----------
-    arm, angles, terms
-        As for :func:`term_columns`.
-
-    Returns
-    -------
-    ndarray of shape (n, 3, n_columns)
-        Rotation vectors in the base frame, rad per unit coefficient: the axis of each turn, and
-        nothing for a shift.
+    Rotation vectors in the base frame, rad per unit coefficient.
     """
     return _columns(arm, angles, terms, True)
 
@@ -429,13 +380,8 @@ def turn_columns(arm, angles, terms):
 def observed_columns(arm: Arm, angles: np.ndarray, terms: Terms, turn_mm: float) -> Any:
     """Columns of the residuals that a fit has: (n, 3, n_columns), or (n, 6, n_columns).
 
-    Parameters
-    ----------
-    arm, angles, terms
-        As for :func:`term_columns`.
-    turn_mm : float
-        Length in mm by which turns in rad are multiplied, so that their noise is that of a
-        coordinate; 0 where no orientations were measured.
+    Turns in rad are multiplied by `turn_mm`, so that their noise is that of a coordinate; it is 0
+    where no orientations were measured.
     """
     columns = term_columns(arm, angles, terms)
     if not turn_mm:

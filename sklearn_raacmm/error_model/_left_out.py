@@ -57,10 +57,7 @@ class LeftOut(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """Whether a correction helps at positions that were left out of its fit.
-
-    Means over positions of the mean deviation of a position, mm.
-    """
+    """Whether a correction helps at positions that were left out; means over positions."""
 
     mean_before_mm: float  # without correction
     mean_after_mm: float  # with it
@@ -71,22 +68,11 @@ class Judgement(NamedTuple):
 
 @stage("models without one block each")
 def leave_out(fitted, terms, positions, weights):
-    """Errors at the rows of each block of neighbouring positions, by a model of the others.
+    """Errors at the rows of each block of neighbouring positions by a model of the others.
 
-    Parameters
-    ----------
-    fitted : Fitted
-    terms : Terms
-        Its harmonics are those that were offered to the fit.
-    positions : ndarray of shape (n,)
-        Position of each row, from 0.
-    weights : ndarray of shape (n,)
-        Of the rows as measured: outliers count, too, in the means of their positions.
-
-    Returns
-    -------
-    LeftOut or None
-        None where all positions are at one place, or all weight is in one block.
+    The harmonics of `terms` were offered to the fit, and `positions` (n,) count from 0. Outliers
+    keep their `weights` in the means of their positions. A `LeftOut`, or None where all positions
+    are at one place, or all weight is in one block.
     """
     model, state, rows = fitted.model, fitted.state, fitted.rows
     points = points_of(rows.arm, rows.X[:, : rows.arm.n_joints])
@@ -153,26 +139,8 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
     """Model whose intervals are as wide as its errors at positions left out ask for.
 
     Errors in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the posterior standard deviation,
-    say what a and b are (see :func:`interval_scales`). Weak priors about a = b = 1 keep these
-    values where there is no evidence against them; in a single-point test, which shows little of b,
-    its prior is about 2. A single-point test of fewer than four positions has its factors by their
-    number alone.
-
-    Parameters
-    ----------
-    model : LinearModel
-    left_out : LeftOut or None
-    weights : ndarray of shape (n,)
-        Of the rows as measured: outliers count, too.
-    codes : ndarray of shape (n,) or None
-        Position of each row, where positions have offsets.
-    positions : ndarray of shape (n,)
-        Position of each row.
-
-    Returns
-    -------
-    LinearModel
-        The same one where a tracker gave too few positions to leave some out.
+    say what a and b are (see `interval_scales`), with weak priors. A single-point test of fewer
+    than four positions has them by their number alone; a tracker's model is then left as it is.
     """
     n_positions = len(np.unique(positions))
     if left_out is None or n_positions < LEAST_POSITIONS:
@@ -189,28 +157,11 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
 
 
 def judge(left_out, fading, y, weights, codes, positions):
-    """Whether the correction helps at positions that were left out of the fit.
+    """`Judgement` of a correction at positions that were left out of the fit.
 
-    It does if the mean deviation over positions falls by more than the standard error of that gain;
-    with fewer than four positions, if it falls at each of them.
-
-    Parameters
-    ----------
-    left_out : LeftOut
-    fading : Fading
-        Of the whole model.
-    y : ndarray of shape (n, 3)
-        Residuals, mm.
-    weights : ndarray of shape (n,)
-        Those that the robust weights have left: a slipped pose says nothing of the others.
-    codes : ndarray of shape (n,) or None
-        Position of each row, where positions have offsets.
-    positions : ndarray of shape (n,)
-        Position of each row.
-
-    Returns
-    -------
-    Judgement
+    It helps if the mean deviation over positions falls by more than the standard error of that
+    gain; with fewer than four positions, if it falls at each of them. Slipped poses have no
+    `weights` (n,).
     """
     kept = weights > 0
     after = y - fading.share(left_out.doubt)[:, None] * left_out.correction

@@ -15,28 +15,7 @@ from sklearn_raacmm.utils import check_features
 
 
 def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
-    """Rows of X as a fitted `LinearModel` takes them.
-
-    Parameters
-    ----------
-    model : Any
-        Fitted.
-    X : array-like of shape (n, n_features_in_)
-        As for its `predict`.
-
-    Returns
-    -------
-    ndarray of shape (n, n_features_in_)
-        Angles in rad, then the extra columns.
-
-    Raises
-    ------
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-    ValueError
-        If X has another number of columns than in the fit, holds NaN or infinity, or has a tool
-        that the training data did not have; or if the model's arm has been exchanged since.
-    """
+    """Rows of X as a fitted `LinearModel` takes them: angles in rad, then the extra columns."""
     check_is_fitted(model)
     linear = model.linear_model_
     if model.arm is not None and model.arm != linear.arm:

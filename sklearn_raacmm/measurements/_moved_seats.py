@@ -55,7 +55,7 @@ class Step(NamedTuple):
 def find_steps(
     left: np.ndarray, angles: np.ndarray, codes: np.ndarray, noise_variance: float = 0.0
 ) -> list[Step]:
-    r"""Steps of residuals in the order of the rows, position by position.
+    r"""Steps of residuals (n, 3) in mm in the order of the rows, position by position.
 
     What a model leaves at two poses of one position differs the more, the farther the poses are
     apart, but it does not jump between two rows while poses as far apart elsewhere agree. With A
@@ -65,29 +65,9 @@ def find_steps(
 
     .. math:: 2 \bar\gamma(A, B) - \bar\gamma(A, A) - \bar\gamma(B, B)
 
-    in every coordinate. Positions are divided at the largest ratio, then their parts.
-
-    Parameters
-    ----------
-    left : ndarray of shape (n, 3)
-        What the model leaves of the residuals, mm; a constant of each position plays no part.
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-    codes : ndarray of shape (n,)
-        Position of each row, from 0; the rows of a position in the order in which they were taken.
-    noise_variance : float, default=0
-        Of a coordinate, mm^2: no two poses are expected to agree more closely.
-
-    Returns
-    -------
-    list of Step
-        In the order of positions and rows.
-
-    Notes
-    -----
-    Rows of the same pose in a row are one. A pose that differs from the median of the five about
-    it is an outlier, not a step. Where the order of the rows means nothing, as after shuffling,
-    neighbours in it differ as much as others do; nothing is then found.
+    in every coordinate, with at least the noise variance in :math:`\gamma`. Positions are divided
+    at the largest ratio, then their parts. Outliers are no steps; in rows that were shuffled
+    neighbours differ as much as others do, and nothing is found.
     """
     poses = _Poses.of(left, angles, codes)
     poses = poses.at(np.bincount(poses.codes)[poses.codes] >= 2 * _LEAST)
@@ -120,20 +100,8 @@ def moved_positions(
 ) -> Iterator[Finding]:
     """Positions that have moved during the test, in one finding.
 
-    Parameters
-    ----------
-    left, angles, noise_variance
-        As for `find_steps`, of all rows.
-    weights : ndarray of shape (n,)
-        Rows without weight do not count.
-    groups : array-like of shape (n,)
-        Label of the position of each row.
-    numbers : ndarray of shape (n,), default=None
-        What the rows are called; None: from 0.
-
-    Yields
-    ------
-    Finding
+    As `find_steps`, of all rows; those without weight do not count. `numbers` (n,) are what the
+    rows are called; None: from 0.
     """
     labels, codes = encode_groups(groups)
     rows = np.flatnonzero(weights > 0)

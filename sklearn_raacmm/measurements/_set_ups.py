@@ -36,25 +36,10 @@ def moved_set_up(
     the new set-up the squares fall by :math:`g' S^{-1} g`, :math:`g = E'r` and
     :math:`S = E'E - E'C H^{-1} C'E`.
 
-    Parameters
-    ----------
-    left : ndarray of shape (n, 3)
-        What calibration leaves of measured points, mm, in the order in which they were taken.
-    columns : ndarray of shape (n, 3, p)
-        Their derivatives by what was fitted.
-    ridge : ndarray of shape (p,)
-        What the priors add to the diagonal of the normal matrix.
-    points : ndarray of shape (n, 3)
-        Of the arm, mm.
-    turns : ndarray of shape (n, 3, 3)
-        Orientation of the last link: a tool moves along with it.
-    weights : ndarray of shape (n,)
-    numbers : ndarray of shape (n,), default=None
-        What the rows are called; None: from 0.
-
-    Yields
-    ------
-    Finding
+    `left` (n, 3) is what calibration leaves of measured points, mm, `columns` (n, 3, p) their
+    derivatives by what was fitted, `ridge` (p,) what the priors add to the normal matrix. `points`
+    (n, 3) are the arm's, mm, `turns` (n, 3, 3) the orientations of the last link, with which a tool
+    moves. `numbers` (n,) are what the rows are called; None: from 0.
     """
     n = len(left)
     if n < 3 * _LEAST_ROWS:

@@ -252,16 +252,9 @@ CHECKS = (
 
 
 def check_targets(targets: Targets) -> list[Finding]:
-    """Findings on the targets of a model.
+    """Findings on the targets of a model: of the first kind that there is.
 
-    Parameters
-    ----------
-    targets : Targets
-
-    Returns
-    -------
-    list of Finding
-        The first kind that there is: the others would say the same in other words.
+    The others would say the same in other words.
     """
     used, points = targets.used()
     for check in CHECKS:
