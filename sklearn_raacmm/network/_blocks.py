@@ -32,14 +32,7 @@ _FAN_IN = 8
 
 
 class ArrayChunks:
-    """Blocks of rows of arrays, in memory or mapped from a file.
-
-    Parameters
-    ----------
-    X, Y, weights : ndarray of shape (n, d), (n, q), (n,)
-    start : int
-        Number of the first row.
-    """
+    """Blocks of rows of arrays, in memory or mapped from a file; `start` numbers the first row."""
 
     def __init__(self, X, Y, weights, start=0):
         self.X, self.Y, self.weights, self.start = X, Y, weights, start
@@ -56,13 +49,7 @@ class ArrayChunks:
 
 
 class DaskChunks:
-    """Chunks of dask arrays, each worked on where it is.
-
-    Parameters
-    ----------
-    X, Y, weights : dask.array.Array of shape (n, d), (n, q), (n,)
-        With the same chunks of rows.
-    """
+    """Chunks of dask arrays with the same chunks of rows, each worked on where it is."""
 
     def __init__(self, X, Y, weights):
         self.rows = X.chunks[0]
@@ -117,14 +104,7 @@ def is_dask(X):
 
 
 def dask_chunks(X, y, sample_weight):
-    """Chunks of a dask array, and of targets and weights that may be arrays in memory.
-
-    Raises
-    ------
-    ValueError
-        If X is not of two dimensions, its chunks are of unknown size, or another number of targets
-        or weights is given.
-    """
+    """Chunks of a dask array, and of targets and weights that may be arrays in memory."""
     import dask.array as da
 
     if X.ndim != 2 or X.shape[1] == 0 or not np.all(np.isfinite(X.shape)):
@@ -320,29 +300,10 @@ class ChunkedProblem(NamedTuple):
 
 
 def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
-    """Set up a problem by one pass over the rows.
+    """Set up a problem by one pass over the rows, a `Problem` where the sample holds all of them.
 
-    Parameters
-    ----------
-    chunks : ArrayChunks or DaskChunks
-    n_features : int
-    degree : {-1, 0, 1}
-    size : int
-        Distinct rows to hold.
-    seed : int
-        Of the sample.
-    ridged : bool
-        Whether the linear part of the polynomial has a ridge: that of the sample.
-
-    Returns
-    -------
-    ChunkedProblem or Problem
-        The latter where the sample holds all rows.
-
-    Raises
-    ------
-    ValueError
-        If every weight is 0.
+    `size` distinct rows are held, drawn by a hash with a seed. If `ridged`, the linear part of the
+    polynomial has a ridge: that of the sample.
     """
     options = {"seed": np.uint64(seed), "size": size}
     width = 4 * n_features

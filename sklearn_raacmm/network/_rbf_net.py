@@ -47,7 +47,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     Use it where trees are too coarse, and a Gaussian process is too slow or too large to export.
     You may need `n_centers` for a given size, `shared` for a small export of several outputs, and
-    `loss` for outliers. The guide has recipes for gaps, categories, steps and powers of ten.
+    `loss` for outliers. The order of rows does not matter; an integer weight is so many repeats.
 
     Parameters
     ----------
@@ -68,8 +68,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         in units of their standard deviations.
 
     alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
-        Ridge, in units of the sum of sample weights: noise variance over signal variance. 0 is
-        plain least squares, for a given number of centres.
+        Ridge, in units of the sum of sample weights: noise variance over signal variance. "auto"
+        maximises the marginal likelihood [2]_, as the widths do, less a price for every feature
+        used. 0 is plain least squares, for a given number of centres.
 
     degree : {-1, 0, 1} or "auto", default="auto"
         Degree of the polynomial p: none, a constant, or linear. "auto" is a constant, or a linear
@@ -148,11 +149,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     See Also
     --------
     sklearn.gaussian_process.GaussianProcessRegressor : A centre at every sample.
-
-    Notes
-    -----
-    Widths and ridge maximise the marginal likelihood [2]_ less a price for every feature used. The
-    order of the rows does not matter, and an integer weight is worth so many repeats.
 
     References
     ----------

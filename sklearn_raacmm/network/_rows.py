@@ -136,19 +136,9 @@ class Problem(NamedTuple):
         return self._replace(**own)
 
     def with_tail(self, degree: int, ridged: bool = False, ratio: float | None = None) -> Self:
-        """The same rows with a polynomial, in place of the one they have.
+        """The same rows with a polynomial of a degree, in place of the one they have.
 
-        Parameters
-        ----------
-        degree : {-1, 0, 1}
-        ridged : bool
-            Whether the linear part has a ridge, found by the likelihood.
-        ratio : float, optional
-            Variance of groups' constants over that of the noise, in place of the one it has.
-
-        Returns
-        -------
-        Problem
+        If `ridged`, its linear part has a ridge, found by the likelihood.
         """
         ratio = self.ratio if ratio is None else ratio
         X, root, n_total = self.X, self.root, self.n_total
@@ -208,17 +198,7 @@ class Problem(NamedTuple):
         return Block(**rows, targets=targets, part=part, codes=codes, ratio=self.ratio)
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
-        """Combine the function of every block of rows, one after another.
-
-        Parameters
-        ----------
-        function : callable
-            Of a `Block`.
-        combine : callable
-            Of two results.
-        width : int
-            Numbers a row that the function holds in memory.
-        """
+        """Combine the function of every block of rows, which holds `width` numbers a row."""
         parts = chunks(len(self.X), block_rows(width))
         if self.codes is not None:
             parts = _whole_groups(parts, self.codes)
@@ -252,24 +232,8 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
 
     The result depends on the weighted data alone: not on the order of the rows, and not on whether
     a row is repeated or weighted. A row that says again what another has said, target and all, adds
-    weight but is not a further observation: that both have the same noise shows nothing of it.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, d)
-    Y : ndarray of shape (n_samples, q)
-    weights : ndarray of shape (n_samples,)
-        Not negative.
-    within : ndarray of shape (n_samples, q), optional
-        Sum of squares lost when rows were merged before.
-    count : ndarray of shape (n_samples,), optional
-        Observations that were merged into a row before.
-    codes : ndarray of shape (n_samples,), optional
-        Group of each row. Rows of two groups are not merged.
-
-    Returns
-    -------
-    Merged
+    weight but is not a further observation: that both have the same noise shows nothing of it. Rows
+    of two groups (`codes`) are not merged. `within` (n, q) and `count` (n,) are of a merge before.
     """
     kept = np.flatnonzero(weights > 0)
     X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
@@ -302,19 +266,7 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
 
 
 def prepare(merged, degree, ridged=False):
-    """Set up the polynomial.
-
-    Parameters
-    ----------
-    merged : Merged
-    degree : {-1, 0, 1}
-    ridged : bool
-        Whether the linear part has a ridge, found by the likelihood.
-
-    Returns
-    -------
-    Problem
-    """
+    """Set up the polynomial of merged rows, with a ridge for its linear part if `ridged`."""
     X, first, weights, Y, within, count, codes = merged
     unit = weights.sum() / count.sum()
     weights, within = weights / unit, within.sum(axis=0) / unit

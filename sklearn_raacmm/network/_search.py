@@ -110,28 +110,9 @@ def search(
 ) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
-    Parameters
-    ----------
-    data : Data
-        Of distinct rows; targets in units of their spread.
-    kernels : sequence of str
-        To choose from.
-    length_scale : ndarray of shape (d,), optional
-        Fixed widths; found where None.
-    isotropic : bool
-        One width, in units of each feature's spread.
-    alpha : ndarray of shape (q,), optional
-        Fixed ridge of every output; found where None.
-    constant_std : ndarray of shape (q,), optional
-        Standard deviation of groups' constants; found where None.
-    may_be_linear : bool
-        Whether a linear model is a candidate.
-    random_state : numpy.random.RandomState
-        Draws the rows of a stage where there are more than it uses.
-
-    Returns
-    -------
-    Structure
+    The data are distinct rows with targets in units of their spread; the rows of a stage are drawn
+    from them. Given may be widths (d,), ridges (q,) and standard deviations of groups' constants
+    (q,). `isotropic` is one width, in units of each feature's spread.
     """
     X, (d, q) = data.X, (data.X.shape[1], data.Y.shape[1])
     spread = robust_spread(X, data.weights)
@@ -345,14 +326,10 @@ def _is_rough(end, data):
 
 
 def robust_spread(X, weights):
-    """Standard deviation of every feature, values far out taken as the limit of what is not.
+    """Standard deviation of every feature (d,), values far out taken as the limit of what is not.
 
-    One sentinel value (9999 for a missing number) would otherwise set the scale of all.
-
-    Returns
-    -------
-    ndarray of shape (d,)
-        0 for a feature that does not vary.
+    One sentinel value (9999 for a missing number) would otherwise set the scale of all. 0 for a
+    feature that does not vary.
     """
     low, high = np.quantile(X, TENTHS, axis=0, weights=weights, method="inverted_cdf")
     far = OUTLYING * (high - low)
