@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import gmean
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm.network._candidates import Features, candidates_of
@@ -175,8 +174,8 @@ def choose_centers(problem, alpha, functions, n_centers, max_centers, rng):
         rank = max(least, int(RANK_PER_GIVEN * asked))
     else:
         rank = max(MAX_RANK, int(RANK_PER_CENTER * most))
-    # One ridge for all: outputs that share centres see the candidates alike.
-    ridge = float(gmean(alpha[view.outputs]))
+    # Outputs that share centres see the candidates alike: as the one that needs most of them.
+    ridge = float(alpha[view.outputs].min())
     candidates = candidates_of(problem, view, rows, functions, ridge, rank, asked)
     units, goal, enough = 1.0, None, None
     if isinstance(n_centers, float):
