@@ -67,39 +67,12 @@ def condition(
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
-    With A the columns and B those that are nearly free,
-    ``y - A mean = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each
-    part, ``b ~ N(0, free_sd^2)`` and e of one variance. The taus and that variance have the highest
-    marginal likelihood times log-normal priors (MacKay, Neural Comput. 4, 1992). Rows that stay far
-    from this posterior are weighed down (Tukey's biweight), and it is found again: rows far from
-    the prior alone show the change.
-
-    Parameters
-    ----------
-    prior : Prior
-    columns : ndarray of shape (n, c, p)
-        Each row has c coordinates.
-    free : ndarray of shape (n, c, q)
-    y : ndarray of shape (n, c)
-    weights : ndarray of shape (n,)
-        Rows of weight 0 say nothing.
-
-    Returns
-    -------
-    Posterior
-
-    Examples
-    --------
-    One coefficient that was 1 +- 0.1, and may have changed by some tenths of 2:
-
-    >>> import numpy as np
-    >>> from sklearn_raacmm.inference import Prior, condition
-    >>> x = np.linspace(-1, 1, 30).reshape(30, 1, 1)
-    >>> prior = Prior(np.ones(1), 0.1 * np.eye(1), np.array(["slope"]), np.full(1, 2.0),
-    ...     free_sd=5.0, noise_variance=1e-4, log_noise=(0.0, 4.0))
-    >>> after = condition(prior, x, np.ones((30, 1, 1)), 1.8 * x[:, 0] + 3, np.ones(30))
-    >>> after.mean.round(2).tolist()  # and the constant, which was free
-    [1.8, 3.0]
+    With A the `columns` (n, c, p) and B the `free` ones (n, c, q), each row of c coordinates, ``y -
+    A mean = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each part,
+    ``b ~ N(0, free_sd^2)`` and e of one variance over the `weights` (n,). The taus and that
+    variance have the highest marginal likelihood times log-normal priors (MacKay, Neural Comput. 4,
+    1992). Rows that stay far from this posterior are weighed down (Tukey's biweight), and it is
+    found again: rows far from the prior alone show the change.
     """
     p, y = len(prior.mean), y - columns @ prior.mean
     factor, logs, rounds = np.ones(len(y)), None, 0
@@ -130,27 +103,10 @@ def condition(
 
 
 def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Root of the covariance of coefficients after rows have been measured.
+    """Root (p, k) of the covariance of coefficients after rows have been measured.
 
-    What is measured does not enter, only where: with ``I + F' A' A F = L L'`` it is ``F L^-T``.
-
-    Parameters
-    ----------
-    half : ndarray of shape (p, k)
-        F, the root before.
-    rows : ndarray of shape (m, p)
-        A, in units of their noise.
-
-    Returns
-    -------
-    ndarray of shape (p, k)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_raacmm.inference import narrowed
-    >>> narrowed(np.eye(1), np.ones((3, 1))).tolist()  # 1 / sqrt(1 + 3)
-    [[0.5]]
+    What is measured does not enter, only where: with the root F before (p, k), the rows A (m, p) in
+    units of their noise and ``I + F' A' A F = L L'`` it is ``F L^-T``.
     """
     seen = rows @ half
     precision = seen.T @ seen
@@ -160,21 +116,11 @@ def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float) -> float:
-    """Log density of y under ``N(0, seen seen' + noise_sd^2)``, without constants.
+    """Log density of y (n,) under ``N(0, seen seen' + noise_sd^2)``, without constants.
 
-    Parameters
-    ----------
-    y : ndarray of shape (n,)
-    seen : ndarray of shape (n, k)
-        The k columns are fewer than the rows, as a rule: determinant and inverse are those of
-        ``noise_sd^2 I + seen' seen``.
-    noise_sd : float
-    n_data : float
-        Rows that count, less those that centring has used up.
-
-    Returns
-    -------
-    float
+    The columns (n, k) are fewer than the rows, as a rule: determinant and inverse are those of
+    ``noise_sd^2 I + seen' seen``. `n_data` are the rows that count, less those that centring used
+    up.
     """
     y, seen = y / noise_sd, seen / noise_sd
     value, axes = np.linalg.eigh(seen.T @ seen)
@@ -262,8 +208,8 @@ class _Evidence:
         """Where it is lowest, from a start or from the middle of the priors.
 
         The search goes in units of the curvature at its start: the mean of what is observed and
-        what is expected, ``2 exp(4 t) (K a)' C^-1 (K a)``, needs no inverse (Gilmour, Thompson and
-        Cullis, Biometrics 51, 1995).
+        expected, ``2 exp(4 t) (K a)' C^-1 (K a)`` (Gilmour, Thompson and Cullis, Biometrics 51,
+        1995).
         """
         if start is None:
             start = self.middle + np.eye(len(self.middle))[-1] * _FIRST_LOG_NOISE

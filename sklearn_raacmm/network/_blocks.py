@@ -21,7 +21,6 @@ from sklearn_raacmm.network._rows import (
     block_rows,
     merge,
     prepare,
-    view_of,
 )
 from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge
 
@@ -32,14 +31,7 @@ _FAN_IN = 8
 
 
 class ArrayChunks:
-    """Blocks of rows of arrays, in memory or mapped from a file.
-
-    Parameters
-    ----------
-    X, Y, weights : ndarray of shape (n, d), (n, q), (n,)
-    start : int
-        Number of the first row.
-    """
+    """Blocks of rows of arrays, in memory or mapped from a file; `start` numbers the first row."""
 
     def __init__(self, X, Y, weights, start=0):
         self.X, self.Y, self.weights, self.start = X, Y, weights, start
@@ -56,13 +48,7 @@ class ArrayChunks:
 
 
 class DaskChunks:
-    """Chunks of dask arrays, each worked on where it is.
-
-    Parameters
-    ----------
-    X, Y, weights : dask.array.Array of shape (n, d), (n, q), (n,)
-        With the same chunks of rows.
-    """
+    """Chunks of dask arrays with the same chunks of rows, each worked on where it is."""
 
     def __init__(self, X, Y, weights):
         self.rows = X.chunks[0]
@@ -117,14 +103,7 @@ def is_dask(X):
 
 
 def dask_chunks(X, y, sample_weight):
-    """Chunks of a dask array, and of targets and weights that may be arrays in memory.
-
-    Raises
-    ------
-    ValueError
-        If X is not of two dimensions, its chunks are of unknown size, or another number of targets
-        or weights is given.
-    """
+    """Chunks of a dask array, and of targets and weights that may be arrays in memory."""
     import dask.array as da
 
     if X.ndim != 2 or X.shape[1] == 0 or not np.all(np.isfinite(X.shape)):
@@ -184,18 +163,8 @@ def _summarise(X, Y, weights, start, seed, size):
     about = V - mean
     scatter = (weights[:, None] * about).T @ about
     largest = np.abs(V).max(axis=0, initial=0.0)
-    # Of the many rows most need not be sorted.
-    few = np.arange(len(X))
-    if len(X) > 4 * size:
-        h = _hash(X, seed)
-        few = np.flatnonzero(h <= np.partition(h, 2 * size)[2 * size])
-    sample = merge(X[few], Y[few], weights[few])
-    if len(few) < len(X) and len(sample.X) < size:
-        few = np.arange(len(X))  # many repeats
-        sample = merge(X, Y, weights)
-    sample = sample._replace(first=start + kept[few[sample.first]])
-    sample, complete = _cut(sample, seed, size)
-    complete = complete and len(few) == len(X)
+    sample = merge(X, Y, weights)
+    sample, complete = _cut(sample._replace(first=start + kept[sample.first]), seed, size)
     return _Summary(len(X), total, mean, scatter, largest, sample, complete)
 
 
@@ -250,99 +219,36 @@ def _on_block(X, Y, weights, start, function, tail):
     return function(tail.block(X, Y, weights))
 
 
-class ChunkedProblem(NamedTuple):
-    """Rows that are not held. Its fields are those of `Problem`, if not said otherwise."""
+class _Elsewhere(NamedTuple):
+    """Rows of a problem that are not held, and are not merged where they are repeated."""
 
     sample: Problem  # distinct rows, a part of all
-    n_rows: int  # more than the sample has
-    unit: float
-    n_total: float
-    tail_map: np.ndarray
-    projection: np.ndarray
-    spread: np.ndarray
-    tail_ridge: float
-    basis_rows: np.ndarray
-    tail_dof: float
     chunks: ArrayChunks | DaskChunks
-    tail: _Tail
     summary: _Summary
-
-    # Groups with constants are for rows in memory.
-    codes: None = None
-    ratio: float = 0.0
-
-    def view(self):
-        """The targets as a selection wants to see them."""
-        return view_of(self)
+    tail: _Tail
 
     @property
-    def tail_rows(self):
-        """The ridge as further rows of the polynomial."""
-        return ridge_rows(self.n_tail, self.tail_ridge)
-
-    @property
-    def X(self):  # noqa: N802
-        """Rows of the sample, of which some may become centres."""
-        return self.sample.X
-
-    @property
-    def first(self):
-        return self.sample.first
-
-    @property
-    def within(self):
-        """Nothing: repeated rows are not merged."""
-        return np.zeros(len(self.spread))
-
-    @property
-    def n_tail(self):
-        return len(self.tail_map)
+    def n_rows(self):
+        return self.summary.n_rows
 
     def of_outputs(self, outputs):
-        """The same rows with some of the outputs."""
-        return self._replace(
-            sample=self.sample.of_outputs(outputs),
-            projection=self.projection[:, outputs],
-            spread=self.spread[outputs],
-            tail=self.tail._replace(outputs=self.tail.outputs[outputs]),
-        )
+        tail = self.tail._replace(outputs=self.tail.outputs[outputs])
+        return self._replace(sample=self.sample.of_outputs(outputs), tail=tail)
 
-    def with_tail(self, degree, ridged, ratio=None):
-        """The same rows with another polynomial; see `Problem.with_tail`."""
+    def with_tail(self, degree, ridged):
         sample = self.sample.with_tail(degree, ridged)
         return _problem_of(self.chunks, self.summary, sample, degree, self.tail.outputs)
 
     def reduce(self, function, combine, width):
-        """As `Problem.reduce`."""
-        return self.chunks.reduce(
-            partial(_on_block, function=function, tail=self.tail), combine, width
-        )
+        of_block = partial(_on_block, function=function, tail=self.tail)
+        return self.chunks.reduce(of_block, combine, width)
 
 
 def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
     """Set up a problem by one pass over the rows.
 
-    Parameters
-    ----------
-    chunks : ArrayChunks or DaskChunks
-    n_features : int
-    degree : {-1, 0, 1}
-    size : int
-        Distinct rows to hold.
-    seed : int
-        Of the sample.
-    ridged : bool
-        Whether the linear part of the polynomial has a ridge: that of the sample.
-
-    Returns
-    -------
-    ChunkedProblem or Problem
-        The latter where the sample holds all rows.
-
-    Raises
-    ------
-    ValueError
-        If every weight is 0.
+    `size` distinct rows are held, drawn by a hash with a seed. If `ridged`, the linear part of the
+    polynomial has a ridge: that of the sample.
     """
     options = {"seed": np.uint64(seed), "size": size}
     width = 4 * n_features
@@ -386,18 +292,16 @@ def _problem_of(chunks, summary, sample, degree, outputs):
     spread[spread <= 1e-13 * largest[d:]] = 0.0
     basis_rows = ridge_rows(len(root), sample.tail_ridge)
     basis_rows = solve_triangular(root, basis_rows.T, trans="T").T if len(root) else basis_rows
-    return ChunkedProblem(
-        sample,
-        summary.n_rows,
-        unit,
-        weight,
-        tail_map,
-        projection,
-        spread,
-        sample.tail_ridge,
-        basis_rows,
-        len(root) - np.square(basis_rows).sum(),
-        chunks,
-        _Tail(used, center, scale, root, unit, outputs),
-        summary,
+    return sample._replace(
+        unit=unit,
+        n_total=weight,
+        within=np.zeros(len(outputs)),
+        tail_map=tail_map,
+        projection=projection,
+        spread=spread,
+        basis_rows=basis_rows,
+        tail_dof=len(root) - np.square(basis_rows).sum(),
+        elsewhere=_Elsewhere(
+            sample, chunks, summary, _Tail(used, center, scale, root, unit, outputs)
+        ),
     )

@@ -32,16 +32,10 @@ def tail_coefficients(d, used, center, scale):
 
 
 def tail_columns(X, weights, degree, ridged=False):
-    """Columns of the polynomial, in features centred and scaled so that they are well conditioned.
+    """Columns (n, p) of the polynomial, centred and scaled, and their `tail_coefficients`.
 
     With fewer rows than features some are combinations of others by chance: `ridged` keeps them,
     because a ridge tells them apart.
-
-    Returns
-    -------
-    columns : ndarray of shape (n, p)
-    tail_map : ndarray of shape (p, d + 1)
-        Their coefficients to those of (1, x).
     """
     n, d = X.shape
     if degree < 0:
@@ -82,30 +76,13 @@ def linear_evidence(columns, targets, within, n_free, n_total):
     """Ridge of a linear model, the same for all features and outputs, by its likelihood.
 
     The coefficients of an output have independent normal priors of one variance, the noise variance
-    over the ridge; the noise variance is at its optimum for every output [1]_, and has the prior
-    that it has beside radial functions.
+    over the ridge; the noise variance is at its optimum for every output (MacKay, Neural Comput. 4,
+    1992), and has the prior that it has beside radial functions.
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n, d)
-        Features, centred, in units of their spread, times the root of the weights.
-    targets : ndarray of shape (n, q)
-        About their mean, times the root of the weights.
-    within : ndarray of shape (q,)
-        Sum of squares that merging repeated rows took out of them.
-    n_free : float
-        Number of observations by which the ridge is found, less one where the mean was taken out:
-        as many features as rows would otherwise have no ridge, whatever the noise.
-    n_total : float
-        Number of observations.
-
-    Returns
-    -------
-    LinearEvidence
-
-    References
-    ----------
-    .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447.
+    Columns (n, d) are centred, in units of their spread, and like the targets (n, q) times the root
+    of the weights; `within` (q,) is what merging repeated rows took out. The ridge is found by
+    `n_free` of `n_total` observations, less one where the mean was taken out: as many features as
+    rows would otherwise have no ridge, whatever the noise.
     """
     nothing = LinearEvidence(0.0, np.inf, np.inf)
     if not columns.size:

@@ -114,20 +114,7 @@ class End(NamedTuple):
 
 
 def objective(task, theta, data, kernel, kappa=KAPPA):
-    """Negative log likelihood with the penalty, in nats, and its gradient.
-
-    Parameters
-    ----------
-    task : Task
-    theta : ndarray of shape (n_parameters,)
-    data : Data
-    kernel : str
-    kappa : float, default=KAPPA
-
-    Returns
-    -------
-    float, ndarray of shape (n_parameters,)
-    """
+    """Negative log likelihood with the penalty, in nats, and its gradient by theta."""
     log_width, log_alpha, ratio = task.unpack(theta)
     try:
         found = exact_likelihood(data, kernel, log_width, log_alpha, ratio)
@@ -198,13 +185,7 @@ def step_units(end, data):
 
 
 def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units: Any = 1.0, nats=None):
-    """Search from a start, with steps in some units, to about so many nats.
-
-    Returns
-    -------
-    End
-        Never worse than the start.
-    """
+    """Search from a start, with steps in some units, to about so many nats; never worse than it."""
     unit = data.n_total * data.Y.shape[1]
     # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
     # cost of a step allows.

@@ -362,30 +362,10 @@ class Network:
 
 
 def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):
-    """Cholesky factor of a weighted kernel matrix with a ridge, in the memory of one matrix.
+    """Lower Cholesky factor of a weighted kernel matrix with a ridge, in Fortran order.
 
-    Parameters
-    ----------
-    Z : ndarray of shape (n, d)
-        Rows divided by the length scales.
-    kernel : str
-    weights : ndarray of shape (n,)
-        Of the rows.
-    alpha : float
-    codes : ndarray of shape (n,), optional
-        Group of each row, where these have constants.
-    ratio : float
-        Their variance over that of the noise.
-
-    Returns
-    -------
-    ndarray of shape (n, n), Fortran order
-        Lower triangular.
-
-    Raises
-    ------
-    LinAlgError
-        If the matrix is not positive definite to working precision.
+    Z (n, d) are rows divided by the widths. Where groups (`codes`) have constants, `ratio` is their
+    variance over that of the noise. In the memory of one matrix.
     """
     n, root = len(Z), np.sqrt(weights)
     C = np.empty((n, n), order="F")

@@ -53,13 +53,13 @@ def test_share_outside_the_factor_is_that_of_the_whole_matrix(monkeypatch):
     monkeypatch.setattr(_fit, "MAX_RANK", 100)
     monkeypatch.setattr(_fit, "RANK_PER_CENTER", 0.1)
     seen = []
-    whiten = _candidates.whiten
+    whiten = _candidates._whiten
 
     def noted(problem, view, factor, *args):
         seen.append(np.mean(1 - np.sum(factor.rows**2, axis=1)))
         return whiten(problem, view, factor, *args)
 
-    monkeypatch.setattr(_candidates, "whiten", noted)
+    monkeypatch.setattr(_candidates, "_whiten", noted)
     with pytest.warns(ConvergenceWarning) as record:
         RBFNetRegressor(**GIVEN).fit(X, y)
     assert f"{100 * seen[0]:.2g} % of the prior variance" in str(record[-1].message)
