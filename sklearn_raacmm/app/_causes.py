@@ -60,14 +60,16 @@ def inputs_of(correction, columns, in_order):
     callable
         Takes angles in rad and the block of the table that they are from.
     """
-    last = None
+    known, last = correction.facts["causes"], None
+    columns = {name: column for name, column in columns.items() if name in known}
 
     def inputs(angles, block):
         nonlocal last
         extra = causes_of(block, columns)
         if in_order:
             ways, last = directions_of(angles, last), angles[-1]
-            extra |= {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
+            ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
+            extra |= {name: way for name, way in ways.items() if name in known}
         return correction.inputs(angles, extra)
 
     return inputs

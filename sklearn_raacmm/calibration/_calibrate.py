@@ -172,7 +172,7 @@ def calibrate(
         free (fewer than one coordinate to check for each one to fit), if a known length disagrees
         with the rest of the data, if the fit did not converge, if it makes no sense (points that
         scatter by more than 2 % of the reach or twice as much as before, an arm that reaches less
-        than 20 mm), or if the points scatter more with the correction than without it.
+        than 200 mm), or if the points scatter more with the correction than without it.
     FindingWarning
         "table-off": a parameter is more than 10 mm or 0.1 rad from the table, or ten standard
         deviations of a prior that was given.

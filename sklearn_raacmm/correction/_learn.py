@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from html import escape
 from os import PathLike
 from typing import Any
@@ -13,18 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm, check_angles, reach_mm
+from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
 from sklearn_raacmm.correction._causes import (
     say_make,
     usual_values,
-    with_causes,
     with_kept_causes,
 )
-from sklearn_raacmm.correction._deviations import STD_OF, corrected_points, distances
-from sklearn_raacmm.correction._loaded import SavedCorrection, base_as_facts
+from sklearn_raacmm.correction._loaded import SavedCorrection
 from sklearn_raacmm.correction._one_fit import Data
-from sklearn_raacmm.correction._saved import write_correction
 from sklearn_raacmm.correction._scores import (
     CorrectionScores,
     check_judging,
@@ -34,7 +32,7 @@ from sklearn_raacmm.correction._scores import (
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of
-from sklearn_raacmm.utils import Finding, check_option, encode_groups, hear, say_findings
+from sklearn_raacmm.utils import Finding, encode_groups, hear, say_findings
 
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
@@ -141,10 +139,7 @@ class LearnedCorrection:
         --------
         distances : Distances, whose standard deviations are others.
         """
-        check_option("std_of", std_of, STD_OF)
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        X = with_causes(angles, self.causes, extra)
-        return corrected_points(self.arm, self.model, X, self._deviations(), std_of)
+        return self.saved.correct(angles, angle_unit=angle_unit, std_of=std_of, extra=extra)
 
     def distances(
         self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
@@ -171,12 +166,7 @@ class LearnedCorrection:
         ValueError
             If the angles do not fit the arm or each other.
         """
-        one, other = (
-            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
-        )
-        if len(one[0]) != len(other[0]):
-            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
-        return distances(one, other, self.calibration.scale_sd)
+        return self.saved.distances(angles, others, angle_unit=angle_unit)
 
     def save(
         self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
@@ -200,20 +190,7 @@ class LearnedCorrection:
             ``correction.json`` with scores, verdict and versions, ``arm.json``, the model, and the
             others.
         """
-        try:
-            import skops.io
-
-            name, model = "model.skops", skops.io.dumps(self.model)
-        except ImportError:
-            import io
-
-            import joblib
-
-            file = io.BytesIO()
-            joblib.dump(self.model, file)
-            name, model = "model.joblib", file.getvalue()
-        contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
-        return write_correction(folder, self.facts(), contents)
+        return self.saved.save(folder, others)
 
     @staticmethod
     def load(folder: str | PathLike[str]) -> SavedCorrection:
@@ -235,23 +212,16 @@ class LearnedCorrection:
         """
         return SavedCorrection.load(folder)
 
-    @property
-    def saved(self) -> Any:
+    @cached_property
+    def saved(self) -> SavedCorrection:
         """The same without the data: what `save` writes and `load` reads."""
         turned = self.calibration.base_rotation
         base = None if turned is None else (turned, self.calibration.base_translation)
         return SavedCorrection(self.arm, self.model, base, self.facts())
 
-    def _deviations(self):
-        return {
-            "noise_mm": self.noise,
-            "std_factor": self.scores.std_factor,
-            "scale_sd": self.calibration.scale_sd,
-        }
-
     def facts(self) -> dict[str, Any]:
         """Scores and verdict as plain values, fit for JSON."""
-        scores, found = self.scores, self.calibration
+        scores = self.scores
         return {
             "written_by": f"sklearn_raacmm {__version__}",
             "verdict": scores.verdict,
@@ -259,8 +229,9 @@ class LearnedCorrection:
             "judged": scores.judged,
             "findings": [finding.facts() for finding in scores.findings],
             "measure": scores.measure,
-            "base": base_as_facts((found.base_rotation, found.base_translation)),
-            **self._deviations(),
+            "noise_mm": self.noise,
+            "std_factor": scores.std_factor,
+            "scale_sd": self.calibration.scale_sd,
             "coverage": scores.coverage,
             "n_rows": len(self.angles),
             "causes": self.causes,
@@ -409,7 +380,6 @@ def learn_correction(
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), heard = hear(inside)
-    say_findings(heard)
     return LearnedCorrection(
         arm=calibration.arm,
         model=fitted,

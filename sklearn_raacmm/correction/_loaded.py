@@ -9,11 +9,12 @@ from os import PathLike
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult
 from sklearn_raacmm.correction._causes import with_causes
-from sklearn_raacmm.correction._deviations import STD_OF, corrected_points
+from sklearn_raacmm.correction._deviations import STD_OF, corrected_points, distances
 from sklearn_raacmm.correction._saved import read_correction, write_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
@@ -105,32 +106,54 @@ class SavedCorrection:
     def save(
         self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
     ) -> Any:
-        """Write the folder again, see `LearnedCorrection.save`."""
-        import skops.io
+        """Write the folder, see `LearnedCorrection.save`."""
+        try:
+            import skops.io
 
-        facts = self.facts | {"base": base_as_facts(self.base)}
-        contents = {"arm.json": self.arm.to_json(), "model.skops": skops.io.dumps(self.model)}
-        return write_correction(folder, facts, {**contents, **(others or {})})
+            name, model = "model.skops", skops.io.dumps(self.model)
+        except ImportError:
+            import io
+
+            import joblib
+
+            file = io.BytesIO()
+            joblib.dump(self.model, file)
+            name, model = "model.joblib", file.getvalue()
+        base = None
+        if self.base is not None:
+            rotation, translation = self.base
+            base = {"rotation": rotation.tolist(), "translation_mm": translation.tolist()}
+        contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
+        return write_correction(folder, self.facts | {"base": base}, contents)
 
     def inputs(self, angles: np.ndarray, extra: dict[str, Any] | None = None) -> Any:
-        """What the model takes: angles in rad, (n, n_joints), and those causes that it knows."""
-        usual = self.facts.get("causes", {})
-        known = {name: values for name, values in (extra or {}).items() if name in usual}
-        return with_causes(angles, usual, known)
+        """What the model takes: angles in rad, (n, n_joints), and the causes that it knows."""
+        return with_causes(angles, self.facts["causes"], extra)
 
     def correct(
         self,
-        angles: np.ndarray,
+        angles: ArrayLike,
         *,
         angle_unit: str = "rad",
         std_of: str = "coordinate",
         extra: dict[str, Any] | None = None,
-    ) -> Any:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Corrected points and standard deviations, see `LearnedCorrection.correct`."""
         check_option("std_of", std_of, STD_OF)
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         X = self.inputs(angles, extra)
         return corrected_points(self.arm, self.model, X, self.facts, std_of)
+
+    def distances(
+        self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Distances and their standard deviations, see `LearnedCorrection.distances`."""
+        one, other = (
+            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
+        )
+        if len(one[0]) != len(other[0]):
+            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
+        return distances(one, other, self.facts["scale_sd"])
 
     def residuals(self, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.
@@ -167,10 +190,3 @@ class SavedCorrection:
         if hasattr(model, "with_arm"):
             model = model.with_arm(calibration.arm)
         return replace(self, arm=calibration.arm, model=model, base=base)
-
-
-def base_as_facts(base):
-    """Rotation and translation of a base as plain values, or None."""
-    if base is None or base[0] is None:
-        return None
-    return {"rotation": base[0].tolist(), "translation_mm": base[1].tolist()}

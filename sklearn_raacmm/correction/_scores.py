@@ -68,8 +68,8 @@ class CorrectionScores:
         and ``after_max`` (the largest deviation of a point).
     summary : dict of str to tuple (mean, low, high)
         For ``before`` and ``after`` the mean over positions in mm, for ``ratio`` that of after over
-        that of before, each with its 95 % interval (Student's t of the logarithm, positions joined
-        by known lengths together).
+        that of before, each with its 95 % interval (Student's t of the logarithm, of the ratio
+        Fieller's theorem; positions joined by known lengths together).
     lengths : list of (label, label, length, standard deviation)
         The known lengths whose two ends were left out together, while another one was not: a length
         is judged by an arm whose scale is known, but not from this length.
@@ -264,7 +264,6 @@ def cross_validate_correction(
         return scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
 
     (scores, *_), heard = hear(inside)
-    say_findings(heard)
     return with_verdict(scores, heard)
 
 
@@ -282,7 +281,6 @@ def check_judging(function, **options):
 def scored_and_fitted(data, calibration, model, cv, n_jobs, progress):
     """Scores, the model of all rows but the outliers, and its noise, mm."""
     scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-    say_findings(length_findings(calibration))
     kept = np.delete(np.arange(len(data.angles)), scores.outliers)
     fitted, noise = data.fit(model, calibration, data.without_lonely(kept)[0])
     moved = any(finding.code == "moved-position" for finding in calibration.findings)
@@ -323,9 +321,10 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
     coverage, factor = coverage_of(after, std, [test for _, test in folds])
-    helps, verdict = _verdict(table, summary, measure, len(np.unique(block_of)))
-    for finding in length_findings(calibration) if helps else ():
-        verdict = f"{verdict.replace('It helps', 'It repeats better', 1)} {finding}"
+    unknown_lengths = length_findings(calibration)
+    say_findings(unknown_lengths)
+    n_blocks = len(np.unique(block_of))
+    helps, verdict = _verdict(table, summary, measure, n_blocks, unknown_lengths)
     errors = np.array([entry[1:] for entry in length_errors]).reshape(-1, 2)
     return CorrectionScores(
         measure=measure,
@@ -508,7 +507,8 @@ def coverage_of(left, std, tests):
     return float(inside / total), float(np.quantile(ratio[np.concatenate(tests)], 0.95) / _Z95)
 
 
-def _verdict(table, summary, measure, n_blocks):
+def _verdict(table, summary, measure, n_blocks, unknown_lengths):
+    """Whether it helps, and a sentence; without a known length it is no better in lengths."""
     before, after = table["before"], table["after"]
     n, better = len(before), int(np.sum(after < before))
     ratio, low, high = summary["ratio"]
@@ -521,10 +521,12 @@ def _verdict(table, summary, measure, n_blocks):
         )
     if high < 1:
         least = np.argmax(after / np.maximum(before, 1e-300))
-        return True, (
-            f"It helps at new positions: {change}, {better} of {n} positions better; the one that "
+        helps = "It repeats better" if unknown_lengths else "It helps"
+        said = (
+            f"{helps} at new positions: {change}, {better} of {n} positions better; the one that "
             f"gained least went from {before[least]:.3f} to {after[least]:.3f} mm."
         )
+        return True, " ".join([said, *map(str, unknown_lengths)])
     return False, (
         f"Do not use it: at new positions {change}, {better} of {n} positions better; after is "
         f"{ratio:.2f} times before, and its 95 % interval, {low:.2f} to {high:.2f}, reaches 1."

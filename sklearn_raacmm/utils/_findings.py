@@ -129,7 +129,7 @@ class heard_findings:  # noqa: N801  (a context manager, as those of the standar
 
 
 def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, list[Finding]]:
-    """Call a function: its result, and the findings that were said within.
+    """Call a function and say once what it has found: its result, and these findings.
 
     In a context of its own: whatever interrupts the function, what follows is said again.
     """
@@ -137,13 +137,15 @@ def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, 
     def inside():
         with heard_findings() as heard:
             try:
-                return function(*args, **kwargs), heard
+                return function(*args, **kwargs), heard, None
             except ValueError as error:
-                refusal = error
-        say_findings(heard)  # it may be why
-        raise refusal
+                return None, heard, error
 
-    return copy_context().run(inside)
+    result, heard, refusal = copy_context().run(inside)
+    say_findings(heard)  # of a refusal, it may be why
+    if refusal is not None:
+        raise refusal
+    return result, heard
 
 
 def one_warning() -> Callable[[Function], Function]:
@@ -152,9 +154,7 @@ def one_warning() -> Callable[[Function], Function]:
     def decorator(function: Function) -> Function:
         @wraps(function)
         def wrapper(*args, **kwargs):
-            result, heard = hear(function, *args, **kwargs)
-            say_findings(heard)
-            return result
+            return hear(function, *args, **kwargs)[0]
 
         return cast(Function, wrapper)
 
@@ -167,7 +167,6 @@ def with_findings(function: Function) -> Function:
     @wraps(function)
     def wrapper(*args, **kwargs):
         result, heard = hear(function, *args, **kwargs)
-        say_findings(heard)
         return replace(result, findings=tuple(heard))
 
     return cast(Function, wrapper)

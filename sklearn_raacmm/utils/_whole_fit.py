@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar, cast
 
-from sklearn_raacmm.utils._findings import hear, say_findings
+from sklearn_raacmm.utils._findings import hear
 
 Fit = TypeVar("Fit", bound=Callable[..., Any])
 
@@ -37,7 +37,6 @@ def whole_fit(fit: Fit) -> Fit:
         aside.__dict__ = dict(vars(self))
         _, heard = hear(fit, aside, *args, **kwargs)
         aside.findings_ = tuple(heard)
-        say_findings(heard)
         self.__dict__ = aside.__dict__
         return self
 
