@@ -21,8 +21,8 @@ from sklearn_raacmm.correction._causes import (
     usual_values,
     with_kept_causes,
 )
-from sklearn_raacmm.correction._loaded import SavedCorrection
 from sklearn_raacmm.correction._one_fit import Data
+from sklearn_raacmm.correction._saved import SavedCorrection
 from sklearn_raacmm.correction._scores import (
     CorrectionScores,
     check_judging,
