@@ -5,16 +5,16 @@
 
 from copy import deepcopy
 from datetime import date as calendar
-from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, one_warning
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, one_blas_thread, say_findings, validate_params
+from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
@@ -25,7 +25,6 @@ _STRANGE = 10.0
 @validate_params(
     {"arm": [Arm, None], "date": [str, calendar, None]}, prefer_skip_nested_validation=True
 )
-@one_warning
 def update_correction(
     model: ArmResidualRegressor,
     X: ArrayLike,
@@ -137,17 +136,23 @@ def update_correction(
     """
     linear_model_of(model, "updated")
     model = model if arm is None else model.with_arm(arm)
-    linear = model.linear_model_
-    rows: Any = X
-    if not isinstance(X, str | dict) and hasattr(X, "__len__") and len(rows) == 0:
+    if np.shape(X)[:1] == (0,):
         return deepcopy(model)
-    poses = NewPoses.checked(model, X, y, groups, sample_weight, orientation_residuals)
+    new = X, y, groups, sample_weight, orientation_residuals
+    updated, found = hear(_updated, model, new, date)
+    updated.findings_ = tuple(found)
+    return updated
+
+
+def _updated(model, new, date):
+    """A copy of the model, brought up to date if the new poses show enough."""
+    poses = NewPoses.checked(model, *new)
+    linear, updated = model.linear_model_, deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
         say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
-        return deepcopy(model)
-    found = what_is_wrong(model, poses)
-    say_findings(found)
+        return updated
+    say_findings(what_is_wrong(model, poses))
     left = poses.residuals - model.second_stage(poses.angles)
     changed = changed_model(linear, poses._replace(residuals=left))
     if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
@@ -159,11 +164,7 @@ def update_correction(
             "are they of this arm, and residuals in its base frame, registered through the "
             "correction?"
         )
-        strange = Finding("strange-poses", said, advice, size_mm=changed.noise_sd)
-        found.append(strange)
-        say_findings([strange])
-    updated: Any = deepcopy(model)
-    updated.findings_ = tuple(found)
+        say_findings([Finding("strange-poses", said, advice, size_mm=changed.noise_sd)])
     updated.linear_model_ = changed.model
     before = vars(model).get("updates_", ())
     updated.updates_ = (*before, record_of(changed, len(poses.angles), date))

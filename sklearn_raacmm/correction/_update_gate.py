@@ -144,21 +144,17 @@ class _Size:
     def __init__(self, place, codes):
         self.codes = codes
         place = centred(place, codes)
-        self.shape = place.shape
         self.basis = np.linalg.qr(place.reshape(-1, place.shape[2]))[0]
+        taken = place.shape[2] + (0 if codes is None else 3 * (codes.max() + 1))
+        self.spare = max(len(self.basis) - taken, 1)
 
     def _free(self, vectors):
         flat = centred(vectors, self.codes).ravel()
         return flat - self.basis @ (self.basis.T @ flat)
 
     def __call__(self, vectors):
-        free = self._free(vectors)
-        taken = 3 * (self.codes.max() + 1) if self.codes is not None else 0
-        spare = max(free.size - self.shape[2] - taken, 1)
-        return float(np.sqrt(3 * (free @ free) / spare))
+        return np.sqrt(self.product(vectors, vectors))
 
     def product(self, one, other):
         """Inner product in the same units."""
-        free = self._free(other)
-        taken = 3 * (self.codes.max() + 1) if self.codes is not None else 0
-        return float(3 * (self._free(one) @ free) / max(free.size - self.shape[2] - taken, 1))
+        return float(3 * (self._free(one) @ self._free(other)) / self.spare)
