@@ -292,7 +292,7 @@ SENTENCES = {
     "network: n_centers": (lambda: RBFNetRegressor(2.5).fit(X, Y), "'n_centers' parameter"),
     "network: weights of another length": (lambda: far().fit(X, Y, Y[:5]), r"\(60,\)"),
     "network: no weight": (lambda: far().fit(X, Y, Y * 0), "one non-zero number"),
-    "network: negative weight": (lambda: far().fit(X, Y, -ALONE), "Negative values"),
+    "network: negative weight": (lambda: far().fit(X, Y, -ALONE), "must not be negative"),
     "network: other names": (lambda: far().fit(named, Y[:40]).predict(renamed), "unseen at fit"),
     "pose: other names": (lambda: PoseFeatures(ARM).fit(named).transform(renamed), "unseen at"),
     "pose: other order": (

@@ -32,7 +32,14 @@ def fit_sphere(points):
     def residuals(x):
         return np.linalg.norm(centred - x[:3], axis=1) - x[3]
 
-    x = least_squares(residuals, start, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    def jacobian(x):
+        offsets = x[:3] - centred
+        # A point at the centre has no direction: the distance is smallest there, whichever way.
+        lengths = np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-300)
+        return np.column_stack([offsets / lengths, -np.ones(len(points))])
+
+    ends: dict = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+    x = least_squares(residuals, start, jac=jacobian, method="lm", **ends).x
     return x[:3] + mean, x[3], np.linalg.norm(centred - x[:3], axis=1)
 
 

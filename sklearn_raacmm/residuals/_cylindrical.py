@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_consistent_length
 
 from sklearn_raacmm.utils import (
     centred,
     check_array,
+    check_weights,
     encode_groups,
     floats,
     refuse_disguised,
@@ -67,23 +67,9 @@ def position_residuals(
     """
     points = _check_vectors("points", points)
     labels, codes = encode_groups(groups, len(points))
-    if sample_weight is None:
-        weight = np.ones(len(points))
-    else:
-        refuse_disguised("sample_weight", sample_weight)
-        weight = check_array(
-            sample_weight, dtype=np.float64, ensure_2d=False, input_name="sample_weight"
-        ).ravel()
-        refuse_huge("sample_weight", weight)
-        check_consistent_length(points, weight)
-        if np.any(weight < 0):
-            raise ValueError(
-                f"sample_weight must not be negative, but {np.sum(weight < 0)} of {weight.size} "
-                f"are (the least is {weight.min():g})."
-            )
-
-        # Denormal weights have few digits left, their products with points fewer.
-        weight = weight / max(weight.max(), 1e-300) if weight.max() < 1e-200 else weight
+    weight = check_weights(sample_weight, points)
+    # Denormal weights have few digits left, their products with points fewer.
+    weight = weight / max(weight.max(), 1e-300) if weight.max() < 1e-200 else weight
     size = np.bincount(codes[weight > 0], minlength=len(labels))
     if np.any(size < 2):
         lonely = labels[size < 2]

@@ -30,11 +30,7 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
-from sklearn_raacmm.residuals._direction import (
-    NORM_TOLERANCE,
-    appended_direction,
-    ends_in_direction,
-)
+from sklearn_raacmm.residuals._direction import ends_in_direction, without_direction
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
     are_deviations,
@@ -63,7 +59,6 @@ from sklearn_raacmm.utils import (
     refuse_huge,
     safe_indexing,
     say_findings,
-    show,
     whole_fit,
 )
 
@@ -229,9 +224,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             If a motion of the arm's base explains nearly all of `y`: the reference is then most
             likely in another frame.
         """
-        for name, value in (("X", X), ("y", y)):
-            refuse_disguised(name, value)
-        _refuse_no_rows(X)
+        X = _with_shape(X)
+        refuse_disguised("y", y)
         validate_data(self, X, y, skip_check_array=True)
         y = check_array(y, ensure_2d=False, dtype="numeric", input_name="y", estimator=self)
         y = floats("y", y) if y.dtype.kind == "O" else y  # a list of numbers and text
@@ -239,7 +233,9 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         check_consistent_length(X, y)
         groups = fit_params.pop("regressor__groups", groups)
         codes = None if groups is None else encode_groups(groups, len(y))[1]
-        _refuse_negative_weights(fit_params)
+        for name, value in fit_params.items():  # of which some regressors take the root
+            if name.rpartition("__")[2] == "sample_weight":
+                check_weights(value, y, name)
         flat = y.ndim == 1
         n_targets = 1 if flat else y.shape[1]
 
@@ -331,9 +327,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
                 "turned by two azimuths at once. Use return_std=True."
             )
         if not is_plain(self, X):
-            refuse_disguised("X", X)
-            _refuse_no_rows(X)
-            if getattr(X, "ndim", 2) == 1:
+            X = _with_shape(X)
+            if len(X.shape) == 1:
                 check_array(X, estimator=self)  # for its sentence on how to reshape
             # As validate_data, which would also check the array and collect the tags of all steps.
             check_feature_names(self, X, reset=False)
@@ -370,13 +365,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     def _split(self, X):
         """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
         if self._drops_direction:
-            X = X if hasattr(X, "shape") else np.asarray(X)
-            if type(X) is np.ndarray and X.ndim == 2 and X.shape[1] > 2 and X.dtype == np.float64:
-                tail = X[:, -2:]  # sound ones are not worth a full check
-                if np.all(np.abs(np.hypot(*tail.T) - 1) <= NORM_TOLERANCE):
-                    return X[:, :-2], (tail[:, 0], tail[:, 1])
-            direction = appended_direction(X)
-            return safe_indexing(X, slice(None, -2), axis=1), direction
+            return without_direction(X)
         if self._rotates and (arm := self._arm()) is not None:
             # The method of an arm: the direction of its points, without the angle in between.
             x, y, _ = arm.forward(X).T
@@ -385,10 +374,9 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             azimuth = check_array(
                 self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"
             )
-            n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
-            if azimuth.shape != (n_samples,):
+            if azimuth.shape != (X.shape[0],):
                 raise ValueError(
-                    f"azimuth must give one angle per row of X, shape ({n_samples},), got shape "
+                    f"azimuth must give one angle per row of X, shape ({X.shape[0]},), got shape "
                     f"{azimuth.shape}."
                 )
             return X, (np.cos(azimuth), np.sin(azimuth))
@@ -459,23 +447,10 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
     return X, dwells.mean(y), groups, codes, merged
 
 
-def _refuse_negative_weights(fit_params):
-    """Refuse weights that regressors take the root of, or silently take for 0."""
-    for name, value in fit_params.items():
-        if value is None or name.rpartition("__")[2] != "sample_weight":
-            continue
-        if np.asarray(value).dtype == bool:
-            continue  # a mask
-        weights = floats(name, value)
-        wrong = np.flatnonzero(~(weights >= 0) | np.isinf(weights))
-        if wrong.size:
-            raise ValueError(
-                f"{name} must be finite and not negative; {wrong.size} of {weights.size} weights "
-                f"are not (row {wrong[0]}: {weights.flat[wrong[0]]:g})."
-            )
-
-
-def _refuse_no_rows(X):
-    """Refuse an empty list, in which scikit-learn would look for the first row."""
-    if isinstance(X, list | tuple) and not len(X):
-        raise ValueError(f"X has no rows, got {show(X)}.")
+def _with_shape(X):
+    """X as it is, but a list as an array; one without rows is refused."""
+    refuse_disguised("X", X)
+    X = X if hasattr(X, "shape") else np.asarray(X)
+    if X.shape[:1] == (0,):
+        raise ValueError(f"X has no rows, got shape {X.shape}.")
+    return X

@@ -122,7 +122,7 @@ def test_position_residuals_refuses_groups(groups, message):
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (np.ones((4, 2)), "3 columns .* got 2"),
+        (np.ones((4, 2)), "^points must have 3 columns, got 2"),
         (np.full((4, 3), np.nan), "contains NaN"),
         (np.full((4, 3), np.inf), "contains infinity"),
         (np.empty((0, 3)), r"0 sample\(s\)"),
@@ -140,7 +140,7 @@ def test_position_residuals_refuses_weights():
         position_residuals(points, groups, sample_weight=[1, 1, 1, 0])
     with pytest.raises(ValueError, match=r"1 of 4 are \(the least is -2\)"):
         position_residuals(points, groups, sample_weight=[1, 1, 1, -2])
-    with pytest.raises(ValueError, match=r"inconsistent numbers of samples: \[4, 3\]"):
+    with pytest.raises(ValueError, match=r"sample_weight.shape == \(3,\)"):
         position_residuals(points, groups, sample_weight=[1, 1, 1])
 
 
@@ -245,18 +245,24 @@ def test_more_than_three_targets_pass_through_where_there_is_no_azimuth(azimuth)
     assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
 
 
-@pytest.mark.parametrize("wrong", [-1.0, np.nan, np.inf])
-def test_weights_that_are_none_are_refused_at_the_door(isotropic, wrong):
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (-1.0, r"sample_weight must not be negative, but 1 of 200 are \(the least is -1\)"),
+        (np.nan, "sample_weight contains NaN"),
+        (np.inf, "sample_weight contains infinity"),
+    ],
+)
+def test_weights_that_are_none_are_refused_at_the_door(isotropic, wrong, message):
     # Ridge takes their root, and a support vector machine leaves such rows out without a word.
     X, y = isotropic[:2]
     weights = np.ones(200)
     weights[3] = wrong
-    message = rf"sample_weight must be finite and not negative; 1 of 200 .* \(row 3: {wrong:g}\)"
     for regressor in (Ridge(), MultiOutputRegressor(SVR()), RBFNetRegressor()):
         with pytest.raises(ValueError, match=message):
             CylindricalResidualTarget(regressor).fit(X, y, sample_weight=weights)
     chain = CylindricalResidualTarget(make_pipeline(StandardScaler(), Ridge()))
-    with pytest.raises(ValueError, match="ridge__" + message):
+    with pytest.raises(ValueError, match=message):
         chain.fit(X, y, ridge__sample_weight=weights)
 
 
@@ -384,7 +390,7 @@ def test_y_of_the_wrong_width(isotropic, n_columns, azimuth):
         (np.ma.masked_equal(np.eye(3), 1), np.ones((3, 3)), r"^X has 3 of 9 values masked"),
         (np.eye(3), np.ma.masked_equal(np.eye(3), 1), r"^y has 3 of 9 values masked"),
         (np.eye(3), np.full((3, 3), 1e60), r"^y holds 1e\+60"),
-        (np.empty((0, 3)), np.empty((0, 3)), r"0 sample\(s\)"),
+        (np.empty((0, 3)), np.empty((0, 3)), r"X has no rows, got shape \(0, 3\)"),
     ],
 )
 def test_bad_input(X, y, message):
