@@ -232,7 +232,7 @@ def make_parser():
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         for option in (*word.options.split(), "--json", "--quiet"):
-            own.add_argument(option, **OPTIONS.get(f"{word.name} {option}", OPTIONS.get(option)))
+            own.add_argument(option, **(OPTIONS.get(f"{word.name} {option}") or OPTIONS[option]))
         own.set_defaults(room=word.room)
         own.known = (word.name, *own._option_string_actions)
         known.update(own.known)
