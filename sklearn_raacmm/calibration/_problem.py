@@ -94,27 +94,17 @@ def unpack(arm, x, tool=0):
     )
 
 
-def points_of_all(arm, angles, x, problem):
-    """Corrected points (n, 3) in the arm's base frame."""
-    points = np.empty((len(angles), 3))
-    for tool in range(problem.n_tools):
-        rows = problem.rows_of_tool(tool)
-        points[rows] = unpack(arm, x, tool).forward(angles[rows])
-    return points if problem.correction is None else points - problem.correction
+def points_and_jacobian(arm, angles, x, problem):
+    """Corrected points (n, 3) in the base frame, and their derivatives (n, 3, len(x)).
 
-
-def jacobian_of_all(arm, angles, x, problem):
-    """Corrected points (n, 3) and their derivatives (n, 3, len(x)) by table and probes."""
-    if problem.n_tools == 1:
-        points, jac = parameter_jacobian(unpack(arm, x), angles)
-        return (points if problem.correction is None else points - problem.correction), jac
-    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
+    By table and probes, mm and rad.
+    """
     n_table = 4 * arm.n_joints
+    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
-        rows = problem.rows_of_tool(tool)
+        rows, start = problem.rows_of_tool(tool), n_table + 3 * tool
         points[rows], own = parameter_jacobian(unpack(arm, x, tool), angles[rows])
         jac[rows, :, :n_table] = own[:, :, :n_table]
-        start = n_table + 3 * tool
         jac[rows, :, start : start + 3] = own[:, :, n_table:]
     return (points if problem.correction is None else points - problem.correction), jac
 

@@ -17,6 +17,7 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
     check_fit,
+    check_poses,
     check_turns,
     poses_of,
 )
@@ -27,7 +28,6 @@ from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._in_use import ModelInUseMixin
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
@@ -39,7 +39,6 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     centred,
     check_flags,
-    encode_groups,
     fit_context,
     heard_findings,
     many_without_weight,
@@ -259,10 +258,9 @@ class ArmResidualRegressor(
             calibrated, or a reference in another frame; see `findings_`. Rows in which the arm
             stood still are merged to one pose.
         """
-        rows = check_fit(self, X, y, sample_weight, groups, lengths)
+        rows, positions = check_fit(self, X, y, sample_weight, groups, lengths)
         arm, used = rows.arm, rows.weights > 0
         turns = check_turns(orientation_residuals, len(used), rows.codes)
-        positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
         rows, turns = rows.at(used), None if turns is None else turns[used]
         dwells, rows, turns = poses_of(rows, self.extra, turns)
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()

@@ -13,9 +13,9 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._fading import warn_where_unknown
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
-from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._solve import angles_for
 from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, warn_user
 
