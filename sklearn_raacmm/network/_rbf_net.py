@@ -341,8 +341,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         y : ndarray of shape (n_samples,) or (n_samples, n_outputs)
             Predicted mean.
 
-        y_std or y_cov : ndarray
-            Of the same shape, and of shape (n_samples, n_samples) with (n_outputs,) after it.
+        y_std : ndarray of the same shape
+            Where asked for.
+
+        y_cov : ndarray of shape (n_samples, n_samples) or (n_samples, n_samples, n_outputs)
+            Where asked for.
 
         Raises
         ------
