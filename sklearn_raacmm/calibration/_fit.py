@@ -201,7 +201,7 @@ class Fit:
 
     def _solve(self, mask):
         """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
-        n, bases = len(self.nominal), self.problem.n_stations
+        bases = self.problem.n_stations
         unit = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)]
         unit = np.r_[unit, np.full(len(self.x) - len(unit), _STEP_RAD)][mask]
         rows, jac = self._residuals_and_jacobian(self.x, mask)
