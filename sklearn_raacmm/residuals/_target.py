@@ -80,7 +80,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         :class:`~sklearn.linear_model.LinearRegression`. One that has no widths of its own needs
         scaled features, by a scaler inside it. A search over its parameters, such as
         ``regressor__n_centers``, needs one to be given.
-
     azimuth : "appended", callable or None, default="appended"
         Where the azimuth of the probe comes from.
 
@@ -97,13 +96,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     ----------
     regressor_ : object
         Fitted regressor, on radial, tangential and axial residuals in mm.
-
     by_position_ : bool
         Whether `fit` was given positions whose residuals are known up to one constant each.
-
     n_features_in_ : int
         Number of columns of `X` seen during fit, the appended direction included.
-
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
 
@@ -189,16 +185,13 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         X : array-like of shape (n_samples, n_features)
             Whatever the regressor takes, with the azimuth's direction in the two last columns if
             ``azimuth="appended"``.
-
         y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
             Cartesian residuals in mm, measured minus reference. One column or one dimension
             passes through unrotated.
-
         groups : array-like of shape (n_samples,), default=None
             Label of the position of each row, where residuals are known up to one constant at each
             position. ``regressor__groups`` is another name of it, for a search with metadata
             routing off, which keeps `groups` for its splitter.
-
         **fit_params : dict
             Passed to the regressor's `fit`, such as `sample_weight`, or
             `rbfnetregressor__sample_weight` where the regressor is a pipeline; routed by request
@@ -305,7 +298,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         ----------
         X : array-like of shape (n_samples, n_features)
             As in `fit`.
-
         **predict_params : dict
             Passed to the regressor's `predict`, such as ``return_std=True``; routed by request if
             metadata routing is enabled.
@@ -314,7 +306,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         -------
         residuals : ndarray of shape (n_samples, 3)
             dx, dy and dz in mm; of the shape of the training target if that was not rotated.
-
         std : ndarray of shape (n_samples, 3)
             Standard deviation of dx, dy and dz in mm; only with ``return_std=True``. Variances
             are rotated as those of independent radial, tangential and axial components, which is
@@ -328,7 +319,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             )
         if not is_plain(self, X):
             X = _with_shape(X)
-            if len(X.shape) == 1:
+            if np.ndim(X) == 1:
                 check_array(X, estimator=self)  # for its sentence on how to reshape
             # As validate_data, which would also check the array and collect the tags of all steps.
             check_feature_names(self, X, reset=False)
