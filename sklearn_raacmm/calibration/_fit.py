@@ -27,8 +27,8 @@ _MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
 MAX_ROUNDS = 20
 # Rounds in which prior standard deviations are found; two digits of them are enough.
 _EVIDENCE_ROUNDS = 8
-# Gauss-Newton steps of one round. They end where the next one would lower the sum of squares by
-# less than this part. Damping of a step that did not lower it, and where it is given up.
+# Gauss-Newton steps of one round, which ends where the next would lower the squares by less than
+# this part. Least damping, and where a step is given up.
 _MAX_STEPS, _SMALL_GAIN = 100, 1e-10
 _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 # Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
@@ -38,9 +38,8 @@ _LEAST_PIVOT = 1e-8
 _STEP_RAD, _STEP_MM = 1e-2, 10.0
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
-# Share of the sets without outliers in which rows may be named. Half of it is left to chance, and
-# in 0.01 the tail may be longer than it is taken to be. The rest is for what the straight line of
-# `outlier_limit` does not describe: without it 10 of 200 simulated sets are named, with it 4.
+# Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
+# tail may be longer than it is taken to be. 4 of 200 simulated sets are named.
 _FALSE_NAMES, _FALSE_TAILS = 0.05, 0.01
 # The part of the distances whose size tells how long the tail of the others is.
 _TAIL = 0.9

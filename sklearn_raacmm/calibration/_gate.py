@@ -14,8 +14,7 @@ from sklearn_raacmm.measurements import coarse_angles, find_poses, moved_positio
 from sklearn_raacmm.utils import Finding, say_findings, slip_factors
 
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
-# leaves there from which on the data have said too little: 0.02 in clean tests of 60 poses, 0.2 and
-# more along a path.
+# leaves there from which on too little is known: 0.02 in clean tests of 60 poses, 0.2 along a path.
 _TRIED, _OPEN = 100, 0.1
 # Points that scatter by more than a part of that promise nothing.
 _FAR = 5.0

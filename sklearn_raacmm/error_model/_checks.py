@@ -39,8 +39,7 @@ _LARGEST_REACHES = 10.0
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
 # A share of the means between CENTRED and 1 is worth a word where independent rows have one as
-# small in fewer fits than one of a thousand. Against a reference it is above 1, as neighbours err
-# alike.
+# small in fewer fits than one of a thousand.
 _BY_CHANCE = 1e-3
 
 

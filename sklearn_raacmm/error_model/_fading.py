@@ -10,15 +10,12 @@ import numpy as np
 
 from sklearn_raacmm.utils import Finding, centred, say_findings
 
-# Factor of the standard deviation with a reference for every pose: Wiener's. What was left of 25
-# simulated errors at poses of real arms, learnt at new goals, in regions or in one octant, as a
-# geometric mean: 12 of them 0.076 with 1, 0.078 with 2; 13 others 0.144 and 0.160. None did harm.
+# Factor of the standard deviation with a reference for every pose: Wiener's. With 2 instead 25
+# simulated errors at poses of real arms leave 3 % and 11 % more.
 _OF_TRACKER = 1.0
 # In single-point tests: so many times the factor by which errors at positions left out have widened
-# the standard deviation; 1 where there are too few positions to leave some out, and at most 1, for
-# outliers widen it, too. Of no correction 0.3, 0.4 and 0.6 leave 0.793 each on Pandas, thinned to
-# 120 and 200 rows of four placements and more (``benchmarks/bench_few_poses.py``), and 0.576, 0.593
-# and 0.625 on 40 simulated tests of 3 to 12 positions, half of them in one corner.
+# the standard deviation; 1 where too few positions can be left out, and at most 1
+# (``benchmarks/bench_few_poses.py``).
 _OF_WIDENED, _MOST, _LEAST_POSITIONS = 0.3, 1.0, 4
 # predict warns where less than this share is left of more than half of the corrections.
 _WARN_SHARE = 0.1

@@ -28,14 +28,13 @@ from sklearn_raacmm.inference import (
 )
 from sklearn_raacmm.utils import TUKEY_CUT, centred, chunks, stage, tukey_weights
 
-# Rounds of robust weights at one choice, and choices with what the weights have become: lines that
-# were chosen while outliers counted fully are a worse beginning than none. Weights that change by
-# less than this have settled.
+# Rounds of robust weights at one choice, and choices with what they have become. Weights that
+# change by less than this have settled.
 _ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
-# Where less than this share of the poses is concerned, sums over them cost less than new ones: of
-# candidates that are asked for later both are needed (``benchmarks/bench_fit.py``).
+# Where less than this share of the poses is concerned, sums over them cost less than new ones
+# (``benchmarks/bench_fit.py``).
 _FEW_POSES = 0.4
 # Columns of the poses are kept between the rounds where they are at most so many numbers (80 MB).
 _KEPT_COLUMNS, _POSES = 10_000_000, 256

@@ -26,12 +26,10 @@ _CHUNK = 512
 # Poses at which fields are compared with columns: three equations each, for some 200 columns.
 _POSES = 150
 # Share of a field that columns may leave for it to be one of theirs: bending about the second
-# joint's axis is one only nearly where that axis is not quite horizontal
-# (``tests/error_model/test_place_fields.py``).
+# joint's axis is one only nearly.
 _LEFT = 0.01
-# A combination of fields that moves the positions of a test by less than this share of what the one
-# that is shown best does is not taken out of standard deviations: few positions would make a large
-# multiple of it out of what imitates it there (``benchmarks/bench_few_poses.py``).
+# A combination of fields that moves the positions by less than this share of what the one that is
+# shown best does stays in the standard deviations (``benchmarks/bench_few_poses.py``).
 _LEAST_SHOWN = 0.05
 # Size of a column, relative to the largest, that moves nothing.
 _NOTHING = 1e-6

@@ -24,19 +24,14 @@ from sklearn_raacmm.utils import centred, group_means, group_weights, stage
 # Blocks left out in turn, and the fewest positions that are worth leaving some out: of three the
 # rest is hardly the model that is judged.
 N_BLOCKS, LEAST_POSITIONS = 10, 4
-# Mean of the prior of log b (see `interval_scales`) in a single-point test; with a tracker it is 0.
-# What matters there are errors that a whole position has in common. Deviations from its mean do not
-# show them, and with 12 or 20 positions show little of b: over 128 simulated tests (typical,
-# gravity, eccentricity, soft; ``benchmarks/bench_guards.py --intervals`` has the cases) what they
-# showed had no correlation with what the true errors needed, which was 2.0 in the mean. With this
-# prior 94 % of all true errors lie inside, and 15 of the 128 tests hold less than 85 %; with 0 it
-# is 92 %, and 26. Where the model is complete the deviations are then 7 % too large.
+# Mean of the prior of log b (see `interval_scales`) in a single-point test; with a tracker 0.
+# Deviations from the means of positions show little of b: with this prior 94 % of all true errors
+# are inside, with 0 it is 92 % (``benchmarks/bench_guards.py --intervals``, 128 simulated tests).
 _USUAL_LOG_B = 0.7
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0
-# With fewer than four positions nothing can be left out, and noise and standard deviation are
-# multiplied by one and so much of the inverse of their number. Of errors at other placements 0.85
-# and 0.67 (of a single position) were inside 95 % without it, 0.98 and 0.94 with it
+# With fewer than four positions noise and standard deviation are multiplied by one and so much of
+# the inverse of their number: 0.98 and 0.94 inside 95 %, without it 0.85 and 0.67
 # (``benchmarks/bench_few_poses.py``).
 _PER_FEW_POSITIONS = 2.0
 # A gain of less than this share of the deviation is none.
@@ -80,9 +75,8 @@ def leave_out(fitted, terms, positions, weights):
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
-    # High orders beside the chosen ones take most of the time: on 22 simulated sets (tracker,
-    # single-point, causes without columns, weak gears) the models without a block were the same to
-    # the last digit with all of them offered again.
+    # High orders beside the chosen ones take most of the time: on 22 simulated sets the models
+    # without a block were the same with all of them offered again.
     low = terms.harmonics[:, 1] <= HIGHEST_OF_FEW
     low[state.lines] = True
     if not low.any():  # only high ones are offered

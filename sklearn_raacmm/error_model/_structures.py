@@ -17,13 +17,12 @@ from sklearn_raacmm.inference import Structures
 
 # What a harmonic costs per logarithm of its order.
 _PRICE_PER_LOG_ORDER = 2.0
-# Orders up to this may be there all together, small, and smaller the higher they are: a smooth
-# function of the joint's angle. Order at which the decay begins; price in nats: any from 8 to 64
-# leaves about the same (``benchmarks/bench_prices.py --field``).
+# Orders up to this may be there all together, smaller the higher they are: a smooth function of the
+# joint's angle. Order at which the decay begins; price in nats (``benchmarks/bench_prices.py
+# --field``).
 _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
-# Log evidence that a family of extra columns has to add, in nats: a user may name causes that are
-# none (``benchmarks/bench_extra.py``: noise as the extra column came to at most 5 in 30 fits, a
-# true cause that helped at positions left out to 22 or more).
+# Log evidence that a family of extra columns has to add, in nats: noise came to at most 5, a true
+# cause that helped to 22 or more (``benchmarks/bench_extra.py``).
 _PRICE_OF_EXTRA = 10.0
 # Prior standard deviation of a family that is not worth its price: its coefficients are nothing.
 IDLE_SD = 1e-6
@@ -32,9 +31,8 @@ IDLE_SD = 1e-6
 _LARGEST_VARIANCE = 3600.0**2
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6
-# Orders above this are offered where scattered angles see them: where a joint's angles, those
-# nearer to each other than 0.001 rad counted as one, are at least half as many as the poses.
-# Waves of fewer angles than orders are not the same there (``benchmarks/bench_few_poses.py``).
+# Orders above this are offered where a joint's angles, those nearer than 0.001 rad counted as one,
+# are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
 HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
 

@@ -41,10 +41,8 @@ _LARGEST_BATCH = 192
 _TINY = 1e-300
 # Orders and poses from which on the grid is faster: ``benchmarks/bench_fit.py`` with 96 columns.
 _MANY_ORDERS, _MANY_POSES = 128, 256
-# Points of the grid for each order up to the highest, points under the kernel, and how sharp the
-# kernel is beside the sharpest that the grid allows. With 1000 orders the error is that of the
-# phase of the highest one; 13 points under the kernel leave ten times as much
-# (``tests/error_model/test_wave_sums.py``).
+# Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
+# beside the sharpest that the grid allows (``tests/error_model/test_waves.py``).
 _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
 # Nodes of the integral that is the kernel's own transform: to the last digit with half of them.
 _NODES = 64

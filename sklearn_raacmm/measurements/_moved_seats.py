@@ -15,15 +15,13 @@ from sklearn_raacmm.utils import Finding, chunks, encode_groups
 # Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
 # beyond ten a slow change of the residuals counts as much as a step.
 _WINDOWS, _LEAST = (3, 5, 10), 3
-# Squared size of a step over its variance from which on it is one, 5.5 standard deviations of a
-# coordinate with ten poses on either side. The largest of 12 000 poses of a UR10 whose reference
-# cannot have moved is 112; the two sockets of a Panda that did move have 889 and 521.
+# Squared size of a step over its variance from which on it is one. The largest of 12 000 poses of a
+# UR10 is 112; two sockets of a Panda that did move have 889 and 521.
 _LIMIT = 150.0
-# Ratios that are looked at, their quantile that is compared (a moved one of four positions does not
-# change it much), and what it is of independent normal errors.
+# Ratios that are looked at, their quantile that is compared, and what it is of independent normal
+# errors.
 _TRIED, _QUANTILE, _USUAL = 200, 0.7, 4.8
-# Orders of the rows that are tried, and how many of them may look as orderly as the one given:
-# of rows that were shuffled the order means nothing.
+# Orders of the rows that are tried, and how many of them may look as orderly as the one given.
 _ORDERS, _AS_ORDERLY = 1999, 4
 # Rows beside the step whose order is tried: the table of their distances stays small.
 _BESIDE = 100
@@ -33,8 +31,7 @@ _SAME_POSE = 0.01
 _MEDIAN_SQUARE = 2.366
 # Distances of poses are told apart in so many classes, of at least so many pairs each.
 _CLASSES, _PAIRS = 10, 50
-# Standard deviations of a coordinate beyond which a pose that differs from its neighbours in the
-# order of the test is left out: more than in the fit, for among the neighbours there may be a step.
+# Standard deviations beyond which a pose that differs from its neighbours in the order is left out.
 _OUTLIER = 8.0
 # No arm measures with less noise, in mm: rounding is no step.
 _LEAST_NOISE_MM = 1e-3

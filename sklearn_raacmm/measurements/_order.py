@@ -15,7 +15,7 @@ from sklearn_raacmm.utils import Finding, centred
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad.
 _STANDS_STILL = 1e-5
 # Share of the variance of the row number that angles may tell where time is to be learnt: of two
-# robots whose time helped it was -0.15 and -0.04, of one that it harmed 0.69. A choice between.
+# robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 MOST_TOLD = 0.2
 _TREES, _FOLDS = 100, 5
 # Chance that a run without drift is said to drift.
