@@ -27,7 +27,7 @@ from sklearn_raacmm.network._likelihood import (
     noise_density,
     noise_likelihood,
 )
-from sklearn_raacmm.network._linear import linear_evidence, tail_columns
+from sklearn_raacmm.network._linear import linear_evidence, polynomial_of
 from sklearn_raacmm.network._objective import (
     ALPHA_BOUNDS,
     LOOSE_KAPPA,
@@ -257,7 +257,7 @@ def _linear(data, value, density, end):
     functions are said to have no noise at all, evidence is not to be trusted: then it has to lead
     in the error of what is left out.
     """
-    columns = tail_columns(data.X, data.weights, 1, ridged=True)[0][:, 1:]
+    columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
     columns = np.sqrt(data.weights)[:, None] * columns
 
     def at(ratio):
