@@ -77,8 +77,8 @@ def condition(
     p, y = len(prior.mean), y - columns @ prior.mean
     factor, logs, rounds = np.ones(len(y)), None, 0
     while True:
-        rows = _Rows.of(columns, free, y, weights * factor)
-        evidence = _Evidence(prior, rows)
+        A, summed, n_data = _rows_of(columns, free, y, weights * factor)
+        evidence = _Evidence(prior, A, summed, n_data)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
         noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
@@ -86,15 +86,15 @@ def condition(
         sd = np.array([tau[name] for name in prior.part.tolist()]) * prior.size
         sd = np.r_[sd, np.full(free.shape[2], prior.free_sd)]
         dual = evidence.solved(logs)[1]
-        mean = np.square(sd) * (rows.A.T @ dual)
-        mean[:p] += prior.half @ (prior.half.T @ (rows.A[:, :p].T @ dual))
+        mean = np.square(sd) * (A.T @ dual)
+        mean[:p] += prior.half @ (prior.half.T @ (A[:, :p].T @ dual))
         # Few rows are followed closely: what is left of them is less than the noise.
         left = y - columns @ mean[:p] - free @ mean[p:]
         before, factor = factor, tukey_weights(left, weights, least_scale=noise_sd)
         rounds += 1
         if rounds == _ROUNDS or np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
-    half = narrowed(_prior_root(prior.half, sd), rows.A / noise_sd)
+    half = narrowed(_prior_root(prior.half, sd), A / noise_sd)
     spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
     spread = spread.reshape(*y.shape, -1)
     left_out = _left_out(left, spread, weights * before, noise_sd)
@@ -130,24 +130,20 @@ def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float)
     return float(-0.5 * (fit + np.log(value).sum()) - n_data * np.log(noise_sd))
 
 
-class _Rows(NamedTuple):
-    """Weighted rows of coordinates, no more than columns: columns and free ones side by side."""
+def _rows_of(columns, free, y, weights):
+    """Weighted rows of coordinates, no more than columns, and how many coordinates they sum up.
 
-    A: np.ndarray  # (m, p + q)
-    y: np.ndarray  # (m,)
-    n_data: int  # coordinates that y sums up
-
-    @classmethod
-    def of(cls, columns, free, y, weights):
-        kept = weights > 0
-        root = np.sqrt(weights[kept])[:, None]
-        A = np.concatenate([columns[kept], free[kept]], axis=2) * root[:, :, None]
-        A, y = A.reshape(-1, A.shape[2]), (y[kept] * root).ravel()
-        n_data = len(y)
-        if n_data > A.shape[1] + 1:
-            R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
-            A, y = R[:, :-1], R[:, -1]
-        return cls(A, y, n_data)
+    A (m, p + q) has columns and free ones side by side, y is (m,).
+    """
+    kept = weights > 0
+    root = np.sqrt(weights[kept])[:, None]
+    A = np.concatenate([columns[kept], free[kept]], axis=2) * root[:, :, None]
+    A, y = A.reshape(-1, A.shape[2]), (y[kept] * root).ravel()
+    n_data = len(y)
+    if n_data > A.shape[1] + 1:
+        R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
+        A, y = R[:, :-1], R[:, -1]
+    return A, y, n_data
 
 
 class _Evidence:
@@ -158,20 +154,20 @@ class _Evidence:
     (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen and Williams, 2006, eq. 5.9).
     """
 
-    def __init__(self, prior, rows):
-        self.y, (m, p) = rows.y, (len(rows.y), len(prior.mean))
+    def __init__(self, prior, A, y, n_data):
+        self.y, m, p = y, len(y), len(prior.mean)
         self.names = sorted(set(prior.part.tolist()))
-        A = rows.A[:, :p]
+        A, free = A[:, :p], A[:, p:]
         members = [prior.part == name for name in self.names]
         self.roots = [A[:, part] * prior.size[part] for part in members]
         self.noise_variance = prior.noise_variance
-        held = np.hstack([A @ prior.half, prior.free_sd * rows.A[:, p:]])
+        held = np.hstack([A @ prior.half, prior.free_sd * free])
         # Only elements on and below the diagonal, of which the latter stand for two.
         self.lower = np.tril_indices(m)
         self.times = np.where(self.lower[0] == self.lower[1], 1.0, 2.0)
         sums = [H @ H.T for H in self.roots] + [prior.noise_variance * np.eye(m), held @ held.T]
         self.sums = np.stack([one[self.lower] for one in sums])
-        self.n_rest = rows.n_data - m  # coordinates that hold noise alone, which y has summed up
+        self.n_rest = n_data - m  # coordinates that hold noise alone, which y has summed up
         n = len(self.names)
         self.middle = np.r_[np.full(n, np.log(_TAU)), 0.0]
         self.sd = np.r_[np.full(n, _TAU_LOG_SD), _NOISE_LOG_SD]

@@ -1,19 +1,18 @@
 """Rows that are read block by block: too many to be sorted, or in the memory of other machines.
 
-One pass tells what the numerics need beforehand: weighted moments of features and targets, and a
-sample of distinct rows. The sample is drawn by a hash of the rows' content, so that it depends
+A first pass draws a sample of distinct rows, by a hash of the rows' content, so that it depends
 neither on their order nor on how they are split into blocks nor on repeats. Everything else is a
-sum over blocks, like that of rows in memory.
+sum over blocks, or a triangular factor of them, like that of rows in memory.
 """
 
 from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 from sklearn.utils import check_array
 
-from sklearn_raacmm.network._linear import independent_features, ridge_rows, tail_coefficients
+from sklearn_raacmm.network._least_squares import stack_triangles, triangle_of_all
 from sklearn_raacmm.network._rows import (
     Block,
     Merged,
@@ -28,6 +27,7 @@ from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge
 CHUNK_ROWS = 2**16
 # Results that are combined in one task.
 _FAN_IN = 8
+_UNKNOWN = np.empty((0, 0))
 
 
 class ArrayChunks:
@@ -124,13 +124,10 @@ def dask_chunks(X, y, sample_weight):
 
 
 class _Summary(NamedTuple):
-    """What one pass over the rows tells, with features and targets side by side."""
+    """What a first pass over the rows tells."""
 
     n_rows: int  # of positive weight
     weight: float
-    mean: np.ndarray  # (d + q,)
-    scatter: np.ndarray  # (d + q, d + q) weighted sum of products about the mean
-    largest: np.ndarray  # (d + q,) absolute value
     sample: Merged  # of rows with the smallest hashes
     complete: bool  # whether the sample holds all rows
 
@@ -155,68 +152,18 @@ def _cut(sample, seed, size):
 
 
 def _summarise(X, Y, weights, start, seed, size):
-    kept = np.flatnonzero(weights > 0)
-    X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]
-    V = np.hstack([X, Y])
-    total = weights.sum()
-    mean = weights @ V / total if len(V) else np.zeros(V.shape[1])
-    about = V - mean
-    scatter = (weights[:, None] * about).T @ about
-    largest = np.abs(V).max(axis=0, initial=0.0)
     sample = merge(X, Y, weights)
-    sample, complete = _cut(sample._replace(first=start + kept[sample.first]), seed, size)
-    return _Summary(len(X), total, mean, scatter, largest, sample, complete)
+    sample, complete = _cut(sample._replace(first=start + sample.first), seed, size)
+    return _Summary(np.count_nonzero(weights > 0), weights.sum(), sample, complete)
 
 
 def _join(one, other, seed, size):
-    """Summary of two blocks (Chan, Golub, LeVeque 1983)."""
-    weight = one.weight + other.weight
-    share = other.weight / weight if weight else 0.0
-    step = other.mean - one.mean
-    scatter = one.scatter + other.scatter + one.weight * share * np.outer(step, step)
     parts = zip(one.sample[:6], other.sample[:6], strict=True)
     both = Merged(*(np.concatenate(pair) for pair in parts))
     joined = merge(both.X, both.Y, both.weights, both.within, both.observed)
-    joined = joined._replace(first=both.first[joined.first])
-    sample, complete = _cut(joined, seed, size)
-    return _Summary(
-        one.n_rows + other.n_rows,
-        weight,
-        one.mean + share * step,
-        scatter,
-        np.maximum(one.largest, other.largest),
-        sample,
-        complete and one.complete and other.complete,
-    )
-
-
-class _Tail(NamedTuple):
-    """Polynomial of any rows, and the targets that a problem has."""
-
-    used: np.ndarray | None  # features of the linear part; None for no polynomial at all
-    center: np.ndarray
-    scale: np.ndarray
-    root: np.ndarray  # (p, p) triangular factor of the polynomial on all rows
-    unit: float  # of weights
-    outputs: np.ndarray
-
-    def block(self, X, Y, weights):
-        kept = weights > 0
-        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
-        Y = Y[kept][:, self.outputs]
-        if self.used is None:
-            tail = np.empty((len(X), 0))
-        else:
-            linear = (X[:, self.used] - self.center[self.used]) / self.scale[self.used]
-            tail = root * np.column_stack([np.ones(len(X)), linear])
-        basis = tail
-        if tail.size:
-            basis = solve_triangular(self.root, tail.T, trans="T", check_finite=False).T
-        return Block(X, root, tail, basis, root * Y, None)
-
-
-def _on_block(X, Y, weights, start, function, tail):
-    return function(tail.block(X, Y, weights))
+    sample, complete = _cut(joined._replace(first=both.first[joined.first]), seed, size)
+    complete = complete and one.complete and other.complete
+    return _Summary(one.n_rows + other.n_rows, one.weight + other.weight, sample, complete)
 
 
 class _Elsewhere(NamedTuple):
@@ -224,24 +171,30 @@ class _Elsewhere(NamedTuple):
 
     sample: Problem  # distinct rows, a part of all
     chunks: ArrayChunks | DaskChunks
-    summary: _Summary
-    tail: _Tail
-
-    @property
-    def n_rows(self):
-        return self.summary.n_rows
+    n_rows: int
+    unit: float  # of weights
+    outputs: np.ndarray  # the targets that the problem has
+    root: np.ndarray  # (p, p) triangular factor of the polynomial on all rows; empty until known
 
     def of_outputs(self, outputs):
-        tail = self.tail._replace(outputs=self.tail.outputs[outputs])
-        return self._replace(sample=self.sample.of_outputs(outputs), tail=tail)
+        return self._replace(sample=self.sample.of_outputs(outputs), outputs=self.outputs[outputs])
 
     def with_tail(self, degree, ridged):
         sample = self.sample.with_tail(degree, ridged)
-        return _problem_of(self.chunks, self.summary, sample, degree, self.tail.outputs)
+        return _of_all_rows(self._replace(sample=sample, root=_UNKNOWN))
 
     def reduce(self, function, combine, width):
-        of_block = partial(_on_block, function=function, tail=self.tail)
-        return self.chunks.reduce(of_block, combine, width)
+        """As `Problem.reduce`."""
+        return self.chunks.reduce(partial(self._on_block, function), combine, width)
+
+    def _on_block(self, function, X, Y, weights, start):
+        kept = weights > 0
+        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
+        tail = root * self.sample.polynomial.columns(X)
+        basis = tail
+        if tail.size and self.root.size:
+            basis = solve_triangular(self.root, tail.T, trans="T", check_finite=False).T
+        return function(Block(X, root, tail, basis, root * Y[kept][:, self.outputs], None))
 
 
 def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
@@ -258,50 +211,31 @@ def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
     sample = prepare(summary.sample, degree, ridged)
     if summary.complete:
         return sample
-    outputs = np.arange(len(summary.mean) - n_features)
-    return _problem_of(chunks, summary, sample, degree, outputs)
+    n, outputs = summary.n_rows, np.arange(len(sample.spread))
+    return _of_all_rows(_Elsewhere(sample, chunks, n, summary.weight / n, outputs, _UNKNOWN))
 
 
-def _problem_of(chunks, summary, sample, degree, outputs):
-    """The problem of some outputs, of which a sample has its polynomial already."""
-    d, weight, unit = sample.X.shape[1], summary.n_rows, summary.weight / summary.n_rows
-    at = np.append(np.arange(d), d + outputs)
-    mean, largest = summary.mean[at], summary.largest[at]
-    scatter = summary.scatter[np.ix_(at, at)] / unit
-    center, scale = mean[:d], np.sqrt(scatter.diagonal()[:d] / weight)
-    tail_map, used, root = np.empty((0, d + 1)), None, np.empty((0, 0))
-    projection = np.empty((0, len(outputs)))
-    total = scatter.diagonal()[d:] + weight * mean[d:] ** 2
-    if degree >= 0:
-        used = np.empty(0, dtype=int)
-        if degree == 1:
-            used = independent_features(sample.X, center, scale, largest[:d])
-        tail_map = tail_coefficients(d, used, center, scale)
-        root = np.zeros((1 + len(used),) * 2)
-        root[0, 0] = np.sqrt(weight)
-        correlation = scatter[np.ix_(used, used)] / np.outer(scale[used], scale[used])
-        correlation[np.diag_indices(len(used))] += sample.tail_ridge
-        root[1:, 1:] = cholesky(correlation) if len(used) else correlation
-        along = scatter[used, d:] / scale[used, None]
-        if len(used):
-            along = solve_triangular(root[1:, 1:], along, trans="T")
-        projection = np.vstack([np.sqrt(weight) * mean[None, d:], along])
-        total = scatter.diagonal()[d:] - np.square(along).sum(axis=0)
-    spread = np.sqrt(np.maximum(total, 0.0) / weight)
+def _of_all_rows(rows):
+    """The problem of all rows, of which a sample has its polynomial already."""
+    sample, p, q = rows.sample, rows.sample.n_tail, len(rows.outputs)
+    R = triangle_of_all(rows, _tail_and_targets, p + q)
+    if sample.tail_ridge:
+        R = stack_triangles(R, np.pad(sample.tail_rows, ((0, 0), (0, q))))
+    basis_rows = solve_triangular(R[:p, :p], sample.tail_rows.T, trans="T").T if p else R[:0, :p]
+    spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / rows.n_rows)
     # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * largest[d:]] = 0.0
-    basis_rows = ridge_rows(len(root), sample.tail_ridge)
-    basis_rows = solve_triangular(root, basis_rows.T, trans="T").T if len(root) else basis_rows
+    spread[spread <= 1e-13 * np.sqrt(np.square(R[:, p:]).sum(axis=0) / rows.n_rows)] = 0.0
     return sample._replace(
-        unit=unit,
-        n_total=weight,
-        within=np.zeros(len(outputs)),
-        tail_map=tail_map,
-        projection=projection,
+        unit=rows.unit,
+        n_total=rows.n_rows,
+        within=np.zeros(q),
+        projection=R[:p, p:],
         spread=spread,
         basis_rows=basis_rows,
-        tail_dof=len(root) - np.square(basis_rows).sum(),
-        elsewhere=_Elsewhere(
-            sample, chunks, summary, _Tail(used, center, scale, root, unit, outputs)
-        ),
+        tail_dof=p - np.square(basis_rows).sum(),
+        elsewhere=rows._replace(root=R[:p, :p]),
     )
+
+
+def _tail_and_targets(block):
+    return np.hstack([block.tail, block.targets])

@@ -20,9 +20,10 @@ import numpy as np
 from scipy.linalg import qr
 
 from sklearn_raacmm.network._linear import (
+    Polynomial,
     linear_evidence,
+    polynomial_of,
     ridge_rows,
-    tail_columns,
     without_constants,
 )
 from sklearn_raacmm.utils import chunk_size, chunks
@@ -89,7 +90,7 @@ class Problem(NamedTuple):
     targets: np.ndarray = _LATER  # (n, q) targets times root
     tail: np.ndarray = _LATER  # (n, p) polynomial times root
     basis: np.ndarray = _LATER  # (n, p) orthonormal basis of it, together with `basis_rows`
-    tail_map: np.ndarray = _LATER  # (p, d + 1) its coefficients to those of (1, x)
+    polynomial: Polynomial = Polynomial(None, _LATER, _LATER)
     projection: np.ndarray = _LATER  # (p, q) targets along the basis
     spread: np.ndarray = _LATER  # (q,) root mean square of targets about the tail, 0 for a constant
     tail_ridge: float = 0.0  # of the tail's linear part, in units of an observation
@@ -111,7 +112,12 @@ class Problem(NamedTuple):
 
     @property
     def n_tail(self) -> int:
-        return len(self.tail_map)
+        return self.tail.shape[1]
+
+    @property
+    def tail_map(self) -> np.ndarray:
+        """From coefficients of the polynomial's columns to those of (1, x), (p, d + 1)."""
+        return self.polynomial.coefficients
 
     @property
     def tail_rows(self) -> np.ndarray:
@@ -143,12 +149,12 @@ class Problem(NamedTuple):
         ratio = self.ratio if ratio is None else ratio
         X, root, n_total = self.X, self.root, self.n_total
         weights = root[:, 0] ** 2
-        tail, tail_map = tail_columns(X, weights, degree, ridged)
+        polynomial = polynomial_of(X, weights, degree, ridged)
 
         def weigh(columns):
             return root * without_constants(columns, self.codes, weights, ratio)
 
-        tail, targets, ridge = weigh(tail), weigh(self.Y), 0.0
+        tail, targets, ridge = weigh(polynomial.columns(X)), weigh(self.Y), 0.0
         if ridged and degree == 1:
             about = weigh(self.Y - np.average(self.Y, axis=0, weights=weights))
             ridge = linear_evidence(tail[:, 1:], about, self.within, n_total - 1, n_total).ridge
@@ -171,7 +177,7 @@ class Problem(NamedTuple):
             targets=targets,
             tail=tail,
             basis=basis,
-            tail_map=tail_map,
+            polynomial=polynomial,
             projection=projection,
             spread=spread,
             tail_ridge=ridge,
@@ -187,7 +193,7 @@ class Problem(NamedTuple):
         codes = None if self.codes is None else np.unique(self.codes[rows], return_inverse=True)[1]
         share = n_total / self.n_total
         bare = self._replace(**arrays, n_total=n_total, within=share * self.within, codes=codes)
-        degree = -1 if not self.n_tail else int(self.tail_map[:, 1:].any())
+        degree = -1 if not self.n_tail else int(self.n_tail > 1)
         return bare.with_tail(degree, bool(self.tail_ridge))
 
     def block(self, part: slice) -> Block:

@@ -27,7 +27,7 @@ from sklearn_raacmm.network._likelihood import (
     noise_density,
     noise_likelihood,
 )
-from sklearn_raacmm.network._linear import linear_evidence, tail_columns
+from sklearn_raacmm.network._linear import linear_evidence, polynomial_of
 from sklearn_raacmm.network._objective import (
     ALPHA_BOUNDS,
     LOOSE_KAPPA,
@@ -35,7 +35,6 @@ from sklearn_raacmm.network._objective import (
     Task,
     minimise,
     objective,
-    step_units,
     used_share,
 )
 from sklearn_raacmm.utils import stage
@@ -121,7 +120,7 @@ def search(
     few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
     ends = _coarse(task, kernels, few)
     if len(many.X) > len(few.X):
-        ends = _refine(ends, few, many)
+        ends = _refine(ends, many)
     end = min(ends, key=lambda end: score(end, many) + KERNEL_MARGIN * (end.kernel != kernels[0]))
     found = _choose(end, many, may_be_linear)
     if isinstance(found, Structure):
@@ -198,7 +197,7 @@ def _coarse(task, kernels, data):
     return [ends[0], *others]
 
 
-def _refine(ends, few, many):
+def _refine(ends, many):
     """The ends of the kernels that may be the best, on more rows."""
     scores = [score(end, many) for end in ends] if len(ends) > 1 else [0.0]
     refined = []
@@ -208,8 +207,7 @@ def _refine(ends, few, many):
         theta, task = end.theta.copy(), end.task
         cap = np.log(REVIVED * np.sqrt(task.used.sum()))
         theta[: task.n_widths] = np.minimum(theta[: task.n_widths], cap)
-        units = step_units(end._replace(theta=theta), few)
-        refined.append(minimise(task, theta, many, end.kernel, EXACT_STEPS, units=units))
+        refined.append(minimise(task, theta, many, end.kernel, EXACT_STEPS))
     return refined
 
 
@@ -257,7 +255,7 @@ def _linear(data, value, density, end):
     functions are said to have no noise at all, evidence is not to be trusted: then it has to lead
     in the error of what is left out.
     """
-    columns = tail_columns(data.X, data.weights, 1, ridged=True)[0][:, 1:]
+    columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
     columns = np.sqrt(data.weights)[:, None] * columns
 
     def at(ratio):

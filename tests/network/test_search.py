@@ -7,7 +7,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import RidgeCV
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _objective, _search
+from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._objective import (
@@ -15,7 +15,6 @@ from sklearn_raacmm.network._objective import (
     Task,
     minimise,
     objective,
-    step_units,
 )
 from sklearn_raacmm.network._search import robust_spread, search
 
@@ -173,32 +172,6 @@ def test_a_width_at_its_bound_is_said(monkeypatch):
     ) as said:
         RBFNetRegressor(random_state=0).fit(X, np.sin(8 * X[:, 0]))
     assert said[0].filename == __file__  # the line of the call
-
-
-def test_units_of_steps_save_evaluations(monkeypatch):
-    # Widths of waves and of straight lines, and the ridge: curvatures differ by a factor of sixty.
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-np.pi, np.pi, (400, 3))
-    Y = np.column_stack(
-        [np.sin(X[:, 0]) + np.cos(2 * X[:, 1]) * X[:, 2], np.cos(X[:, 0] - X[:, 1])]
-    )
-    data = data_of(X, Y + 0.1 * rng.standard_normal(Y.shape))
-    few, task, calls = data.rows(np.arange(0, 400, 3)), task_of(data), []
-    exact = _objective.exact_likelihood
-    monkeypatch.setattr(
-        _objective, "exact_likelihood", lambda *args: calls.append(1) or exact(*args)
-    )
-    start = minimise(task, task.start(0.5, 0.1), few, "gaussian", 60)
-    units = step_units(start, few)
-    assert units.max() > 3 * units.min()
-    found, numbers = [], []
-    for of_steps in (1.0, units):
-        calls.clear()
-        end = minimise(task, start.theta, data, "gaussian", 60, units=of_steps)
-        found.append(end.value)
-        numbers.append(len(calls))
-    assert numbers[1] < numbers[0]
-    assert found[1] < found[0] + 0.02
 
 
 def test_two_starts_of_different_width_and_the_better_end(monkeypatch):
