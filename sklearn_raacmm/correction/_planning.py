@@ -50,7 +50,6 @@ def next_poses(
     ----------
     model : ArmResidualRegressor or Arm
         Fitted model, of which the linear one is used. With `free` an arm suffices.
-
     X : array-like of shape (n_candidates, n_joints)
         Poses that could be measured: joint angles, in the unit that the model takes.
     n_poses : int

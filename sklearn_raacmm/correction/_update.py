@@ -47,7 +47,6 @@ def update_correction(
     ----------
     model : ArmResidualRegressor
         Fitted model; it is left as it is.
-
     X : array-like of shape (n_samples, n_joints + n_extra)
         Joint angles of the new poses, in the model's unit; then the extra columns that it has.
     y : array-like of shape (n_samples, 3)
@@ -70,9 +69,8 @@ def update_correction(
     Returns
     -------
     model : ArmResidualRegressor
-        To be used with the base and the tool of the registration.
-        ``updates_`` holds a dictionary for every update: `date`, `n_poses`, `tau` by joint and
-        family, `noise_sd_mm`.
+        To be used with the base and the tool of the registration. ``updates_`` holds a dictionary
+        for every update: `date`, `n_poses`, `tau` by joint and family, `noise_sd_mm`.
 
     Raises
     ------
@@ -119,11 +117,9 @@ def update_correction(
     >>> model = ArmResidualRegressor(arm, orders=4).fit(angles, y)
     >>> new = rng.uniform(-2, 2, (60, 6))  # after a knock it is more so
     >>> y_new = residuals(new, 40) + rng.normal(scale=0.01, size=(60, 3))
-    >>> updated = update_correction(model, new, y_new)
-    >>> far = rng.uniform(-2, 2, (500, 6))
-    >>> left = [residuals(far, 40) - m.predict(far) for m in (model, updated)]
-    >>> bool(np.abs(left[1]).mean() < 0.4 * np.abs(left[0]).mean())
-    True
+    >>> tau = update_correction(model, new, y_new).updates_[0]["tau"]
+    >>> max(tau, key=tau.get)
+    'harmonics of joint 3'
     """
     linear_model_of(model, "updated")
     model = model if arm is None else model.with_arm(arm)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
-from sklearn_raacmm.correction._causes import with_causes
+from sklearn_raacmm import Arm, ArmResidualRegressor, SavedCorrection, calibrate, learn_correction
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 SMALL = ArmResidualRegressor(orders=3)
@@ -60,7 +59,8 @@ def test_time_is_refused_where_the_angles_tell_it(with_play):
 
 def test_unknown_causes_have_their_usual_value():
     usual = {"temperature": 21.0, "time": 9.0, "direction 2": 0.0}
-    X = with_causes(np.zeros((2, 6)), usual, {"time": [3.0, 4.0]})
+    saved = SavedCorrection(Arm.from_name("aacmm6"), None, None, {"causes": usual})
+    X = saved.inputs(np.zeros((2, 6)), {"time": [3.0, 4.0]})
     assert_allclose(X[:, 6:], [[21.0, 3.0, 0.0], [21.0, 4.0, 0.0]])
 
 
@@ -78,14 +78,3 @@ def test_a_make_is_where_a_new_arm_starts():
     assert ("make-believed" in codes_of(learned)) == believed
     assert believed
     assert learned.model.fading_.factor > 0
-
-
-def test_a_loaded_correction_refuses_causes_that_it_does_not_know(tmp_path):
-    test = make_single_point(6, 10, random_state=1)
-    learned = learn_correction(test.nominal_arm, test.data, test.groups, model=SMALL, cv=3)
-    learned.save(tmp_path)
-    for correction in (learned, learned.load(tmp_path)):
-        with pytest.raises(ValueError, match="'temprature', of which the model knows nothing"):
-            correction.correct(test.data[:5], extra={"temprature": 25.0})
-    some = test.data[:4], test.data[4:8]
-    assert_allclose(learned.load(tmp_path).distances(*some), learned.distances(*some), rtol=1e-12)
