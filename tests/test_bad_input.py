@@ -93,16 +93,12 @@ def doors():
         ("CylindricalResidualTarget", cylindrical, COLUMNS),
     ):
 
-        def fitted(X, y, known=X, make=make, **options):
-            return make().fit(X, y, **options).predict(known)
+        def fitted(X=X, y=RESIDUALS, weights=None, known=X, make=make):
+            return make().fit(X, y, sample_weight=weights).predict(known)
 
-        yield f"{name}.fit, X", X, lambda v, fitted=fitted: fitted(v, RESIDUALS)
-        yield f"{name}.fit, y", RESIDUALS, lambda v, fitted=fitted, X=X: fitted(X, v)
-        yield (
-            f"{name}.fit, sample_weight",
-            WEIGHTS,
-            lambda v, fitted=fitted, X=X: fitted(X, RESIDUALS, sample_weight=v),
-        )
+        yield f"{name}.fit, X", X, fitted
+        yield f"{name}.fit, y", RESIDUALS, lambda v, fitted=fitted: fitted(y=v)
+        yield f"{name}.fit, sample_weight", WEIGHTS, lambda v, fitted=fitted: fitted(weights=v)
         yield f"{name}.predict", X, make().fit(X, RESIDUALS).predict
     widths = np.arange(1.0, 7.0)
     yield "length_scale", widths, lambda v: network(length_scale=v).fit(ANGLES, RESIDUALS).coef_
@@ -110,11 +106,7 @@ def doors():
     yield "calibrate, angles", ANGLES, lambda v: calibrate(ARM, v, points=POINTS, **free).values
     yield "calibrate, points", POINTS, lambda v: calibrate(ARM, ANGLES, points=v, **free).values
     yield "position_residuals", POINTS, lambda v: position_residuals(v, GROUPS)
-    yield (
-        "position_residuals, sample_weight",
-        WEIGHTS,
-        lambda v: position_residuals(POINTS, GROUPS, v),
-    )
+    yield "its sample_weight", WEIGHTS, lambda v: position_residuals(POINTS, GROUPS, v)
     angle = ANGLES[:, 0]
     yield "cartesian_to_cylindrical", RESIDUALS, lambda v: cartesian_to_cylindrical(v, angle)
     yield "azimuth there", angle, lambda v: cartesian_to_cylindrical(RESIDUALS, v)
@@ -142,11 +134,8 @@ def doors():
     yield "form", POINTS, measures.probing_form_error
     yield "location", POINTS, measures.articulated_location_error
     fit = network().fit(ANGLES, RESIDUALS)
-    yield (
-        "scorer",
-        ANGLES,
-        lambda v: measures.repeatability_scorer(v, GROUPS)(fit, np.asarray(v, float), RESIDUALS),
-    )
+    scorer = measures.repeatability_scorer
+    yield "scorer", ANGLES, lambda v: scorer(v, GROUPS)(fit, np.asarray(v, float), RESIDUALS)
     yield "make_gauge", lengths, lambda v: datasets.make_gauge(v, 1, 2).lengths
     yield "SimulatedArm.forward", ANGLES, MACHINE.forward
     yield "SimulatedArm.read", ANGLES, lambda v: MACHINE.read(v, 0)
@@ -172,13 +161,10 @@ def doors_to_be_refused_at():
     yield "residuals, points", POINTS, lambda v: result.residuals(ANGLES, v)
     yield "fading", ANGLES, linear.fading
     yield "distance_std", ANGLES, lambda v: linear.distance_std(ANGLES, v)
-    yield "update, X", ANGLES, lambda v: update_correction(linear, v, RESIDUALS).coef_
-    yield "update, y", RESIDUALS, lambda v: update_correction(linear, ANGLES, v).coef_
-    yield (
-        "update, sample_weight",
-        WEIGHTS,
-        lambda v: update_correction(linear, ANGLES, RESIDUALS, sample_weight=v).coef_,
-    )
+    update = update_correction
+    yield "update, X", ANGLES, lambda v: update(linear, v, RESIDUALS).coef_
+    yield "update, y", RESIDUALS, lambda v: update(linear, ANGLES, v).coef_
+    yield "update, weights", WEIGHTS, lambda v: update(linear, ANGLES, RESIDUALS, sample_weight=v)
     yield "transfer, X", ANGLES, lambda v: transfer_correction(linear, ARM, v, RESIDUALS).coef_
     yield "transfer, y", RESIDUALS, lambda v: transfer_correction(linear, ARM, ANGLES, v).coef_
     yield "check, X", ANGLES, lambda v: check_correction(linear, v, RESIDUALS)
@@ -188,18 +174,11 @@ def doors_to_be_refused_at():
     for name, learn in (("learn", learn_correction), ("judge", cross_validate_correction)):
         yield f"{name}, angles", ANGLES, lambda v, learn=learn: learn(ARM, v, GROUPS)
         yield f"{name}, points", POINTS, lambda v, learn=learn: learn(ARM, ANGLES, GROUPS, v)
-    turns = np.tile(np.eye(3), (40, 1, 1))
-    yield (
-        "calibrate, orientations",
-        turns,
-        lambda v: calibrate(ARM, ANGLES, points=POINTS, orientations=v),
-    )
+    turns, known = np.tile(np.eye(3), (40, 1, 1)), {"points": POINTS}
+    yield "orientations", turns, lambda v: calibrate(ARM, ANGLES, orientations=v, **known)
     gauge = display.LengthErrorDisplay.from_predictions
-    pairs = {
-        "groups": GROUPS,
-        "pairs": [[0, 1]],
-        "lengths": metrics.gauge_lengths(POINTS, GROUPS, [[0, 1]]),
-    }
+    lengths = metrics.gauge_lengths(POINTS, GROUPS, [[0, 1]])
+    pairs = {"groups": GROUPS, "pairs": [[0, 1]], "lengths": lengths}
     yield "LengthErrorDisplay", POINTS, lambda v: gauge(v, RESIDUALS, **pairs)
     yield "its predictions", RESIDUALS, lambda v: gauge(POINTS, v, **pairs)
 

@@ -192,11 +192,9 @@ def changed(**fields):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (changed(format_version=2), "format_version 2, this version reads 1"),
         (changed(format_version="1"), "format_version '1'"),
         (changed(a_m=[1, 2, 3, 4, 5, 6]), "unknown field 'a_m'"),
         (changed(d_mm=[10**400] * 6), "d must hold numbers"),
-        (changed(d_mm=[1e5 + 1] * 6), r"d\[0\] = 100001 is out of bounds"),
         (changed(alpha_rad=[-90] * 6), "or are they degrees"),
         (changed(a_mm={"0": 1}), "a must|a_mm must"),
         (changed(probe_mm=[[0, 0, 1]]), r"3 numbers, got shape \(1, 3\)"),
@@ -206,7 +204,6 @@ def changed(**fields):
         (changed(convention=["standard"]), "convention must be"),
         (changed(name="\ud800"), "whole characters"),
         (changed(name=7), "name must be"),
-        (TEXT[:-20], "not valid JSON"),
         ('{"a":' * 10**5, "not valid JSON"),
         (TEXT.replace("[", "[\"__import__('os').abort()\",", 1), "a must hold numbers"),
         ("[]", None),
@@ -219,13 +216,6 @@ def test_damaged_arm_gets_one_clear_sentence(text, message, tmp_path):
         Arm.from_json(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_arm_in_another_encoding(tmp_path):
-    path = tmp_path / "arm.json"
-    path.write_text(changed().replace("aacmm6", "Messarm für 6"), encoding="utf-16")
-    with pytest.raises(ValueError, match=r"arm.json is not valid JSON: 'utf-8' codec"):
-        Arm.from_json(path)
 
 
 plain = st.none() | st.booleans() | st.integers() | st.floats() | st.text()

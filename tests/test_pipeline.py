@@ -12,13 +12,11 @@ from sklearn.base import clone
 from sklearn.experimental import enable_halving_search_cv  # noqa: F401
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
-from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import (
     GridSearchCV,
     GroupKFold,
     HalvingGridSearchCV,
-    LeaveOneGroupOut,
     cross_val_predict,
 )
 from sklearn.pipeline import make_pipeline
@@ -187,21 +185,6 @@ def test_a_real_arm_leaving_one_placement_out(panda):
 
 
 # -- model selection ------------------------------------------------------------------------------
-
-
-def test_grid_search_over_parameters_of_every_step(cone_test):
-    arm, angles, y, groups = cone_test
-    grid = {
-        "posefeatures__encoding": ["angle", "periodic"],
-        "posefeatures__joints": ["pose", "all"],
-        "posefeatures__arm": [arm, arm.replace(probe=(0, 0, 50))],
-        "cylindricalresidualtarget__regressor__kernelridge__alpha": [0.01, 0.1],
-    }
-    search = GridSearchCV(
-        form_b(arm, KernelRidge(kernel="rbf")), grid, cv=LeaveOneGroupOut(), n_jobs=2
-    ).fit(angles, y, groups=groups % 3)
-    assert len(search.cv_results_["params"]) == 16
-    assert np.isfinite(search.cv_results_["mean_test_score"]).all()
 
 
 CANDIDATES = [
