@@ -110,9 +110,8 @@ def make_single_point(
 
     Notes
     -----
-    The poses are found by inverse kinematics such that the true probe is within 1e-6 mm of the
-    cone's centre plus the seating error. The same seed means the same data everywhere, but for the
-    rounding of sines and cosines.
+    The true probe is within 1e-6 mm of the cone's centre plus the seating error. The same seed
+    means the same data everywhere, but for the rounding of sines and cosines.
 
     Examples
     --------

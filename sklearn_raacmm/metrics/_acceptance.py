@@ -82,9 +82,8 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
 
     Notes
     -----
-    Both faces get planes with one common normal, by least squares of the distances along it: the
-    right singular vector of the least singular value of the points less the mean of their face.
-    Errors across the normal do not count.
+    Both faces get planes with one common normal: the right singular vector of the least singular
+    value of the points less the mean of their face. Errors across the normal do not count.
 
     Examples
     --------

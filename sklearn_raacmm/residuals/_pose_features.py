@@ -36,9 +36,8 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     """Describe the pose of an arm by three angles, from its joint angles.
 
     What bends and misaligns a measuring arm depends on how its links hang, hardly on where its
-    base points. The pose says just that: the swivel of the upper arm `theta3`, the elbow `theta4`
-    and `theta_dis`, the elevation of the line from shoulder to wrist above the base plane, which
-    comes from the arm's calibrated forward kinematics.
+    base points: on the swivel of the upper arm `theta3`, the elbow `theta4` and `theta_dis`, the
+    elevation of the line from shoulder to wrist above the base plane.
 
     Parameters
     ----------
@@ -50,13 +49,11 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         Unit of the joint angles in `X`. Features are in rad in either case.
     encoding : {"angle", "periodic"}, default="angle"
         - "angle": each angle in rad. Joint angles are taken into one turn, whose ends are as far
-          as can be from the angles seen in `fit`, so that a joint that turns on gives the same
-          pose the same features.
+          as can be from the angles seen in `fit`.
         - "periodic": cosine and sine of each angle, in which a whole turn is no difference.
     joints : {"pose", "all"}, default="pose"
         - "pose": the pose, as above.
-        - "all": the angles of all joints, with what the pose leaves out: the other encoders, the
-          wrist, and the azimuth through joint 1.
+        - "all": the angles of all joints.
     append_azimuth : bool, default=False
         Append the direction of the probe's azimuth, `azimuth_cos` and `azimuth_sin`, as two last
         columns for :class:`CylindricalResidualTarget`, which takes them off again.
