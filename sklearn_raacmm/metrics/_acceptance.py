@@ -63,12 +63,9 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
 
     Parameters
     ----------
-    points : array-like of shape (n_points, 3)
-        Measured or corrected points on the faces, mm, compensated for the radius of the probe.
-    groups : array-like of shape (n_points,)
-        Label of the face of each point.
-    pairs : array-like of shape (n_lengths, 2)
-        Labels of the two faces of each placement of the block.
+    points, groups, pairs
+        As in :func:`gauge_lengths`, of faces in place of cones; compensated for the radius of the
+        probe.
 
     Returns
     -------
