@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
 from sklearn_raacmm.app._lengths import read_lengths
@@ -237,9 +237,9 @@ def _by_causes(saved, today, options, rate):
         saved.model, X, y, groups=today.positions, lengths=today.lengths, refitted=refitted,
         false_alarm_rate=rate,
     )  # fmt: skip
-    changed = not found.holds and found.matters
+    changed = bool(found.matters and not found.holds)
     if not found.holds:
-        worth = found.advice if changed else "That is too little to act on."
+        worth = as_said(found.advice) if changed else "That is too little to act on."
         print(
             f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
             f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {worth}"
