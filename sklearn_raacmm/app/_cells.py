@@ -34,6 +34,7 @@ _SAID_TO_PYTHON = (
     ("calibrate(..., correction=model, free=['probe'])", "raacmm register"),
     ("calibrate(..., correction=model)", "raacmm register"),
     ("update_correction", "raacmm update"),
+    ("extra must hold names of columns,", "--extra takes CAUSE or CAUSE=COLUMN; causes are"),
 )
 
 
