@@ -43,14 +43,16 @@ def inputs_of(correction, options, in_order):
 
     It takes angles in rad and their block; in the order of measurement they tell directions.
     """
-    columns, last = columns_of_causes(options), None
+    known, last = correction.facts["causes"], None
+    columns = {name: column for name, column in columns_of_causes(options).items() if name in known}
 
     def inputs(angles, block):
         nonlocal last
         options.rows, extra = block.rows, causes_of(block, columns)
         if in_order:
             ways, last = directions_of(angles, last), angles[-1]
-            extra |= {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
+            ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
+            extra |= {name: way for name, way in ways.items() if name in known}
         return correction.inputs(angles, extra)
 
     return inputs

@@ -15,7 +15,7 @@ from sklearn_raacmm.app._causes import columns_of_causes
 from sklearn_raacmm.app._cells import TableError, number_of
 from sklearn_raacmm.app._tables import find_layout, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import SavedCorrection, corrected_columns
+from sklearn_raacmm.correction import SavedCorrection
 from sklearn_raacmm.measurements import within_turn
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
@@ -77,8 +77,7 @@ def write_corrected(layout, correction, inputs, file):
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        X = inputs(in_rad(block), block)
-        numbers = corrected_columns(correction.arm, correction.model, correction.facts, X)
+        numbers = correction.columns(inputs(in_rad(block), block))
         for row, values in zip(cells, numbers.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)

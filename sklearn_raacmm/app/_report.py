@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.app._figures import figures_of
-from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection, corrected_columns
+from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import length_error
@@ -211,9 +211,7 @@ def _sheet(scores):
 
 def _deviations(result):
     """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
-    saved = result.saved
-    X = saved.inputs(result.angles)
-    columns = corrected_columns(saved.arm, saved.model, saved.facts, X)
+    columns = result.saved.columns(result.saved.inputs(result.angles))
     names = (
         ("of a coordinate within a position", columns[:, 6:9]),
         ("of a coordinate in the base frame", columns[:, 3:6]),
