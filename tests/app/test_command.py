@@ -54,20 +54,6 @@ def quick_model():
 
 
 @pytest.fixture(scope="module")
-def other_make():
-    """The simulator's module, beside this one."""
-    import importlib.util
-    from pathlib import Path
-
-    spec = importlib.util.spec_from_file_location(
-        "_other_make", Path(__file__).with_name("_other_make.py")
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
 def machine(other_make):
     return other_make.OtherMake(1)
 
