@@ -207,6 +207,12 @@ class _Parser(argparse.ArgumentParser):
 
     known: Any = ()
 
+    def refuse_unknown(self, words):
+        """Say that an option is mistyped, before it is said that the right one is missing."""
+        for name in (word.split("=")[0] for word in words):
+            if name.startswith("--") and not any(one.startswith(name) for one in self.known):
+                self.error(f"unrecognized arguments: {name}")
+
     def error(self, message):
         wrong = re.search(r"unrecognized arguments: (\S+)|invalid choice: '([^']*)'", message)
         near = (

@@ -53,6 +53,12 @@ def folder(tmp_path_factory):
             test.nominal_arm, test.data, test.groups, points, model=model, cv=3
         )
         found.save(folder / name)
+    # An encoder that follows a temperature, which nobody measures later.
+    warm, extra = test.data.copy(), {"temperature 3": np.random.default_rng(0).normal(size=128)}
+    warm[:, 2] += 3e-4 * extra["temperature 3"]
+    found = learn_correction(test.nominal_arm, warm, test.groups, model=model, cv=2, extra=extra)
+    assert list(found.causes) == ["temperature 3"]
+    found.save(folder / "warm")
     long = with_probe(250)
     new = make_single_point(2, 8, machine=long, random_state=5)
     more = make_single_point(5, 8, machine=long, random_state=6)
@@ -87,7 +93,7 @@ def test_load_is_the_other_half_of_save(folder):
 
 @pytest.mark.parametrize(("learnt", "table", "more"), [
     ("cones", "new.csv", ()), ("cones", "new_points.csv", POINTS),
-    ("tracker", "new_points.csv", POINTS), ("tracker", "new.csv", ()),
+    ("tracker", "new_points.csv", POINTS), ("tracker", "new.csv", ()), ("warm", "new.csv", ()),
 ])  # fmt: skip
 def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, table, more):
     code, said = run(
@@ -128,9 +134,10 @@ def test_a_base_that_has_moved_is_named_and_registered(folder, tmp_path, capsys)
     assert run(capsys, "check", table, "--model", out, *POINTS)[0] == 0
 
 
-def test_update_keeps_a_history(folder, tmp_path, capsys):
+@pytest.mark.parametrize("learnt", ["cones", "warm"])
+def test_update_keeps_a_history(folder, tmp_path, capsys, learnt):
     code, said = run(
-        capsys, "update", folder / "more.csv", "--model", folder / "cones", "--out", tmp_path
+        capsys, "update", folder / "more.csv", "--model", folder / learnt, "--out", tmp_path
     )
     assert code == 0
     assert "mean deviation" in said
@@ -139,8 +146,9 @@ def test_update_keeps_a_history(folder, tmp_path, capsys):
     assert saved.facts["history"][-1]["n_poses"] == 40
 
 
-def test_move_by_a_known_vector(folder, tmp_path, capsys):
-    model = folder / "cones"
+@pytest.mark.parametrize("learnt", ["cones", "warm"])
+def test_move_by_a_known_vector(folder, tmp_path, capsys, learnt):
+    model = folder / learnt
     code, said = run(capsys, "move", "--model", model, "--probe", "0,0,250", "--out", tmp_path)
     assert code == 0
     assert "register the probe" in said
