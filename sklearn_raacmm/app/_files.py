@@ -14,6 +14,7 @@ from sklearn_raacmm.app._causes import columns_of_causes
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import SavedCorrection, corrected_columns
+from sklearn_raacmm.measurements import within_turn
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -111,7 +112,7 @@ def open_beside(path, encoding):
 def in_rad(table):
     """Angles of a table in rad, within one turn."""
     angles = np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles
-    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+    return within_turn(angles)
 
 
 def table_options(options, arm, points=None, labelled=True):

@@ -11,6 +11,7 @@ from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_arm, reach_mm
 from sklearn_raacmm.error_model import angles_for, limits_of
+from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import check_whole_number, floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
@@ -162,7 +163,7 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
         found = found[_stands(arm, found, place, lean_deg)]
     if len(found) < n_poses:
         return None
-    found = np.remainder(found + np.pi, 2 * np.pi) - np.pi if _turns_freely(arm) else found
+    found = within_turn(found) if _turns_freely(arm) else found
     return found[_spread(np.hstack([np.cos(found), np.sin(found)]), n_poses)]
 
 

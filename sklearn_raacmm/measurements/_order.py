@@ -10,6 +10,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from sklearn_raacmm.arm import Arm, check_angles, points_of
+from sklearn_raacmm.measurements._dwells import within_turn
 from sklearn_raacmm.utils import Finding, centred
 
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad.
@@ -56,9 +57,8 @@ def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.nd
         raise ValueError(
             f"previous must hold {angles.shape[1]} angles, one for each joint, got {first.size}."
         )
-    steps = np.diff(angles, axis=0, prepend=first)
     # From 359 to 1 degree a joint has most likely gone the short way.
-    steps = np.remainder(steps + np.pi, 2 * np.pi) - np.pi
+    steps = within_turn(np.diff(angles, axis=0, prepend=first))
     moved = np.where(np.abs(steps) > _STANDS_STILL, np.sign(steps), 0.0)
     last = np.maximum.accumulate(np.where(moved != 0, np.arange(len(moved))[:, None], 0), axis=0)
     return np.take_along_axis(moved, last, axis=0)
