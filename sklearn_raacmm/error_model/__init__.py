@@ -22,9 +22,10 @@ from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import lever_mm
 from sklearn_raacmm.error_model._solve import angles_for, limits_of
-from sklearn_raacmm.error_model._structures import order_price, smooth_shares
+from sklearn_raacmm.error_model._structures import IDLE_SD, order_price, smooth_shares
 
 __all__ = [
+    "IDLE_SD",
     "LOAD",
     "PUSH",
     "SHIFT",

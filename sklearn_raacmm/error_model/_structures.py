@@ -24,8 +24,8 @@ _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
 # Log evidence that a family of extra columns has to add, in nats: noise came to at most 5, a true
 # cause that helped to 22 or more (``benchmarks/bench_extra.py``).
 _PRICE_OF_EXTRA = 10.0
-# Prior variance of a family that is not worth its price: its coefficients are nothing.
-_IDLE_VARIANCE = 1e-12
+# Prior standard deviation of a family that is not worth its price: its coefficients are nothing.
+IDLE_SD = 1e-6
 # One degree, in square arc seconds: beyond it an arm's errors are not linear; directions that the
 # data do not show would carry the variance beyond all bounds by their rounding.
 _LARGEST_VARIANCE = 3600.0**2
@@ -91,7 +91,7 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
     if not len(order) and not len(family):
         raise ValueError("The model has no columns: no orders are offered and no causes are named.")
     given = np.full(len(FAMILIES), np.nan)
-    given[list(idle)] = _IDLE_VARIANCE
+    given[list(idle)] = IDLE_SD**2
     return Structures(
         family=family,
         price=order_price(order),
