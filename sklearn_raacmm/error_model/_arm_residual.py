@@ -324,10 +324,6 @@ class ArmResidualRegressor(
         return self.linear_model_.coef
 
     @property
-    def coef_sd_(self) -> Any:
-        return self.linear_model_.coef_sd
-
-    @property
     def prior_sd_(self) -> Any:
         return self.linear_model_.prior_sd
 

@@ -46,9 +46,8 @@ def without_motions(sums, arm, terms):
         return sums
     terms = terms._replace(harmonics=np.empty((0, 2), dtype=int))
     names, _ = term_names(arm, terms)
-    moving = ["base_x", "base_y", "base_alpha", "base_beta", "d1", "theta_offset1"]
-    if arm.convention == "modified":  # these come before the first joint
-        moving += ["a1", "alpha1", "beta1"]
+    # The latter come before the first joint.
+    moving = [*_BASE_MOTIONS, *["a1", "alpha1", "beta1"] * (arm.convention == "modified")]
     columns = np.eye(len(names))[:, [names.index(name) for name in moving]]
     motions = np.linalg.qr(np.column_stack([columns, scale_direction(arm, terms)]))[0]
     keep = np.eye(len(motions)) - motions @ motions.T

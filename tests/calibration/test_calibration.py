@@ -478,19 +478,6 @@ def test_a_fit_that_makes_no_sense_is_told(lengths, sentence):
         calibrate(nominal, SINGLE_POINT.data, SINGLE_POINT.groups, lengths=lengths)
 
 
-def test_an_arm_in_metres_is_told():
-    arm = NOMINAL["aacmm6"]
-    arm = arm.replace(a=arm.a / 1000, d=arm.d / 1000, probe=arm.probe / 1000)
-    with pytest.warns(UserWarning, match="in metres, not millimetres"):
-        calibrate(arm, SINGLE_POINT.data, SINGLE_POINT.groups)
-
-
-def test_joints_in_another_order_are_told():
-    angles = SINGLE_POINT.data[:, [1, 0, 2, 3, 4, 5]]
-    with pytest.warns(UserWarning, match="order and sense of the joints"):
-        calibrate(NOMINAL["aacmm6"], angles, SINGLE_POINT.groups)
-
-
 def test_a_correction_that_makes_the_scatter_larger_is_told():
     """One of another arm: a gear that this one has not. The right one, and none, raise nothing."""
     rng = np.random.default_rng(3)

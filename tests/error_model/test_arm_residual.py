@@ -82,35 +82,11 @@ def test_finds_what_was_put_in(eccentric):
     assert rms < 2 * model.noise_sd_ * np.sqrt(6 / y.size)
 
 
-def test_largest_harmonic_first(eccentric):
-    arm, theta, y, _ = eccentric
-    amplitude = ArmResidualRegressor(arm, **ALONE).fit(theta, y).harmonics_["amplitude_arcsec"]
-    assert np.all(np.diff(amplitude) <= 0)
-
-
 def test_the_number_offered_hardly_matters(eccentric):
     arm, theta, y, _ = eccentric
     few, many = (ArmResidualRegressor(arm, orders=k, **ALONE).fit(theta, y) for k in (20, 100))
     assert_array_equal(few.column_harmonics_, many.column_harmonics_)
     assert_allclose(few.coef_, many.coef_, rtol=1e-2)
-
-
-def test_standard_deviations_are_honest(eccentric):
-    """Over ten draws of the noise, the error of the prediction is what is said of it."""
-    arm, theta, _, truth = eccentric
-    model = ArmResidualRegressor(arm, orders=20)
-    new = draw_angles(arm, 30, seed=9)
-    error = np.zeros_like(new)
-    error[:, 1] = 6 * np.cos(new[:, 1] - np.deg2rad(40))
-    error[:, 3] = 4 * np.cos(17 * new[:, 3] + np.deg2rad(100))
-    error[:, 5] = 9 * np.sin(2 * new[:, 5])
-    expected = displaced(arm, new, error)
-    squares = []
-    for seed in range(10):
-        y = truth + np.random.default_rng(seed).normal(0, 0.003, truth.shape)
-        mean, std = model.fit(theta, y).predict(new, return_std=True)
-        squares.append(np.mean(((mean - expected) / std) ** 2))
-    assert 0.5 < np.mean(squares) < 2.0
 
 
 def test_uncertainty_grows_away_from_the_data(eccentric):
@@ -302,19 +278,6 @@ def test_rows_without_weight_do_not_decide_when_the_others_have_settled():
     np.testing.assert_allclose(model.predict(X), expected, rtol=0, atol=1e-9)
 
 
-def test_weights_are_repeats(eccentric):
-    arm, theta, y, _ = eccentric
-    groups = np.arange(len(y)) % 12
-    weights = np.random.default_rng(4).integers(0, 4, len(y))
-    model = ArmResidualRegressor(arm, orders=20, offsets=True)
-    weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
-    rows = np.random.default_rng(5).permutation(np.repeat(np.arange(len(y)), weights))
-    repeated = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
-    assert_array_equal(weighted.column_harmonics_, repeated.column_harmonics_)
-    assert_allclose(weighted.predict(theta), repeated.predict(theta), atol=1e-7)
-    assert_allclose(weighted.noise_sd_, repeated.noise_sd_, rtol=1e-6)
-
-
 def test_kinematic_errors_come_back_in_their_units():
     arm = ARMS["standard"]
     theta = draw_angles(arm, 300)
@@ -400,14 +363,6 @@ def test_no_orders_need_be_offered():
     assert not len(model.harmonics_)
     assert y.std() > 0.05
     assert (y - model.predict(theta)).std() == pytest.approx(0.01, rel=0.2)
-
-
-def test_parameters_are_left_alone(eccentric):
-    arm, theta, y, _ = eccentric
-    model = ArmResidualRegressor(arm, orders=2, causes=["kinematics"])
-    before = {name: repr(value) for name, value in clone(model).get_params().items()}
-    model.fit(theta, y)
-    assert {name: repr(value) for name, value in model.get_params().items()} == before
 
 
 @pytest.mark.parametrize(
