@@ -349,11 +349,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         Raises
         ------
-        sklearn.exceptions.NotFittedError
-            If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity; if both the
-            standard deviation and the covariance are asked for.
+            If the model is not fitted; if X has another number of features than in fit, or holds
+            NaN or infinity; if both the standard deviation and the covariance are asked for.
         """
         check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
@@ -395,11 +393,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         Raises
         ------
-        sklearn.exceptions.NotFittedError
-            If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity; if the noise
-            variance is infinite, as it is after a fit to one observation.
+            If the model is not fitted; if X has another number of features than in fit, or holds
+            NaN or infinity; if the noise variance is infinite, as it is after a fit to one
+            observation.
 
         Examples
         --------
@@ -438,11 +435,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         Raises
         ------
-        sklearn.exceptions.NotFittedError
-            If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity; if the
-            derivatives of an infinite variance are asked for, as after a fit to one observation.
+            If the model is not fitted; if X has another number of features than in fit, or holds
+            NaN or infinity; if the derivatives of an infinite variance are asked for, as after a
+            fit to one observation.
         """
         X = self._checked_rows(X)
         parts = [network.gradient(X, return_variance) for network in self.networks_]
