@@ -179,7 +179,7 @@ def export_c(
     given = None if isinstance(poses, str) and poses == "random" else poses
     judge = model
     if any_probe:
-        judge = AnyProbe.of(model)
+        judge = AnyProbe(model)
         given = judge.rows(given)
     program = program_of(model, std, any_probe)
     rows = _rows_of(judge, given, std, program.n_inputs, dtype)

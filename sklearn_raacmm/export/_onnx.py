@@ -353,8 +353,6 @@ def _convert_target(scope, operator, container):
     inner.outputs.append(predicted)
     y = graph.double(predicted.full_name)
     if step._rotates:
-        x = graph.double(given.full_name)
-        direction = graph.program(_models.direction_program(step), x)["y"]
-        both = graph("Concat", direction, y, axis=1)
-        y = graph.program(_models.turning_program(), both)["y"]
+        both = graph("Concat", graph.double(given.full_name), y, axis=1)
+        y = graph.program(_models.turning_program(step), both)["y"]
     _put(graph, y, operator.outputs[0])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.export import export_c
+from sklearn_raacmm.export import _networks, export_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
@@ -152,3 +152,10 @@ def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
     expected = model.predict(new, return_std=True)[1]
     # What such directions hold is rounding: the two ways to the variance differ by so much.
     np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=0.05)
+
+
+def test_too_many_centres_for_a_table_are_told(model, tmp_path, monkeypatch):
+    monkeypatch.setattr(_networks, "MOST_CENTERS", 10)
+    with pytest.raises(ValueError, match="a network of 11 centres would need a table of"):
+        export_c(model, tmp_path / "arm.c", std=True)
+    assert export_c(model, tmp_path / "arm.c")

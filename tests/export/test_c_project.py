@@ -15,18 +15,12 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import _load_c, export_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
 STRICT += ["-Wdouble-promotion", "-Wfloat-conversion"]
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
 
 
 @pytest.fixture(scope="module")

@@ -20,15 +20,9 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import _json, fingerprint, from_json, to_json
 
 plain_python = runpy.run_path(str(Path(__file__).parents[2] / "doc" / "read_json.py"))["run"]
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
 
 
 def network(**params):

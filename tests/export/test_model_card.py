@@ -28,11 +28,6 @@ from sklearn_raacmm.metrics import single_point_repeatability
 
 
 @pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
-
-
-@pytest.fixture(scope="module")
 def model(data):
     network = RBFNetRegressor(12, length_scale=1.5, alpha=0.01)
     return make_pipeline(
