@@ -115,14 +115,15 @@ def text_of(program, rows):
         "operations": operations,
         "arrays": arrays,
     }
-    lines = {key: json.dumps(value, allow_nan=False) for key, value in _checked(head).items()}
+    lines = {key: json.dumps(value, allow_nan=False) for key, value in checked(head).items()}
     for key in ("operations", "arrays"):  # a line for each of them
         entries = (json.dumps(entry, allow_nan=False) for entry in head[key])
         lines[key] = "[\n  " + ",\n  ".join(entries) + "\n ]"
     return "{\n" + ",\n".join(f' "{key}": {line}' for key, line in lines.items()) + "\n}\n"
 
 
-def _checked(head):
+def checked(head):
+    """The content with its checksum."""
     return {**head, "checksum": _checksum(head)}
 
 

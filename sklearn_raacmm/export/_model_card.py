@@ -288,7 +288,7 @@ def _training(X, codes, arm, unit, extra):
     return facts
 
 
-def _error(model, X, y, codes, groups, n_folds):
+def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) -> dict[str, Any]:
     """Errors before and after; the latter at positions that a copy of the model has not seen."""
     n_outputs = np.shape(model.predict(safe_indexing(X, [0])).ravel())[0]
     if y.size != len(y) * n_outputs:

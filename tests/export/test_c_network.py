@@ -10,7 +10,7 @@ from decimal import Context, Decimal
 import numpy as np
 import pytest
 
-from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.export import _networks, export_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -159,3 +159,14 @@ def test_too_many_centres_for_a_table_are_told(model, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="a network of 11 centres would need a table of"):
         export_c(model, tmp_path / "arm.c", std=True)
     assert export_c(model, tmp_path / "arm.c")
+
+
+def test_the_covariance_is_written_as_a_triangle(tmp_path):
+    arm = Arm.from_name("aacmm6")
+    X = np.random.default_rng(0).uniform(-2, 2, (60, 6))
+    model = ArmResidualRegressor(arm, orders=2, causes=["kinematics", "wobble"], fade=0)
+    model.fit(X, 0.05 * np.cos(X[:, :3]))
+    text = export_c(model, tmp_path / "arm.c", std=True)[0].read_text()
+    n = len(model.coef_)
+    entries = int(re.search(r"root_\d+\[(\d+)\]", text)[1])
+    assert n * (n + 1) / 2 <= entries <= n * (n + 1) / 2 + 4 * n + 64

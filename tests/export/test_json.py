@@ -117,10 +117,10 @@ def changed(text, change, fingerprint=True):
     if fingerprint:
         try:
             head["fingerprint"] = None
-            _json.program_of_text(json.dumps(_json._checked(head)))
+            _json.program_of_text(json.dumps(_json.checked(head)))
         except ValueError as error:
             head["fingerprint"] = str(error).rpartition(" ")[2]
-    return json.dumps(_json._checked(head))
+    return json.dumps(_json.checked(head))
 
 
 def operation(head, name):
