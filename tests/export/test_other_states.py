@@ -19,7 +19,15 @@ from sklearn_raacmm import (
     update_correction,
 )
 from sklearn_raacmm.error_model import Terms, term_columns
-from sklearn_raacmm.export import describe, export_c, from_json, load_c, to_json, to_onnx
+from sklearn_raacmm.export import (
+    TRUSTED_TYPES,
+    describe,
+    export_c,
+    from_json,
+    load_c,
+    to_json,
+    to_onnx,
+)
 
 ARM = Arm.from_name("aacmm6")
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -61,7 +69,7 @@ def ways_out(model, folder):
     """Each way of a model out of Python, as a function of rows."""
     yield "JSON", from_json(to_json(model)).predict
     if any(map(shutil.which, ("cc", "gcc", "clang"))):
-        yield "C", load_c(model, cache_dir=folder / "cache").correct
+        yield "C", load_c(model, cache_dir=folder / "cache").predict
     try:
         import onnxruntime
         import skl2onnx  # noqa: F401
@@ -275,3 +283,17 @@ def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
         with pytest.raises(ValueError, match="holds NaN or infinity"):
             to_onnx(model, tmp_path / "arm.onnx")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_network_whose_centres_are_all_rows(tmp_path):
+    rng = np.random.default_rng(0)
+    X, new = rng.uniform(-1, 1, (150, 3)), rng.uniform(-1.3, 1.3, (40, 3))
+    y = np.column_stack([np.sin(5 * X).sum(axis=1), np.cos(4 * X[:, 0]) + X[:, 1]])
+    y += 0.1 * rng.standard_normal(y.shape)
+    model = RBFNetRegressor(length_scale=0.5, alpha=[0.02, 0.03], degree=1).fit(X, y)
+    assert all(network.all_rows for network in model.networks_)
+    agree(model, new, tmp_path)
+    assert_same_files(model, new)
+    skops = pytest.importorskip("skops.io", reason="needs the extra skops")
+    loaded = skops.loads(skops.dumps(model), trusted=TRUSTED_TYPES)
+    np.testing.assert_array_equal(loaded.predict(new, return_std=True), model.predict(new, True))
