@@ -70,6 +70,16 @@ def test_links_that_are_short_by_one_share_carry_it_to_lengths():
     assert error / over_sd == pytest.approx(drawing / over_drawing, rel=0.15)
 
 
+def test_times_of_many_rows_are_those_of_their_figure():
+    stored = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))["rows"]
+    seconds = [time for _, time in stored["found_by_itself"]]
+    rows = (f"| {name} | @ s | @ MiB |" for name in ("100&nbsp;000", "a million", "ten million"))
+    said = numbers("scale.md", " ".join(rows))
+    assert said[::2] == seconds
+    assert said[1::2] == stored["memory_mib"]
+    assert_said("benchmarks.md", "time grows from @ to @ s", [seconds[0], seconds[-1]])
+
+
 def test_means_of_the_benchmarks_are_those_of_their_tables():
     stored = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))
     problems = stored["problems"]["over_gaussian_process"]["of"]
