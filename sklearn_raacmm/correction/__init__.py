@@ -3,16 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.correction._causes import with_causes
-from sklearn_raacmm.correction._deviations import corrected_columns, corrected_points
-from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
-from sklearn_raacmm.correction._loaded import TRUSTED_TYPES, SavedCorrection
+from sklearn_raacmm.correction._learn import cross_validate_correction, learn_correction
+from sklearn_raacmm.correction._learned import LearnedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._records import read_check_records
-from sklearn_raacmm.correction._saved import read_correction, write_correction
-from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
+from sklearn_raacmm.correction._saved import (
+    TRUSTED_TYPES,
+    SavedCorrection,
+    read_correction,
+    write_correction,
+)
+from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table
 from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
@@ -26,8 +29,6 @@ __all__ = [
     "SavedCorrection",
     "TableChange",
     "check_correction",
-    "corrected_columns",
-    "corrected_points",
     "cross_validate_correction",
     "learn_correction",
     "next_poses",
@@ -37,6 +38,5 @@ __all__ = [
     "search_table",
     "transfer_correction",
     "update_correction",
-    "with_causes",
     "write_correction",
 ]

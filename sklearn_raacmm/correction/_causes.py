@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.error_model import check_extra
+from sklearn_raacmm.error_model import IDLE_SD, check_extra
 from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
-from sklearn_raacmm.utils import Finding, encode_groups, floats, say_findings
+from sklearn_raacmm.utils import Finding, floats, say_findings
 
 # The family of columns by which each kind of cause is judged.
 _FAMILIES = {"time": "temperature", "payload": "force"}
-# Standard deviation of coefficients below which the evidence has put a family aside, see
-# `_IDLE_VARIANCE` of the error model.
-_IDLE_SD = 1e-5
 
 
 def checked_causes(extra, in_order, angles):
@@ -49,11 +46,11 @@ def checked_causes(extra, in_order, angles):
     return names, np.column_stack(values) if values else np.empty((len(angles), 0))
 
 
-def refuse_told_time(names, angles, positions):
+def refuse_told_time(names, angles, codes):
     """Refuse time that the angles tell: what it explains may be the place."""
     if "time" not in names:
         return
-    told = order_told_by(angles, encode_groups(positions, len(angles))[1])
+    told = order_told_by(angles, codes)
     if told > MOST_TOLD:
         raise ValueError(
             f"time cannot be learnt from this run: the angles tell the number of the row (R2 "
@@ -69,7 +66,7 @@ def with_kept_causes(data, calibration):
     rows, _ = data.without_lonely(np.arange(len(data.angles)))
     prior_sd = replace(data, like=()).fit(None, calibration, rows)[0].prior_sd_
     kinds = [name.split()[0] for name in data.causes]
-    keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > _IDLE_SD for kind in kinds])
+    keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * IDLE_SD for kind in kinds])
     named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
     gone = [name for name, kept in zip(data.causes, keep, strict=True) if not kept]
     if gone:

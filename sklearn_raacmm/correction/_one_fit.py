@@ -40,9 +40,9 @@ class Data:
     lengths: list
     rows: np.ndarray  # first row of each pose among those given
     given: tuple  # angles, positions and points of these
-    causes: tuple = ()  # names of the columns of `values`
-    values: np.ndarray | None = None  # (n, n_causes)
-    like: tuple = ()  # models of earlier arms of the make
+    causes: tuple  # names of the columns of `values`
+    values: np.ndarray  # (n, n_causes)
+    like: tuple  # models of earlier arms of the make
 
     @classmethod
     def checked(
@@ -61,8 +61,6 @@ class Data:
             refuse_huge("points", points)
             if positions is None:
                 positions = _regions(points)
-        every = angles, encode_groups(positions, len(angles))[1], points
-        poses = find_poses(*every)
         labels, codes = encode_groups(positions, len(angles))
         tied = {i for entry in lengths for i in check_length(entry, labels.tolist())[:2]}
         for code in np.flatnonzero(np.bincount(codes) == 1) if points is None else ():
@@ -72,18 +70,19 @@ class Data:
                     f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
                 )
         causes, values = checked_causes(extra, in_order, angles)
-        refuse_told_time(causes, angles, positions)
-        values = values[poses.first]
-        angles, points = poses.mean_angles(angles), poses.mean(points)
-        given = (every[0], labels[codes], every[2])
-        labels = labels[codes][poses.first]
-        like = tuple(listed("like", like))
-        return cls(arm, angles, labels, points, lengths, poses.first, given, causes, values, like)
+        refuse_told_time(causes, angles, codes)
+        given = angles, labels[codes], points
+        poses = find_poses(angles, codes, points)
+        angles, points, first = poses.mean_angles(angles), poses.mean(points), poses.first
+        return cls(
+            arm, angles, given[1][first], points, lengths, first, given, causes, values[first],
+            tuple(listed("like", like)),
+        )  # fmt: skip
 
     @property
     def inputs(self):
         """Angles, then the causes, of each row."""
-        return self.angles if self.values is None else np.hstack([self.angles, self.values])
+        return np.hstack([self.angles, self.values])
 
     def without_lonely(self, rows):
         """Rows of positions with at least two, and the others: those have no residuals."""

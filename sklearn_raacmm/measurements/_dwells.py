@@ -65,20 +65,10 @@ class Dwells(NamedTuple):
 def find_dwells(
     angles: np.ndarray, codes: np.ndarray | None = None, copies_count: bool = False
 ) -> Dwells:
-    """Find the rows that are one pose.
+    """Find the rows that are one pose, by angles (n, n_joints) in rad, in their order.
 
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-        In rad, in the order in which they were taken.
-    codes : ndarray of shape (n,), default=None
-        Rows of different labels are different poses.
-    copies_count : bool, default=False
-        Runs of equal rows stay as they are: a row that is repeated has the weight of its repeats.
-
-    Returns
-    -------
-    Dwells
+    Rows of different `codes` (n,) are different poses. Where copies count, runs of equal rows stay:
+    a row that is repeated has the weight of its repeats.
     """
     n = len(angles)
     codes = np.zeros(n, dtype=int) if codes is None else codes
@@ -117,18 +107,7 @@ def find_poses(
 ) -> Dwells:
     """Find the rows that are one pose, copies of rows among them.
 
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-    codes : ndarray of shape (n,), default=None
-        Rows of different labels are different poses.
-    points : ndarray of shape (n, 3), default=None
-        Measured points: rows of which are no copies if these differ.
-
-    Returns
-    -------
-    Dwells
+    As `find_dwells`; rows are no copies if their measured points (n, 3) differ.
     """
     dwells = find_dwells(angles, codes)
     columns = [dwells.mean_angles(angles)]

@@ -7,28 +7,17 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar, cast
 
-from sklearn_raacmm.utils._findings import hear, say_findings
+from sklearn_raacmm.utils._findings import hear
 
 Fit = TypeVar("Fit", bound=Callable[..., Any])
 
 
 def whole_fit(fit: Fit) -> Fit:
-    """Make a `fit` that leaves the estimator as it was until it is complete.
-
-    What is found in the data meanwhile is kept in `findings_`, and said at the end.
+    """Make a `fit` that leaves the estimator as it was until it is complete, and returns it.
 
     The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
     assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
-
-    Parameters
-    ----------
-    fit : callable
-        Method that sets fitted attributes of its first argument. What it returns is ignored.
-
-    Returns
-    -------
-    callable
-        The method that returns the estimator.
+    What is found in the data meanwhile is kept in `findings_`, and said at the end.
     """
 
     @wraps(fit)
@@ -37,7 +26,6 @@ def whole_fit(fit: Fit) -> Fit:
         aside.__dict__ = dict(vars(self))
         _, heard = hear(fit, aside, *args, **kwargs)
         aside.findings_ = tuple(heard)
-        say_findings(heard)
         self.__dict__ = aside.__dict__
         return self
 
