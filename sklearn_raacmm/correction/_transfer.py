@@ -70,8 +70,7 @@ def transfer_correction(
     models : ArmResidualRegressor or list of them
         Fitted models of earlier arms, one for each arm. Their linear models are used. They may
         have the same extra columns: what a degree or a newton does is common to the make, and
-        counts from the mean over the rows of each arm. The numbers of tools are not: they must not
-        be among them.
+        counts from the mean over the rows of each arm.
 
     arm : Arm
         The new arm, calibrated: ``result.arm`` of ``result = calibrate(nominal, angles,
@@ -109,7 +108,7 @@ def transfer_correction(
         If `arm` is not an Arm, or a model holds no linear model in use.
     ValueError
         If there are no models, the arms have other numbers of joints or conventions, the models
-        have tools among their extra columns or are not of the same families; if `X` and `y` do not
+        are not of the same families; if `X` and `y` do not
         fit.
 
     Warns
@@ -197,11 +196,6 @@ def _checked(models, arm):
         raise ValueError("models are empty: give the fitted models of one earlier arm or more.")
     linears = [linear_model_of(model, "transferred") for model in models]
     for i, linear in enumerate(linears):
-        if "tool" in dict(linear.terms.extra):
-            raise ValueError(
-                f"models[{i}] has tools among its extra columns: their offsets are those of one "
-                "arm. Fit the models without them."
-            )
         old, new = ((a.n_joints, a.convention) for a in (linear.arm, arm))
         if old != new:
             raise ValueError(
