@@ -21,22 +21,10 @@ def dh_theta(arm: Any, angles: np.ndarray) -> np.ndarray:
 
 
 def carried(arm: Any, theta: np.ndarray, fixed: list[Any]) -> np.ndarray:
-    """Points that are fixed in frames of the arm, in the base frame.
+    """Points in the base frame, (len(fixed), 3, n_samples) mm, that are fixed in frames of the arm.
 
-    A point through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
-
-    Parameters
-    ----------
-    arm : Any
-    theta : ndarray of shape (n_joints, n_samples)
-        From `dh_theta`.
-    fixed : list of (int, sequence of 3 floats or of 3 rows)
-        Number of the frame, 0 to n_joints, and the point's coordinates in it, in mm.
-
-    Returns
-    -------
-    ndarray of shape (len(fixed), 3, n_samples)
-        In mm.
+    `fixed` has the number of each point's frame and its three coordinates in it, mm. A point
+    through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
     """
     cos, sin = np.cos(theta), np.sin(theta)
     if theta.shape[1] == 1:
@@ -128,21 +116,9 @@ def axis_vectors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What turns and shifts by every axis of every frame do to the probe, and where things are.
 
-    Parameters
-    ----------
-    arm : Any
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-    probes : ndarray of shape (n, 3), default=None
-        As of `points_of`.
-
-    Returns
-    -------
-    vectors : ndarray of shape (n, 3, 6 n_frames)
-        What a turn about each axis does to the probe, mm per rad; then the axes themselves. x, y
-        and z of the base, of frame 1, and so on.
-    places : ndarray of shape (n, 2, n_frames + 1)
-        x and y of the frames' origins and of the probe, mm.
+    Of angles (n, n_joints) in rad: what a turn about each axis, x, y and z of the base, of frame 1
+    and so on, does to the probe, mm per rad, then the axes themselves, (n, 3, 6 n_frames); and x
+    and y of the frames' origins and of the probe, (n, 2, n_frames + 1) mm.
     """
     frames = frame_columns(arm, dh_theta(arm, angles))
     probe = probe_of(arm, frames, probes)
