@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
-from sklearn_raacmm.app._causes import causes_of, columns_of_causes, inputs_of
+from sklearn_raacmm.app._causes import causes_of, columns_of_causes, numbers_of, tools_of
 from sklearn_raacmm.app._cells import TableError, in_lines
 from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
@@ -78,12 +78,13 @@ def learn(options):
         arm, in_rad(table), table.positions, table.points, lengths,
         cv=options.folds, n_jobs=options.jobs, progress=_progress,
         extra=causes_of(table, columns_of_causes(options)), in_order=options.in_order, like=like,
+        tools=tools_of(table, options),
     )  # fmt: skip
     _progress(30, 30, "report")
     layout = find_rows(options, arm, said=False)
     corrected = io.StringIO(newline="")
     in_order = any(name.startswith("direction") for name in result.causes)
-    write_corrected(layout, result.saved, inputs_of(result.saved, options, in_order), corrected)
+    write_corrected(layout, numbers_of(result.saved, options, in_order), corrected)
     verdict, *lines = (in_lines(line, table.rows) for line in str(result.scores).split("\n"))
     card = describe(result.model, result.saved.inputs(result.angles))
     if result.findings:
@@ -140,9 +141,9 @@ def correct(options):
         if options.out == "-"
         else open_beside(options.out, layout.dialect.encoding)
     )
-    inputs = inputs_of(saved, options, options.in_order)
+    numbers = numbers_of(saved, options, options.in_order)
     with stream as file:
-        n_rows = write_corrected(layout, saved, inputs, file)
+        n_rows = write_corrected(layout, numbers, file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 

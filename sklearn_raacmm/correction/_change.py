@@ -43,39 +43,26 @@ class Changed(NamedTuple):
 
 
 def changed_model(linear, poses, log_noise=_LOG_NOISE):
-    """Linear model brought up to date with new poses.
+    """Linear model brought up to date with new poses: its posterior is the prior.
 
-    Parameters
-    ----------
-    linear : LinearModel
-        The old one: its posterior is the prior.
-    poses : NewPoses
-        Turns are used where the model was fitted to turns, too.
-    log_noise : (float, float)
-        Bounds of the logarithm of the noise in units of the old model's.
-
-    Returns
-    -------
-    Changed
+    `log_noise` bounds the logarithm of the noise in units of the old model's.
     """
-    prior = prior_of(linear, log_noise)
     linear = with_low_orders(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
-    turn_mm = linear.turn_mm if poses.turns is not None else 0.0
-    shown = poses.residuals
-    if turn_mm and poses.turns is not None:
+    turn_mm, shown = 0.0, poses.residuals
+    if poses.turns is not None:  # which only a model that was fitted to some takes
+        turn_mm = linear.turn_mm
         shown = np.hstack([shown, turn_mm * poses.turns])
     columns = observed_columns(arm, angles, linear.terms, turn_mm)
     place = _place_seen(arm, angles, codes is None, turn_mm)
     columns, place, shown = (centred(part, codes, weights) for part in (columns, place, shown))
-    after = condition(prior, columns, place, shown, weights)
+    after = condition(prior_of(linear, log_noise), columns, place, shown, weights)
     seen_weights = weights * after.row_weight / after.noise_sd**2
     p, fold = len(linear.coef), _into_kinematics(linear, codes is None, turn_mm)
     half = after.half[:p] + fold @ after.half[p:]
     # As many columns as rows hold the same covariance.
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T if half.shape[1] > p else half
-    left_out = after.left_out
-    noise_scale, std_scale = interval_scales(*left_out, np.ones(len(left_out.errors)))
+    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out.errors)))
     model = replace(
         linear,
         coef=after.mean[:p] + fold @ after.mean[p:],
@@ -106,8 +93,7 @@ def _informed(half, columns, place, weights):
 
 
 def prior_of(linear, log_noise=_LOG_NOISE):
-    """What is known before new poses of the coefficients of a model with its low orders."""
-    linear = with_low_orders(linear)
+    """What is known before new poses of the coefficients of a model `with_low_orders`."""
     return Prior(
         mean=linear.coef,
         half=linear.half,
@@ -141,37 +127,26 @@ def harmonics_of(linear):
 def with_harmonics(linear, pairs):
     """The same model with these harmonics among its columns: 0, and known to be, where it has none.
 
-    Parameters
-    ----------
-    linear : LinearModel
-    pairs : list of (int, int)
-        Joint and order of each: those of the model and others.
-
-    Returns
-    -------
-    LinearModel
+    `pairs` are joint and order of each, those of the model and others.
     """
-    known, place = harmonics_of(linear), {pair: i for i, pair in enumerate(pairs)}
+    place = np.array([pairs.index(pair) for pair in harmonics_of(linear)], dtype=int)
+    n_rest = len(linear.coef) - 2 * len(place)
     # Column of the new model of each column of the old one.
-    waves = np.array([[2 * place[pair], 2 * place[pair] + 1] for pair in known], dtype=int).ravel()
-    n_rest = len(linear.coef) - len(waves)
+    waves = (2 * place[:, None] + [0, 1]).ravel()
     columns = np.r_[waves, 2 * len(pairs) + np.arange(n_rest)]
 
-    def spread(values):
-        new = np.zeros((2 * len(pairs) + n_rest, *values.shape[1:]))
-        new[columns] = values
+    def spread(values, at, n):
+        new = np.zeros((n, *values.shape[1:]))
+        new[at] = values
         return new
 
-    gains = np.zeros(len(pairs))
-    gains[[place[pair] for pair in known]] = linear.log_bayes_factor
+    names = ("coef", "half", "gauge_free_half", "fading_half")
+    wider = {n: spread(getattr(linear, n), columns, 2 * len(pairs) + n_rest) for n in names}
     return replace(
         linear,
         terms=linear.terms._replace(harmonics=np.array(pairs, dtype=int).reshape(-1, 2)),
-        coef=spread(linear.coef),
-        half=spread(linear.half),
-        gauge_free_half=spread(linear.gauge_free_half),
-        fading_half=spread(linear.fading_half),
-        log_bayes_factor=gains,
+        log_bayes_factor=spread(linear.log_bayes_factor, place, len(pairs)),
+        **wider,
     )
 
 
@@ -179,9 +154,7 @@ def with_low_orders(linear):
     """The same model with the orders 1 and 2 of every joint among its columns.
 
     What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
-    free orders cost more than they find. With 8 of them a change of one eccentricity left 1.1 to 2
-    times as much; 33 updates of simulated robots that change in many ways were equal in the mean
-    (benchmarks/bench_months.py).
+    free orders cost more than they find (benchmarks/bench_months.py).
     """
     if "harmonics" not in linear.prior_sd:
         return linear

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from sklearn_raacmm.calibration import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._new_poses import linear_model_of, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
 from sklearn_raacmm.inference import narrowed
-from sklearn_raacmm.utils import check_whole_number, encode_groups, group_means, listed, show
+from sklearn_raacmm.utils import centred, check_whole_number, encode_groups, listed, show
 
 # Noise of a coordinate where no model says it, mm: about that of a UR10 before a tracker
 # (benchmarks/bench_next_poses.py). Beside wide priors its size hardly changes the order of poses.
@@ -21,19 +21,6 @@ _NOISE_MM = 0.05
 # Targets that are looked at; of more, these many spread evenly over the list. They are for speed:
 # benchmarks/bench_next_poses.py gives 1000.
 _MOST_TARGETS = 200
-
-
-class _Design(NamedTuple):
-    """What measurements are to find out, in factors that are standard normal before them."""
-
-    columns: Any  # angles (n, n_joints) -> (n, 3, p), mm
-    half: np.ndarray  # (p, k) root of the covariance of the columns' coefficients
-    noise_sd: float  # mm
-    offsets: bool  # whether each position has an unknown offset
-
-    def seen(self, angles):
-        """What one unit of each factor does to the poses, (n, 3, k) in mm."""
-        return _times(self.columns(angles), self.half)
 
 
 def _times(rows, matrix):
@@ -55,38 +42,30 @@ def next_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Choose the poses whose measurement would tell most, one after another.
 
-    The posterior of a linear model says before any measurement how much it would narrow: what is
-    measured does not enter, only where. So poses, or whole positions of a single-point test, can be
-    chosen from a list of those that are in reach: for the fit of a correction, or with `free` for a
-    registration or a calibration.
+    How much a measurement would narrow the posterior of a linear model is known beforehand. So
+    poses, or whole positions of a single-point test, can be chosen from a list of those that are in
+    reach: for the fit of a correction, or with `free` for a registration or a calibration.
 
     Parameters
     ----------
     model : ArmResidualRegressor or Arm
         Fitted model, of which the linear one is used. With `free` an arm suffices.
-
     X : array-like of shape (n_candidates, n_joints)
         Poses that could be measured: joint angles, in the unit that the model takes.
-
     n_poses : int
         How many to choose: poses, or positions where `groups` are given.
-
     groups : array-like of shape (n_candidates,), default=None
         Label of the position of each pose: positions are then chosen, with all of their poses.
         Needed where the model has offsets: a pose alone says nothing beside an unknown offset.
-
     targets : array-like of shape (n_targets, n_joints), default=None
         Poses where the arm will be used; None: the candidates. Of more than 200, 200 are taken,
         spread evenly over the list.
-
     criterion : {"I", "D"}, default="I"
         "I" lowers the mean variance at the targets, "D" the volume of what is possible of all that
         is to be found.
-
     free : list of {"base", "probe", "a", "alpha", "d", "theta_offset"}, default=None
         What the poses shall find, instead of the model's coefficients: ``["base", "probe"]`` for a
         registration, as by ``calibrate(..., correction=model, free=["probe"])``.
-
     measured : array-like of shape (n_measured, n_joints), default=None
         Poses that have been measured since the model was fitted, or at all where `free` is given.
         Not with `groups`.
@@ -95,7 +74,6 @@ def next_poses(
     -------
     chosen : ndarray of shape (n_poses,)
         Indices of rows of X in order of choice; labels of positions where `groups` are given.
-
     std_mm : ndarray of shape (n_poses + 1,)
         Standard deviation at the targets of what is to be found, as the length of a vector, root
         mean square over them, mm: now, and after each choice.
@@ -106,8 +84,7 @@ def next_poses(
         If the model is of another kind.
     ValueError
         If X has the wrong shape, there are fewer candidates than `n_poses`, groups are missing
-        though the model has offsets, the model has no terms, or `criterion` or `free` name
-        something else.
+        though the model has offsets, or the model has no terms.
 
     See Also
     --------
@@ -117,9 +94,8 @@ def next_poses(
     Notes
     -----
     Greedy I- and D-optimal design (V. V. Fedorov, Theory of Optimal Experiments, 1972), with the
-    priors, the harmonics and the noise that the model found. Where a position has an unknown
-    offset, its poses count as deviations from their mean. Standard deviations are as honest as the
-    model's: where it lacks a term, they know nothing of it.
+    priors, the harmonics and the noise that the model found: where it lacks a term, the standard
+    deviations know nothing of it.
 
     Examples
     --------
@@ -140,13 +116,14 @@ def next_poses(
         raise ValueError(f'criterion must be "I" or "D", got {show(criterion)}.')
     linear = None if isinstance(model, Arm) else linear_model_of(model, "planned for", in_use=False)
     if free is None:
-        design = _design_of_model(linear)
+        columns, half = _of_model(linear)
     else:
-        arm, noise_sd = (model, _NOISE_MM) if linear is None else (linear.arm, linear.noise_sd)
-        design = _design_of_arm(arm, noise_sd, free, groups)
+        columns, half = _of_arm(model if linear is None else linear.arm, free, groups)
+    noise_sd = _NOISE_MM if linear is None else max(linear.noise_sd, 1e-9)
+    offsets = linear.offsets if free is None else groups is not None
     X = _check_poses(model, X)
     if groups is None:
-        if design.offsets:
+        if offsets:
             raise ValueError(
                 "The model has an unknown offset at every position: give groups, the position of "
                 "each candidate."
@@ -158,22 +135,22 @@ def next_poses(
     if measured is not None:
         if groups is not None:
             raise ValueError("measured poses count one by one: give them, or groups.")
-        design = _after(design, _check_poses(model, measured))
-    seen = design.seen(X)
+        rows = columns(_check_poses(model, measured)) / noise_sd
+        half = narrowed(half, rows.reshape(-1, len(half)))
+    # What one unit of each factor, standard normal before the measurement, does to poses, mm.
+    seen = _times(columns(X), half)
     aim = X if targets is None else _check_poses(model, targets)
     some = np.linspace(0, len(aim) - 1, min(len(aim), _MOST_TARGETS)).astype(int)
-    aim = seen[some] if targets is None else design.seen(aim[some])
-    rows = seen / design.noise_sd
-    if design.offsets:
-        rows = rows - group_means(rows, codes, np.ones(len(X)))[codes]
+    aim = seen[some] if targets is None else _times(columns(aim[some]), half)
+    rows = centred(seen, codes if offsets else None) / noise_sd
     chosen, variance = _greedy(
         _padded(rows, codes), aim.reshape(-1, aim.shape[2]), n_poses, criterion
     )
     return labels[chosen], np.sqrt(np.maximum(variance, 0.0) / len(aim))
 
 
-def _design_of_model(linear):
-    """The coefficients of a fitted model."""
+def _of_model(linear):
+    """Columns of a fitted model and the root of the covariance of their coefficients."""
     if linear is None:
         raise TypeError(
             "An Arm has no correction to plan for: give free, what a registration or calibration "
@@ -184,11 +161,11 @@ def _design_of_model(linear):
             "The model has no terms that a measurement could narrow: choose the poses at random, "
             "or give free, what a registration or calibration shall find."
         )
-    return _Design(linear.columns, linear.gauge_free_half, linear.noise_sd, linear.offsets)
+    return linear.columns, linear.gauge_free_half
 
 
-def _design_of_arm(arm, noise_sd, free, groups):
-    """Base, probe and fields of an arm, as `calibrate` would find them."""
+def _of_arm(arm, free, groups):
+    """The same of base, probe and fields of an arm, as `calibrate` would find them."""
     free, known = listed("free", free), ("base", *FIELDS)
     if not free or not all(isinstance(name, str) and name in known for name in free):
         raise ValueError(f"free must name some of {', '.join(known)}, got {show(free)}.")
@@ -207,15 +184,7 @@ def _design_of_arm(arm, noise_sd, free, groups):
             return own
         return np.concatenate([own, place_columns(arm, angles, with_base=True)[:, :, 3:]], axis=2)
 
-    half = np.diag(np.r_[prior, np.full(6 * with_base, UNKNOWN_PLACE_MM)])
-    return _Design(columns, half, max(noise_sd, 1e-9), groups is not None)
-
-
-def _after(design, angles):
-    """The design when some poses, each with a known place, have been measured."""
-    columns = design.columns(angles)
-    rows = columns.reshape(-1, columns.shape[2]) / design.noise_sd
-    return design._replace(half=narrowed(design.half, rows))
+    return columns, np.diag(np.r_[prior, np.full(6 * with_base, UNKNOWN_PLACE_MM)])
 
 
 def _padded(rows, codes):

@@ -54,7 +54,8 @@ def plan_poses(
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
-    allows, and in an order of short ways.
+    allows, and in an order of short ways. Spread cones are what a plan is worth: a choice by
+    :func:`next_poses` is no better in a first test.
 
     Parameters
     ----------
@@ -83,11 +84,6 @@ def plan_poses(
     See Also
     --------
     next_poses : Chooses from poses by what a model or a registration does not know yet.
-
-    Notes
-    -----
-    Spread cones are what a plan is worth. In a first test a choice by `next_poses` is no better
-    than cones that are spread by hand.
 
     Examples
     --------
@@ -124,22 +120,20 @@ def plan_poses(
             f"{n_poses} poses, and {n_positions} are needed: give another region, a larger "
             "lean_deg, or wider limits."
         )
-    chosen = _spread(np.array(places), n_positions)
-    chosen = [chosen[i] for i in _short_way(np.array(places)[chosen], 0)]
-    positions, angles, last = np.array(places)[chosen], [], None
-    for cone in chosen:
-        own = poses[cone]
-        first = 0 if last is None else int(np.argmin(_travel(own, last)))
-        own = own[_short_way(own, first)]
-        angles.append(own)
-        last = own[-1]
-    minutes = (n_positions * _PER_CONE_S + n_positions * n_poses * _PER_POSE_S) / 60
+    places = np.array(places)
+    chosen = np.array(_spread(places, n_positions))
+    chosen = chosen[_short_way(places[chosen], 0)]
+    angles: list[np.ndarray] = []
+    for own in (poses[cone] for cone in chosen):
+        first = int(np.argmin(_travel(own, angles[-1][-1]))) if angles else 0
+        angles.append(own[_short_way(own, first)])
+    minutes = n_positions * (_PER_CONE_S + n_poses * _PER_POSE_S) / 60
     groups = np.repeat(np.arange(1, n_positions + 1), n_poses)
-    return PosePlan(positions, np.concatenate(angles), groups, minutes)
+    return PosePlan(places[chosen], np.concatenate(angles), groups, minutes)
 
 
 def _place(rng, reach, region):
-    """A place for a cone."""
+    """A place for a cone, (3,) in mm."""
     if region is not None:
         return rng.uniform(*region)
     azimuth, share = rng.uniform(-np.pi, np.pi), rng.uniform(_NEAREST, _FARTHEST)
@@ -151,24 +145,18 @@ def _place(rng, reach, region):
 def _poses_at(arm, place, n_poses, lean_deg, rng):
     """Poses that reach a place, as different as may be, or None where there are too few."""
     low, high = limits_of(arm)
-    low, high = np.maximum(low, -np.pi), np.minimum(high, np.pi)
-    start = rng.uniform(low, high, (_STARTS * n_poses, arm.n_joints))
+    size = (_STARTS * n_poses, arm.n_joints)
+    start = rng.uniform(np.maximum(low, -np.pi), np.minimum(high, np.pi), size)
     aim = np.broadcast_to(place, (len(start), 3))
     found, _ = angles_for(arm, lambda angles, rows: 0.0, aim, start)
     found = found[~np.isnan(found[:, 0])]
-    inside = (found >= limits_of(arm)[0]) & (found <= limits_of(arm)[1])
-    found = found[inside.all(axis=1)]
     if lean_deg is not None and len(found):
         found = found[_stands(arm, found, place, lean_deg)]
     if len(found) < n_poses:
         return None
-    found = np.remainder(found + np.pi, 2 * np.pi) - np.pi if _turns_freely(arm) else found
+    if np.isinf([low, high]).all():  # whole turns may be taken off
+        found = np.remainder(found + np.pi, 2 * np.pi) - np.pi
     return found[_spread(np.hstack([np.cos(found), np.sin(found)]), n_poses)]
-
-
-def _turns_freely(arm):
-    """Whether any angle is allowed, so that whole turns may be taken off."""
-    return not np.isfinite(limits_of(arm)).any()
 
 
 def _stands(arm, angles, place, lean_deg):
@@ -199,9 +187,7 @@ def _travel(points, start):
 
 def _short_way(points, first):
     """An order of short steps: each time to the nearest that is left."""
-    left, order = set(range(len(points))) - {first}, [first]
-    while left:
-        rest = sorted(left)
-        order.append(rest[int(np.argmin(_travel(points[rest], points[order[-1]])))])
-        left.remove(order[-1])
+    order, rest = [first], [i for i in range(len(points)) if i != first]
+    while rest:
+        order.append(rest.pop(int(np.argmin(_travel(points[rest], points[order[-1]])))))
     return order

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles, check_arm, dh_theta, frame_columns
+from sklearn_raacmm.arm import Arm, check_arm, dh_theta, frame_columns
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.utils import align, centred, encode_groups, unheard
 
@@ -112,21 +112,17 @@ def search_table(
     few = None if positions is None else encode_groups(np.asarray(positions)[rows])[1]
     few_points = None if points is None else np.asarray(points, dtype=float)[rows]
     ranked = []
-    for n_changes, change, other, columns, unit in _candidates(arm, angle_unit, np.abs(raw).max()):
-        radians = np.deg2rad(raw[rows]) if unit == "deg" else raw[rows]
-        size = _quick_scatter(other, radians[:, columns], few, few_points)
-        ranked.append((size, n_changes, change, other, columns, unit))
+    for n_changes, change, *other in _candidates(arm, angle_unit, np.abs(raw).max()):
+        size = _quick_scatter(*other, raw[rows], few, few_points)
+        ranked.append((size, n_changes, change, other))
     ranked.sort(key=lambda entry: entry[:2])
     # Of those that coincide about as well as the best, the simple ones first.
     best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
     best = sorted(best, key=lambda entry: entry[1:3])[:_CALIBRATED]
-    found = [
-        TableChange(
-            change, _scatter(other, raw[:, columns], positions, points, unit), given, other,
-            tuple(columns), unit,
-        )
-        for _, _, change, other, columns, unit in [*best, *ranked[:1]]
-    ]  # fmt: skip
+    found = []
+    for _, _, change, (other, columns, unit) in [*best, *ranked[:1]]:
+        scatter = _scatter(other, raw[:, columns], positions, points, unit)
+        found.append(TableChange(change, scatter, given, other, tuple(columns), unit))
     least = min(entry.scatter_mm for entry in found)
     if least > _WORTH_SAYING * given:
         return None
@@ -134,10 +130,10 @@ def search_table(
 
 
 def _scatter(arm, angles, positions, points, unit):
+    """Mean scatter after calibration, mm."""
+    where = {"groups": positions} if points is None else {"points": points}
     with unheard():  # of the wrong tables, nearly all have something to be said
-        radians = check_angles(angles, arm.n_joints, unit)
-        where = {"groups": positions} if points is None else {"points": points}
-        return calibrate(arm, radians, **where).scatter_after_mm
+        return calibrate(arm, angles, angle_unit=unit, **where).scatter_after_mm
 
 
 def _some_rows(angles, positions):
@@ -155,8 +151,7 @@ def _candidates(arm, unit, largest):
     straight = list(range(n))
     orders = [(0, [], straight), (1, ["the joints in reverse order"], straight[::-1])]
     for i, j in combinations(range(n), 2):
-        columns = straight.copy()
-        columns[i], columns[j] = j, i
+        columns = [{i: j, j: i}.get(column, column) for column in straight]
         orders.append((1, [f"joints {i + 1} and {j + 1} exchanged"], columns))
     signs = []
     for flips in product((False, True), repeat=n):
@@ -181,9 +176,10 @@ def _candidates(arm, unit, largest):
         yield sum(p[0] for p in parts), " and ".join(words), changed, order[2], angle_unit[2]
 
 
-def _quick_scatter(arm, angles, codes, points):
+def _quick_scatter(arm, columns, unit, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
-    frames = frame_columns(arm, dh_theta(arm, angles))[-1]
+    radians = (np.deg2rad(angles) if unit == "deg" else angles)[:, columns]
+    frames = frame_columns(arm, dh_theta(arm, radians))[-1]
     # Points are linear in the probe: origin + turn @ probe.
     turn, origin = frames[:3].transpose(2, 1, 0), frames[3].T
     if points is None:

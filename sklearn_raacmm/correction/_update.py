@@ -38,59 +38,48 @@ def update_correction(
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
-    The linear model keeps its columns. Its coefficients may change by a part tau of what they were
-    expected to be before any data (a harmonic above order 8 by a part of what it was), base and
-    tool by some millimetres. How much has changed is found by the evidence, for the harmonics of
-    each joint and for each other family of columns. With no new pose the result is the old model,
-    with very many it is what these poses say.
+    Coefficients may change by a part tau of what they were expected to be before any data (a
+    harmonic above order 8 by a part of what it was), base and tool by some millimetres. How much
+    has changed is found by the evidence, for the harmonics of each joint and for each other family
+    of columns. With no new pose the result is the old model, with very many what these poses say.
 
     Parameters
     ----------
     model : ArmResidualRegressor
         Fitted model; it is left as it is.
-
     X : array-like of shape (n_samples, n_joints + n_extra)
-        Joint angles of the new poses, in the unit that the model takes; then the extra columns that
-        it was fitted with.
-
+        Joint angles of the new poses, in the model's unit; then the extra columns that it has.
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
         ``result.residuals(angles, points)`` of ``result = calibrate(..., correction=model,
         free=["probe"])``, or :func:`position_residuals` of a single-point test.
-
     arm : Arm, default=None
         The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
         model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
-
     groups : array-like of shape (n_samples,), default=None
         Label of the position of each sample, where each position has an unknown offset: needed
         for a single-point test.
-
     sample_weight : array-like of shape (n_samples,), default=None
         Weights. Poses that lie far off are left out by themselves.
-
     orientation_residuals : array-like of shape (n_samples, 3), default=None
         Residuals of the orientation, as `fit` takes them, for a model that was fitted with some.
-        Without them its orientations are brought up to date by the points alone.
-
     date : str, default=None
         When the new poses were measured, for the record; None: today.
 
     Returns
     -------
     model : ArmResidualRegressor
-        To be used with the base and the tool of the registration.
-        ``updates_`` holds a dictionary for every update: `date`, `n_poses`, `tau` by joint and
-        family, `noise_sd_mm`.
+        To be used with the base and the tool of the registration. ``updates_`` holds a dictionary
+        for every update: `date`, `n_poses`, `tau` by joint and family, `noise_sd_mm`.
 
     Raises
     ------
     TypeError
         If the model holds no linear model in use: such a one can be registered, not updated.
     ValueError
-        If shapes do not fit, something is NaN or infinite, or groups are missing though the model
-        has offsets; if X has a tool that the model does not know; if orientations are given to a
-        model that was fitted without.
+        If shapes do not fit, something is NaN or infinite, groups are missing though the model has
+        offsets, X has a tool that the model does not know, or orientations are given to a model
+        that was fitted without.
 
     Warns
     -----
@@ -128,11 +117,9 @@ def update_correction(
     >>> model = ArmResidualRegressor(arm, orders=4).fit(angles, y)
     >>> new = rng.uniform(-2, 2, (60, 6))  # after a knock it is more so
     >>> y_new = residuals(new, 40) + rng.normal(scale=0.01, size=(60, 3))
-    >>> updated = update_correction(model, new, y_new)
-    >>> far = rng.uniform(-2, 2, (500, 6))
-    >>> left = [residuals(far, 40) - m.predict(far) for m in (model, updated)]
-    >>> bool(np.abs(left[1]).mean() < 0.4 * np.abs(left[0]).mean())
-    True
+    >>> tau = update_correction(model, new, y_new).updates_[0]["tau"]
+    >>> max(tau, key=tau.get)
+    'harmonics of joint 3'
     """
     linear_model_of(model, "updated")
     model = model if arm is None else model.with_arm(arm)

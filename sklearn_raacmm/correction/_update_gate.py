@@ -20,58 +20,50 @@ _NOT_THERE, _NO_KNOCK = 0.35, 2.0
 
 
 def what_is_wrong(model, poses):
-    """Findings on new poses beside what the model expects of them.
+    """Yield the most likely finding on new poses beside what the fitted model expects of them.
 
     Tried are other explanations of the residuals, with base and tool free: already corrected, the
     wrong sign, one row late, joints exchanged or reversed, another table, another arm.
-
-    Parameters
-    ----------
-    model : ArmResidualRegressor
-        Fitted.
-    poses : NewPoses
-
-    Returns
-    -------
-    list of Finding
-        None, or the most likely one.
     """
     linear, used = model.linear_model_, poses.weights > 0
     angles, y = poses.angles[used], poses.residuals[used]
     codes = None if poses.codes is None else np.unique(poses.codes[used], return_inverse=True)[1]
     if len(y) < _LEAST_ROWS:
-        return []
+        return
     place = place_columns(linear.arm, angles, codes is None)
     size = _Size(place, codes)
     expected = linear.predict(angles)[0]
     noise = np.sqrt(3) * linear.noise_sd
     about_model, about_zero, of_model = size(y - expected), size(y), size(expected)
     if of_model < _SEEN * noise:
-        return []
+        return
     left = {what: size(one) for what, one in _explanations(linear, angles, y, expected)}
-    late = {shift: _late(shift, y, expected, angles, linear.arm, codes) for shift in (1, -1)}
-    left["rows"] = min(late.values())
+    left["rows"] = min(_late(way, y, expected, angles, linear.arm, codes) for way in (1, -1))
     table = parameter_jacobian(linear.arm, angles[:, : linear.arm.n_joints])[1][:, :, :-3]
-    if y.size > 2 * (table.shape[2] + place.shape[2]):
+    # A knock is no other table: that of the calibration is off by much more.
+    is_far = about_model >= 3 * max(of_model, noise)
+    if is_far and y.size > 2 * (table.shape[2] + place.shape[2]):
         left["table"] = _Size(np.concatenate([place, table], axis=2), codes)(y - expected)
     best = min(left, key=lambda name: left[name])
-    # A knock is no other table: that of the calibration is off by much more.
-    if best == "table" and about_model < 3 * max(of_model, noise):
-        del left["table"]
-        best = min(left, key=lambda name: left[name])
-    if left[best] < _BETTER * about_model and about_model > _SEEN * noise:
-        return [_named(best, left[best], about_model)]
     share = size.product(y, expected) / of_model**2
-    if share < _NOT_THERE and _SEEN * noise < about_zero < _NO_KNOCK * of_model:
+    if left[best] < _BETTER * about_model and about_model > _SEEN * noise:
+        # An explanation is one of `_WORDS`, or says itself what is wrong with the joints.
+        code, what, advice = _WORDS.get(best, ("joints", f"of the angles, {best}", _OF_JOINTS))
+        text = (
+            f"The new residuals leave {about_model:.3g} mm about the model, and "
+            f"{left[best]:.3g} mm if {what}."
+        )
+        yield Finding(code, text, advice, "repair", size_mm=about_model)
+    elif share < _NOT_THERE and _SEEN * noise < about_zero < _NO_KNOCK * of_model:
         text = (
             f"The new residuals, {about_zero:.3g} mm, do not contain what the model expects of "
             f"them, {of_model:.3g} mm: they differ from it by {about_model:.3g} mm."
         )
         advice = "Are they of this arm, and of the table that the model was fitted with?"
-        return [Finding("another-arm", text, advice, "repair", size_mm=about_model)]
-    return []
+        yield Finding("another-arm", text, advice, "repair", size_mm=about_model)
 
 
+_OF_JOINTS = "Look at the order and the sense of the joints."
 _WORDS = {
     "corrected": (
         "corrected-already",
@@ -97,39 +89,23 @@ _WORDS = {
 }
 
 
-def _named(best, left, about_model):
-    """The finding of an explanation: a key of `_WORDS`, or joints in words."""
-    code, what, advice = _WORDS.get(
-        best, ("joints", f"of the angles, {best}", "Look at the order and the sense of the joints.")
-    )
-    return Finding(
-        code,
-        f"The new residuals leave {about_model:.3g} mm about the model, and {left:.3g} mm if "
-        f"{what}.",
-        advice,
-        "repair",
-        size_mm=about_model,
-    )
-
-
 def _explanations(linear, angles, y, expected):
     """Yield what may be wrong, and what is then left of the residuals, mm."""
     yield "corrected", y
     yield "sign", y + expected
-    n = linear.arm.n_joints
-    for i, j in combinations(range(n), 2):
-        columns = np.arange(angles.shape[1])
-        columns[[i, j]] = j, i
-        words = f"joints {i + 1} and {j + 1} are exchanged"
-        yield words, y - linear.predict(angles[:, columns])[0]
-    for i in range(n):
-        signs = np.where(np.arange(angles.shape[1]) == i, -1.0, 1.0)
-        yield f"joint {i + 1} is reversed", y - linear.predict(signs * angles)[0]
+    for i, j in combinations(range(linear.arm.n_joints), 2):
+        exchanged = angles.copy()
+        exchanged[:, [i, j]] = angles[:, [j, i]]
+        yield f"joints {i + 1} and {j + 1} are exchanged", y - linear.predict(exchanged)[0]
+    for i in range(linear.arm.n_joints):
+        reversed_ = angles.copy()
+        reversed_[:, i] *= -1
+        yield f"joint {i + 1} is reversed", y - linear.predict(reversed_)[0]
 
 
-def _late(shift, y, expected, angles, arm, codes):
-    """What is left if residuals are of the row before or after."""
-    of, by = (slice(1, None), slice(None, -1))[::shift]
+def _late(way, y, expected, angles, arm, codes):
+    """What is left, mm, if residuals are of the row before or after."""
+    of, by = (slice(1, None), slice(None, -1))[::way]
     kept = np.ones(len(y) - 1, bool) if codes is None else codes[1:] == codes[:-1]
     if kept.sum() < _LEAST_ROWS:
         return np.inf

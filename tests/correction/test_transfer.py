@@ -94,11 +94,6 @@ def left_without(arm):
     return np.linalg.norm(rows(300, 99, arm, noise_mm=0)[1], axis=1).mean()
 
 
-def test_one_arm_may_stand_for_the_make(earlier):
-    new = transfer_correction(earlier[0], ARM, *rows(40, 7, 7))
-    assert left(new, 7) < 0.9 * left(alone(40), 7)
-
-
 def test_prior_against_the_textbook():
     """Two models of one coefficient pair each: mean and variance by hand."""
     models = []
