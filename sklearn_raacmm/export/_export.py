@@ -110,7 +110,7 @@ def export_c(
         and ``_DATA_FINGERPRINT``.
 
         Joint angles are in the unit that `model` takes; extra columns, such as a temperature, come
-        after them, and a tool that was not in the fit gives NaN. A model without an arm, or without
+        after them. A model without an arm, or without
         three outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
 
     dtype : {"double", "float"}, default="double"
