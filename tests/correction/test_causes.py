@@ -78,14 +78,3 @@ def test_a_make_is_where_a_new_arm_starts():
     assert ("make-believed" in codes_of(learned)) == believed
     assert believed
     assert learned.model.fading_.factor > 0
-
-
-def test_a_loaded_correction_refuses_causes_that_it_does_not_know(tmp_path):
-    test = make_single_point(6, 10, random_state=1)
-    learned = learn_correction(test.nominal_arm, test.data, test.groups, model=SMALL, cv=3)
-    learned.save(tmp_path)
-    for correction in (learned, learned.load(tmp_path)):
-        with pytest.raises(ValueError, match="'temprature', of which the model knows nothing"):
-            correction.correct(test.data[:5], extra={"temprature": 25.0})
-    some = test.data[:4], test.data[4:8]
-    assert_allclose(learned.load(tmp_path).distances(*some), learned.distances(*some), rtol=1e-12)

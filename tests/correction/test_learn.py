@@ -160,13 +160,9 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     pairs = scores.table["after"].reshape(6, 2).mean(axis=1)
     relative = stats.t.interval(0.95, 5, scale=stats.sem(pairs) / pairs.mean())
     assert scores.summary["after"][1:] == pytest.approx(pairs.mean() * np.exp(relative))
-
-
-def test_a_length_is_not_judged_by_an_arm_without_any():
-    data = make_gauge(400, n_placements=6, n_poses=6, random_state=3)
-    one = [(0, 1, 400.0, 0.01)]
+    # A length is not judged by an arm that was calibrated without any.
     scores = cross_validate_correction(
-        data.nominal_arm, data.data, data.groups, lengths=one, model=QUICK, cv=3
+        data.nominal_arm, data.data, data.groups, lengths=lengths[:1], model=QUICK, cv=3
     )
     assert scores.lengths == []
 
@@ -326,6 +322,11 @@ def test_saved_and_loaded(tmp_path, learned, test_data):
     assert content["verdict"] == learned.verdict
     assert content["positions"]["after"] == learned.scores.table["after"].tolist()
     assert pickle.loads(pickle.dumps(learned)).verdict == learned.verdict
+    saved, (one, other) = learned.load(tmp_path / "new"), np.split(test_data.data, 2)
+    np.testing.assert_array_equal(saved.distances(one, other), learned.distances(one, other))
+    for correction in (learned, saved):
+        with pytest.raises(ValueError, match="'temprature', of which the model knows nothing"):
+            correction.correct(one, extra={"temprature": 25.0})
 
 
 def test_shows_itself(learned):
