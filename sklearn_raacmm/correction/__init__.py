@@ -3,7 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.correction._learn import LearnedCorrection, learn_correction
+from sklearn_raacmm.correction._learn import cross_validate_correction, learn_correction
+from sklearn_raacmm.correction._learned import LearnedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
@@ -14,7 +15,7 @@ from sklearn_raacmm.correction._saved import (
     read_correction,
     write_correction,
 )
-from sklearn_raacmm.correction._scores import CorrectionScores, cross_validate_correction
+from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table
 from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction

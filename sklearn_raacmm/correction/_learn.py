@@ -3,269 +3,44 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from html import escape
-from os import PathLike
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
-from sklearn_raacmm.calibration import SHARE_OF_REACH, CalibrationResult
-from sklearn_raacmm.correction._causes import (
-    say_make,
-    usual_values,
-    with_kept_causes,
-)
+from sklearn_raacmm.calibration import SHARE_OF_REACH
+from sklearn_raacmm.correction._causes import say_make, usual_values, with_kept_causes
+from sklearn_raacmm.correction._learned import LearnedCorrection
 from sklearn_raacmm.correction._one_fit import Data
-from sklearn_raacmm.correction._saved import SavedCorrection
-from sklearn_raacmm.correction._scores import (
-    CorrectionScores,
-    check_judging,
-    scored_and_fitted,
-    with_verdict,
-)
+from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.measurements import drift_of
-from sklearn_raacmm.utils import Finding, encode_groups, hear, say_findings
+from sklearn_raacmm.measurements import drift_of, moved_positions
+from sklearn_raacmm.utils import (
+    Finding,
+    HasMethods,
+    StrOptions,
+    encode_groups,
+    hear,
+    say_findings,
+    validate_parameter_constraints,
+)
 
 # Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
 # hundredths of a mm, the real robots of the tests 0.2 to 0.4.
 _MUCH_SCATTER_MM = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class LearnedCorrection:
-    """A calibrated arm, a model of what calibration leaves, and what both are worth.
-
-    Attributes
-    ----------
-    arm : Arm
-        The calibrated arm.
-    model : estimator
-        Fitted on all rows but the outliers: ``model.predict(angles)``, in rad, is to be subtracted
-        from ``arm.forward(angles)``.
-    scores : CorrectionScores
-        Positions left out, before and after.
-    calibration : CalibrationResult
-        Parameters with their standard deviations, and what could not be identified.
-    outliers : structured ndarray of shape (n_outliers,)
-        ``row``, ``position`` and ``distance`` in mm of the rows left out as outliers, the farthest
-        first, see :class:`CorrectionScores`.
-    noise : float
-        Root mean square of a coordinate that the model leaves of its training rows, mm.
-    angles, positions, points, lengths
-        The data, angles in rad and within a turn.
-    causes : dict of str to float
-        The causes that the model takes after the angles, and what counts where they are not known:
-        the mean, no direction, and of time the last value.
-
-    See Also
-    --------
-    learn_correction : Makes one.
-    """
-
-    arm: Arm
-    model: Any
-    scores: CorrectionScores
-    calibration: CalibrationResult = field(repr=False)
-    outliers: np.ndarray = field(repr=False)
-    noise: float
-    angles: np.ndarray = field(repr=False)
-    positions: np.ndarray = field(repr=False)
-    points: np.ndarray | None = field(repr=False)
-    lengths: list[Any] = field(repr=False)
-    causes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What there is to say about the data, a tuple of :class:`Finding`."""
-        return self.scores.findings
-
-    @property
-    def tools(self) -> dict[str, Any]:
-        """Vectors of the probes by their labels, mm."""
-        return {str(tool): arm.probe.tolist() for tool, arm in self.calibration.arms.items()}
-
-    @property
-    def helps(self) -> bool:
-        """Whether the correction is worth using at new positions."""
-        return self.scores.helps
-
-    @property
-    def verdict(self) -> str:
-        """The same in one sentence."""
-        return self.scores.verdict
-
-    def correct(
-        self,
-        angles: ArrayLike,
-        *,
-        angle_unit: str = "rad",
-        std_of: str = "coordinate",
-        extra: dict[str, Any] | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Corrected points, and how far to trust them.
-
-        Parameters
-        ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`.
-        std_of : {"coordinate", "position"}, default="coordinate"
-            What the standard deviations are of: a coordinate of one reading in the arm's base
-            frame; or its deviation within a position, which is all that cones show: 95 % of the
-            coordinates left out lay within 1.96 of them.
-        extra : dict of str to array-like of shape (n_samples,), default=None
-            The causes that `causes` names; for those that are missing it has what counts instead.
-
-        Returns
-        -------
-        points : ndarray of shape (n_samples, 3)
-            Corrected points in the arm's base frame, mm.
-        std : ndarray of shape (n_samples, 3)
-            Standard deviation of each coordinate of one reading, mm (k = 1). Beside that within a
-            position, that of a coordinate in the base frame holds the scale, s (P - S) with P the
-            point, S the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a
-            function of the place.
-
-        Raises
-        ------
-        ValueError
-            If `angles` do not fit the arm, or `extra` names what the model does not know.
-
-        See Also
-        --------
-        distances : Distances, whose standard deviations are others.
-        """
-        return self.saved.correct(angles, angle_unit=angle_unit, std_of=std_of, extra=extra)
-
-    def distances(
-        self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Distances between pairs of corrected readings, and how far to trust them.
-
-        Parameters
-        ----------
-        angles, others : array-like of shape (n_samples, n_joints)
-            Joint angles at both ends.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of both.
-
-        Returns
-        -------
-        lengths : ndarray of shape (n_samples,)
-            In mm.
-        std : ndarray of shape (n_samples,)
-            Standard deviation of a distance between two readings, mm (k = 1): of its ends along
-            the line, and of the scale of the arm.
-
-        Raises
-        ------
-        ValueError
-            If the angles do not fit the arm or each other.
-        """
-        return self.saved.distances(angles, others, angle_unit=angle_unit)
-
-    def save(
-        self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
-    ) -> list[Any]:
-        """Write the arm, the model and the scores into a folder.
-
-        ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
-        should load. Whatever interrupts the writing, the folder holds the old correction or this
-        one: ``correction.json`` has the fingerprints of the files that belong to it.
-
-        Parameters
-        ----------
-        folder : str or path-like
-            Made if it does not exist.
-        others : dict of str to str or bytes, default=None
-            Names and contents of files to write with them, such as a report.
-
-        Returns
-        -------
-        list of pathlib.Path
-            ``correction.json`` with scores, verdict and versions, ``arm.json``, the model, and the
-            others.
-        """
-        return self.saved.save(folder, others)
-
-    @staticmethod
-    def load(folder: str | PathLike[str]) -> SavedCorrection:
-        """Load what `save` wrote, without the data: see `SavedCorrection`.
-
-        Parameters
-        ----------
-        folder : str or path-like
-
-        Returns
-        -------
-        SavedCorrection
-            The arm, the model, the base, and the facts of ``correction.json``.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import LearnedCorrection
-        >>> saved = LearnedCorrection.load("my_arm")  # doctest: +SKIP
-        """
-        return SavedCorrection.load(folder)
-
-    @cached_property
-    def saved(self) -> SavedCorrection:
-        """The same without the data: what `save` writes and `load` reads."""
-        turned = self.calibration.base_rotation
-        base = None if turned is None else (turned, self.calibration.base_translation)
-        return SavedCorrection(self.arm, self.model, base, self.facts())
-
-    def facts(self) -> dict[str, Any]:
-        """Scores and verdict as plain values, fit for JSON."""
-        scores = self.scores
-        return {
-            "written_by": f"sklearn_raacmm {__version__}",
-            "verdict": scores.verdict,
-            "helps": scores.helps,
-            "judged": scores.judged,
-            "findings": [finding.facts() for finding in scores.findings],
-            "measure": scores.measure,
-            "noise_mm": self.noise,
-            "std_factor": scores.std_factor,
-            "scale_sd": self.calibration.scale_sd,
-            "coverage": scores.coverage,
-            "n_rows": len(self.angles),
-            "causes": self.causes,
-            "tools": self.tools,
-            "n_folds": scores.n_folds,
-            "summary": {name: list(values) for name, values in scores.summary.items()},
-            "positions": {name: column.tolist() for name, column in scores.table.items()},
-            "outliers": [list(row) for row in self.outliers.tolist()],
-        }
-
-    def __str__(self) -> str:
-        lines = [
-            f"{self.arm!r}, {len(self.angles)} rows",
-            f"calibration: mean scatter {self.calibration.scatter_before_mm:.3f} -> "
-            f"{self.calibration.scatter_after_mm:.3f} mm",
-            str(self.scores),
-        ]
-        for row, label, distance in self.outliers[:10].tolist():
-            lines.append(f"  outlier: row {row} ({label}), {distance:.3g} mm")
-        if len(self.outliers) > 10:
-            lines.append(f"  and {len(self.outliers) - 10} more")
-        return "\n".join(lines)
-
-    def _repr_html_(self):
-        outliers = [
-            f"<br>outlier: row {row} ({escape(str(label))}), {distance:.3g} mm"
-            for row, label, distance in self.outliers[:10].tolist()
-        ]
-        return f"{self.scores._repr_html_()}{''.join(outliers)}<p>{escape(repr(self.arm))}</p>"
+# What the functions that judge a correction take besides data.
+_OPTIONS = {
+    "angle_unit": [StrOptions({"rad", "deg"})],
+    "model": [HasMethods(["fit", "predict", "get_params"]), None],
+    "cv": ["cv_object"],
+    "n_jobs": [Integral, None],
+    "progress": [callable, None],
+}
 
 
 def learn_correction(
@@ -299,13 +74,17 @@ def learn_correction(
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
-        Known distances between two positions, mm.
+        Known distances between two positions, mm. Positions joined by a known length are left out
+        together, as long as at least three blocks remain.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     model : estimator, default=None
-        See :func:`cross_validate_correction`. None: ``ArmResidualRegressor(arm)``.
+        Takes joint angles in rad and predicts residuals (n_samples, 3) in mm. Its parameters called
+        `arm` are set to the arm calibrated in each fold, those called `angle_unit` to "rad";
+        `groups` and `lengths` are given to its `fit` where it takes them. None:
+        ``ArmResidualRegressor(arm)``.
     cv : int, splitter or iterable of (train, test), default=None
-        See :func:`cross_validate_correction`.
+        Folds of whole positions; each row is left out once. None: five.
     n_jobs : int, default=None
         Folds computed at the same time, as in scikit-learn.
     progress : callable, default=None
@@ -336,9 +115,10 @@ def learn_correction(
     Raises
     ------
     ValueError
-        As :func:`cross_validate_correction`; and if the points of the calibrated arm scatter by
-        more than 2 % of its reach: labels, table or unit are then wrong, and the sentence says
-        what :func:`search_table` has found.
+        If shapes, labels or numbers do not fit together, a position has one row, there are fewer
+        than three blocks of positions, or `cv` puts one position on both sides; if the points of
+        the calibrated arm scatter by more than 2 % of its reach: labels, table or unit are then
+        wrong, and the sentence says what :func:`search_table` has found.
 
     Warns
     -----
@@ -352,8 +132,10 @@ def learn_correction(
 
     Notes
     -----
-    Outliers are rows that :func:`calibrate` names and that :class:`ArmResidualRegressor` cannot
-    explain either. They are not learnt from, nor counted in the scores, neither before nor after.
+    A correction helps if the upper end of the 95 % interval of mean after over mean before is
+    below 1, and at least five positions say so. Outliers are rows that :func:`calibrate` names and
+    that :class:`ArmResidualRegressor` cannot explain either. They are not learnt from, nor counted
+    in the scores, neither before nor after.
 
     Examples
     --------
@@ -364,20 +146,17 @@ def learn_correction(
     ...     test.nominal_arm, test.data, test.groups,
     ...     model=ArmResidualRegressor(orders=4), cv=3,
     ... )
-    >>> learned.helps
-    True
+    >>> learned.helps, learned.scores.measure
+    (True, '2S')
     >>> points, std = learned.correct(test.data[:5])
     >>> points.shape, std.shape
     ((5, 3), (5, 3))
     """
-    check_judging(
-        "learn_correction",
-        angle_unit=angle_unit,
-        model=model,
-        cv=cv,
-        n_jobs=n_jobs,
-        progress=progress,
-    )
+    options = {
+        "angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs, "progress": progress,
+    }  # fmt: skip
+    # `validate_params` would name this function where a parameter of the model is wrong.
+    validate_parameter_constraints(_OPTIONS, options, caller_name="learn_correction")
 
     def inside():
         data = Data.checked(
@@ -385,35 +164,91 @@ def learn_correction(
         )
         calibration = _calibrated(data, angles, angle_unit)
         data = with_kept_causes(data, calibration)
-        scores, fitted, noise = scored_and_fitted(data, calibration, model, cv, n_jobs, progress)
+        scores = scores_of(data, calibration, model, cv, n_jobs, progress)
+        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
+        fitted, noise = data.fit(model, calibration, rows)
+        _say_what_moved(data, calibration, fitted, noise, rows)
         if data.like and model is None:
             say_make(fitted)
-        say_findings([_drift(data, calibration, fitted, scores.outliers)])
-        return data, calibration, scores, fitted, noise
+        return LearnedCorrection(
+            arm=calibration.arm,
+            model=fitted,
+            scores=scores,
+            calibration=calibration,
+            outliers=_outliers(calibration, data, scores.outliers),
+            noise=noise,
+            angles=data.angles,
+            positions=data.positions,
+            points=data.points,
+            lengths=data.lengths,
+            causes=usual_values(data.causes, data.values),
+        )
 
-    (data, calibration, scores, fitted, noise), heard = hear(inside)
-    return LearnedCorrection(
-        arm=calibration.arm,
-        model=fitted,
-        scores=with_verdict(scores, heard),
-        calibration=calibration,
-        outliers=_outliers(calibration, data, scores.outliers),
-        noise=noise,
-        angles=data.angles,
-        positions=data.positions,
-        points=data.points,
-        lengths=data.lengths,
-        causes=usual_values(data.causes, data.values),
-    )
+    learned, heard = hear(inside)
+    return replace(learned, scores=with_verdict(learned.scores, heard))
 
 
-def _drift(data, calibration, model, outliers):
-    """By how much the run drifted, of what the model leaves of the rows that are no outliers."""
-    rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
-    there = data.at_probes(model, calibration, rows)
-    left = data.residuals(calibration, rows) - there.predict(data.inputs[rows])
+def cross_validate_correction(
+    arm: Arm,
+    angles: ArrayLike,
+    positions: ArrayLike | None,
+    points: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
+    *,
+    angle_unit: str = "rad",
+    model: Any = None,
+    cv: Any = None,
+    n_jobs: int | None = None,
+    progress: Callable | None = None,
+) -> CorrectionScores:
+    """Judge a correction at positions left out, with calibration and model fitted anew each time.
+
+    Give the regressor of your choice as `model`, and it is judged as the package's own is.
+
+    Parameters
+    ----------
+    arm, angles, positions, points, lengths, angle_unit, model, cv, n_jobs, progress
+        See :func:`learn_correction`.
+
+    Returns
+    -------
+    CorrectionScores
+        Positions, lengths and intervals before and after, and the verdict.
+
+    Raises
+    ------
+    ValueError
+        As :func:`learn_correction`.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import ArmResidualRegressor, cross_validate_correction
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
+    >>> scores = cross_validate_correction(
+    ...     test.nominal_arm, test.data, test.groups,
+    ...     model=ArmResidualRegressor(orders=4), cv=3,
+    ... )
+    >>> scores.helps
+    True
+    """
+    options = {
+        "angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs, "progress": progress,
+    }  # fmt: skip
+    return learn_correction(arm, angles, positions, points, lengths, **options).scores
+
+
+def _say_what_moved(data, calibration, model, noise, rows):
+    """Say which positions moved, and by how much the run drifted, of what a model leaves."""
+    expected = data.at_probes(model, calibration, slice(None)).predict(data.inputs)
+    if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
+        # Of all rows: those after a step may be outliers.
+        left = calibration.residuals_mm[data.rows] - expected
+        every = np.ones(len(left))
+        say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
+    left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
-    return drift_of(calibration.arm, data.angles[rows], left, codes)
+    say_findings([drift_of(calibration.arm, data.angles[rows], left, codes)])
 
 
 def _calibrated(data, angles, angle_unit):

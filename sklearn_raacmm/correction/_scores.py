@@ -3,37 +3,28 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from numbers import Integral
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import stats
 from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._causes import say_worth_of_directions
 from sklearn_raacmm.correction._deviations import length_findings, predict_with_std
-from sklearn_raacmm.correction._one_fit import Data
-from sklearn_raacmm.measurements import moved_positions
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
-    HasMethods,
-    StrOptions,
     centred,
     encode_groups,
     group_means,
-    hear,
+    html_table,
     listed,
     natural_order,
     say_findings,
     show,
     unheard,
-    validate_parameter_constraints,
 )
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
@@ -41,15 +32,8 @@ _N_FOLDS = 5
 # That all positions improve by chance has a probability of 1/16 with four, 1/32 with five: the
 # first below 5 %.
 _FEWEST_POSITIONS = 5
-# What the functions that judge a correction take besides data.
-_OPTIONS = {
-    "angle_unit": [StrOptions({"rad", "deg"})],
-    "model": [HasMethods(["fit", "predict", "get_params"]), None],
-    "cv": ["cv_object"],
-    "n_jobs": [Integral, None],
-    "progress": [callable, None],
-}
 _Z95 = 1.959964  # the standard normal quantile of 97.5 %
+_WHEN = "before", "after"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,171 +109,42 @@ class CorrectionScores:
         return not any(finding.weight == "repair" for finding in self.findings)
 
     def __str__(self) -> str:
-        width = max(8, *(len(str(label)) for label in self.table["position"]))
+        header, rows = self._cells()
+        widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
         lines = [
-            self.verdict,
-            f"{'position':<{width}}{'points':>8}{self.measure + ' before':>24}{'after, mm':>12}"
-            f"{'maximum before':>17}{'after, mm':>12}",
+            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
+            for row in (header, *rows)
         ]
+        return "\n".join([self.verdict, *lines, *self._summary_lines()])
+
+    def _cells(self):
+        """Header and rows of the table as texts, cone 2 before cone 10."""
+        of_points = (f"{name} {when}, mm" for name in (self.measure, "maximum") for when in _WHEN)
         rows = list(zip(*self.table.values(), strict=True))
-        for row in (rows[i] for i in natural_order(self.table["position"])):
-            lines.append(
-                f"{row[0]!s:<{width}}{row[1]:8d}{row[2]:24.4f}{row[3]:12.4f}{row[4]:17.4f}"
-                f"{row[5]:12.4f}"
-            )
-        return "\n".join(lines + self._summary_lines())
+        rows = [rows[i] for i in natural_order(self.table["position"])]
+        texts = [[*map(str, row[:2]), *(f"{value:.4f}" for value in row[2:])] for row in rows]
+        return ["position", "points", *of_points], texts
 
     def _summary_lines(self):
         lines = []
-        for name in ("before", "after"):
-            mean, low, high = self.summary[name]
+        for when in _WHEN:
+            mean, low, high = self.summary[when]
             measure = f"mean {self.measure.removeprefix('mean ')}"
-            lines.append(f"{measure} {name}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})")
-        lines += self._length_lines()
+            lines.append(f"{measure} {when}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})")
+        if self.lengths:
+            before, after = np.abs(self.length_errors_before), np.abs(self.length_errors_after)
+            lines.append(
+                f"known lengths ({len(self.lengths)}), mean error: {before.mean():.4f} mm before, "
+                f"{after.mean():.4f} mm after (largest {before.max():.4f}, {after.max():.4f})"
+            )
         lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
         if len(self.outliers):
             lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
         return lines + [f"{finding.weight}: {finding}" for finding in self.findings]
 
-    def _length_lines(self):
-        if not self.lengths:
-            return []
-        before, after = np.abs(self.length_errors_before), np.abs(self.length_errors_after)
-        return [
-            f"known lengths ({len(self.lengths)}), mean error: {before.mean():.4f} mm before, "
-            f"{after.mean():.4f} mm after (largest {before.max():.4f}, {after.max():.4f})"
-        ]
-
     def _repr_html_(self):
-        names = ("position", "points", f"{self.measure} before, mm", "after, mm")
-        names += ("maximum before, mm", "after, mm")
-        rows = [
-            f"<tr><td>{escape(str(row[0]))}</td><td>{row[1]}</td>"
-            + "".join(f"<td>{value:.4f}</td>" for value in row[2:])
-            + "</tr>"
-            for row in zip(*self.table.values(), strict=True)
-        ]
-        head = "".join(f"<th>{name}</th>" for name in names)
         rest = "<br>".join(map(escape, self._summary_lines()))
-        return (
-            f"<p><b>{escape(self.verdict)}</b></p><table><thead><tr>{head}</tr></thead>"
-            f"<tbody>{''.join(rows)}</tbody></table><p>{rest}</p>"
-        )
-
-
-def cross_validate_correction(
-    arm: Arm,
-    angles: ArrayLike,
-    positions: ArrayLike | None,
-    points: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
-    *,
-    angle_unit: str = "rad",
-    model: Any = None,
-    cv: Any = None,
-    n_jobs: int | None = None,
-    progress: Callable | None = None,
-) -> CorrectionScores:
-    """Judge a correction at positions left out, with calibration and model fitted anew each time.
-
-    Give the regressor of your choice as `model`, and it is judged as the package's own is.
-
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm, or one calibrated on other data.
-    angles : array-like of shape (n_samples, n_joints)
-        Joint angles.
-    positions : array-like of shape (n_samples,) or None
-        Label of the position at which the probe was held. None, with `points`: regions of
-        neighbouring points take their place.
-    points : array-like of shape (n_samples, 3), default=None
-        Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
-    lengths : iterable of (label, label, length, standard deviation), default=()
-        Known distances between two positions, mm. Positions joined by a known length are left out
-        together, as long as at least three blocks remain.
-    angle_unit : {"rad", "deg"}, default="rad"
-        Unit of `angles`.
-    model : estimator, default=None
-        Takes joint angles in rad and predicts residuals (n_samples, 3) in mm. Its parameters called
-        `arm` are set to the arm calibrated in each fold, those called `angle_unit` to "rad";
-        `groups` and `lengths` are given to its `fit` where it takes them. None:
-        ``ArmResidualRegressor(arm)``.
-    cv : int, splitter or iterable of (train, test), default=None
-        Folds of whole positions; each row is left out once. None: five.
-    n_jobs : int, default=None
-        Folds computed at the same time, as in scikit-learn.
-    progress : callable, default=None
-        Called as ``progress(done, n_folds)`` when a fold is done.
-
-    Returns
-    -------
-    CorrectionScores
-        Positions, lengths and intervals before and after, and the verdict.
-
-    Raises
-    ------
-    ValueError
-        If shapes, labels or numbers do not fit together, a position has one row, there are fewer
-        than three blocks of positions, or `cv` puts one position on both sides.
-
-    Notes
-    -----
-    A correction helps if the upper end of the 95 % interval of mean after over mean before is
-    below 1, and at least five positions say so.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm import ArmResidualRegressor, cross_validate_correction
-    >>> from sklearn_raacmm.datasets import make_single_point
-    >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
-    >>> scores = cross_validate_correction(
-    ...     test.nominal_arm, test.data, test.groups,
-    ...     model=ArmResidualRegressor(orders=4), cv=3,
-    ... )
-    >>> scores.helps, scores.measure
-    (True, '2S')
-    """
-    check_judging(
-        "cross_validate_correction",
-        angle_unit=angle_unit,
-        model=model,
-        cv=cv,
-        n_jobs=n_jobs,
-        progress=progress,
-    )
-
-    def inside():
-        data = Data.checked(arm, angles, positions, points, lengths, angle_unit)
-        return scored_and_fitted(data, data.calibrate_all(), model, cv, n_jobs, progress)
-
-    (scores, *_), heard = hear(inside)
-    return with_verdict(scores, heard)
-
-
-def check_judging(function, **options):
-    """Refuse options of a function that judges corrections, before anything is computed.
-
-    `validate_params` would name the function where a parameter of the model is wrong.
-    """
-    validate_parameter_constraints(_OPTIONS, options, caller_name=function)
-
-
-# -- the folds ------------------------------------------------------------------------------------
-
-
-def scored_and_fitted(data, calibration, model, cv, n_jobs, progress):
-    """Scores, the model of all rows but the outliers, and its noise, mm."""
-    scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-    kept = np.delete(np.arange(len(data.angles)), scores.outliers)
-    fitted, noise = data.fit(model, calibration, data.without_lonely(kept)[0])
-    moved = any(finding.code == "moved-position" for finding in calibration.findings)
-    if data.points is None and not moved:  # of all rows: those after a step may be outliers
-        every = np.ones(len(data.angles))
-        there = data.at_probes(fitted, calibration, slice(None))
-        left = calibration.residuals_mm[data.rows] - there.predict(data.inputs)
-        say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
-    return scores, fitted, noise
+        return f"{html_table(self.verdict, *self._cells())}<p>{rest}</p>"
 
 
 def with_verdict(scores, findings):
@@ -412,13 +267,10 @@ def _one_fold(data, model, train, test):
     for entry in data.lengths_among(test) if is_known else ():
         sizes = (gauge_lengths(p, labels, [entry[:2]]) for p in (points, points - correction))
         lengths.append((entry, *(length_error(size, entry[2])[0] for size in sizes)))
-    if data.points is None:
-        codes = encode_groups(labels)[1]
-        lefts = (centred(points - part, codes) for part in (0.0, correction, unknown))
-    else:
-        before = data.residuals(calibration, test)
-        lefts = (before - part for part in (0.0, correction, unknown))
-    before, after, unknown = lefts
+    is_tracker = data.points is not None
+    left = data.residuals(calibration, test) if is_tracker else points
+    codes = None if is_tracker else encode_groups(labels)[1]
+    before, after, unknown = (centred(left - part, codes) for part in (0.0, correction, unknown))
     return before, after, std, unknown, lengths
 
 
@@ -434,21 +286,17 @@ def _of_unknown_directions(data, model, rows, correction):
 
 def _table(data, before, after):
     """Measure of every position with at least two counted rows."""
-    rows = np.flatnonzero(np.isfinite(before).all(axis=1))
-    rows = data.without_lonely(rows)[0]
+    rows = data.without_lonely(np.flatnonzero(np.isfinite(before).all(axis=1)))[0]
     labels, codes, counts = np.unique(data.positions[rows], return_inverse=True, return_counts=True)
-    table = {"position": labels, "n_points": counts}
-    maxima = {}
-    for name, left in (("before", before[rows]), ("after", after[rows])):
-        size = np.linalg.norm(left, axis=1)
-        table[name] = (
-            single_point_repeatability(left, codes, aggregate=None)
-            if data.points is None
-            else group_means(size, codes)
-        )
-        maxima[f"{name}_max"] = np.zeros(len(labels))
-        np.maximum.at(maxima[f"{name}_max"], codes, size)
     by_position = np.split(rows[np.argsort(codes, kind="stable")], np.cumsum(counts)[:-1])
+    table, maxima = {"position": labels, "n_points": counts}, {}
+    for when, left in zip(_WHEN, (before, after), strict=True):
+        size = np.linalg.norm(left, axis=1)
+        maxima[f"{when}_max"] = np.array([size[own].max() for own in by_position])
+        if data.points is None:
+            table[when] = single_point_repeatability(left[rows], codes, aggregate=None)
+        else:
+            table[when] = group_means(size[rows], codes)
     return table | maxima, "2S" if data.points is None else "mean deviation", by_position
 
 
@@ -456,9 +304,8 @@ def _summary(before, after, blocks):
     """Means over positions and their ratio, with their 95 % intervals.
 
     Means: Student's t of the logarithm, whose error is linear in that of the mean. Their ratio:
-    Fieller's theorem. Blocks are independent, not the positions of one. Of 5 to 20 positions of
-    three simulated arms the interval of a mean holds it in 94 to 95 % where a bootstrap does in
-    83 to 93 % (``benchmarks/bench_lengths.py intervals``).
+    Fieller's theorem. Blocks are independent, not the positions of one. By simulation better than
+    a bootstrap (``benchmarks/bench_lengths.py intervals``).
     """
     blocks = np.unique(blocks, return_inverse=True)[1]
     n = blocks.max() + 1
