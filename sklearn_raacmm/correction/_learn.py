@@ -153,8 +153,12 @@ def learn_correction(
     ((5, 3), (5, 3))
     """
     options = {
-        "angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs, "progress": progress,
-    }  # fmt: skip
+        "angle_unit": angle_unit,
+        "model": model,
+        "cv": cv,
+        "n_jobs": n_jobs,
+        "progress": progress,
+    }
     # `validate_params` would name this function where a parameter of the model is wrong.
     validate_parameter_constraints(_OPTIONS, options, caller_name="learn_correction")
 
@@ -233,8 +237,12 @@ def cross_validate_correction(
     True
     """
     options = {
-        "angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs, "progress": progress,
-    }  # fmt: skip
+        "angle_unit": angle_unit,
+        "model": model,
+        "cv": cv,
+        "n_jobs": n_jobs,
+        "progress": progress,
+    }
     return learn_correction(arm, angles, positions, points, lengths, **options).scores
 
 

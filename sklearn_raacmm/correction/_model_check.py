@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
 
-from sklearn_raacmm.arm import Arm, one_warning
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.correction._records import append_record
@@ -29,6 +29,7 @@ from sklearn_raacmm.utils import (
     group_means,
     listed,
     one_blas_thread,
+    one_warning,
     show,
     validate_params,
 )
@@ -142,7 +143,7 @@ class CorrectionCheck:
     },
     prefer_skip_nested_validation=True,
 )
-@one_warning()
+@one_warning
 def check_correction(
     model: ArmResidualRegressor,
     X: ArrayLike,
