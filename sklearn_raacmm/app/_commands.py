@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
-from sklearn_raacmm.app._causes import causes_of, columns_of_causes, inputs_of
+from sklearn_raacmm.app._causes import causes_of, columns_of_causes, numbers_of, tools_of
 from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
@@ -75,16 +75,25 @@ def learn(options):
     _progress(-1, 1, "calibration")
     with heard_findings():  # they stand in the result, and are printed with it
         result = learn_correction(
-            arm, table.angles, table.positions, table.points, lengths,
-            angle_unit=table.angle_unit, cv=options.folds, n_jobs=options.jobs,
-            progress=_progress, extra=causes_of(table, columns_of_causes(options)),
-            in_order=options.in_order, like=like,
-        )  # fmt: skip
+            arm,
+            table.angles,
+            table.positions,
+            table.points,
+            lengths,
+            angle_unit=table.angle_unit,
+            cv=options.folds,
+            n_jobs=options.jobs,
+            progress=_progress,
+            extra=causes_of(table, columns_of_causes(options)),
+            in_order=options.in_order,
+            like=like,
+            tools=tools_of(table, options),
+        )
     _progress(30, 30, "report")
     layout = find_rows(options, arm, said=False)
     corrected = io.StringIO(newline="")
     in_order = any(name.startswith("direction") for name in result.causes)
-    write_corrected(layout, result.saved, inputs_of(result.saved, options, in_order), corrected)
+    write_corrected(layout, numbers_of(result.saved, options, in_order), corrected)
     verdict, *lines = (as_said(line, table.rows) for line in str(result.scores).split("\n"))
     card = describe(result.model, result.saved.inputs(result.angles))
     if result.findings:
@@ -141,9 +150,9 @@ def correct(options):
         if options.out == "-"
         else open_beside(options.out, layout.dialect.encoding)
     )
-    inputs = inputs_of(saved, options, options.in_order)
+    numbers = numbers_of(saved, options, options.in_order)
     with stream as file:
-        n_rows = write_corrected(layout, saved, inputs, file)
+        n_rows = write_corrected(layout, numbers, file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
