@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._cells import number_of
 from sklearn_raacmm.arm import Arm
 
 _PICTURE = r"""
@@ -29,33 +29,10 @@ drawing, to half a millimetre, or measure a known distance. The height of the sh
 where the origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
 
 
-def ask_for_an_arm(answer=None):
-    """Arm whose lengths are asked for one by one.
-
-    Parameters
-    ----------
-    answer : callable, default=None
-        Takes the question, returns what was typed. None: ``input``.
-
-    Returns
-    -------
-    Arm
-
-    Raises
-    ------
-    TableError
-        If a length is no number.
-    """
-    answer = answer or input
+def ask_for_an_arm():
+    """Arm whose lengths are asked for one by one."""
     print(_PICTURE)
     print(_ADVICE)
-    layout = answer("Layout, 2-2-2 or 2-2-3: ").strip()
-    lengths = {name: _number(answer(f"{text}, mm: ")) for name, text in _QUESTIONS}
+    layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
+    lengths = {name: number_of(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
     return Arm.from_lengths(layout, **lengths)
-
-
-def _number(text):
-    try:
-        return float(text.strip().replace(",", "."))
-    except ValueError:
-        raise TableError(f"{text!r} is not a number.") from None

@@ -26,50 +26,48 @@ def _numbers(table, column):
     values = table.others[column]
     if values.dtype.kind == "f":
         return values
-    try:
-        return np.array([datetime.fromisoformat(text).timestamp() for text in values.tolist()])
-    except ValueError:
-        bad = next(i for i, text in enumerate(values.tolist()) if not _is_time(text))
-        raise TableError(
-            f"row {table.rows[bad]}, column {column!r}: {values[bad]!r} is neither a number nor a "
-            "time such as 2024-05-31 12:30:00."
-        ) from None
+    times = []
+    for row, text in zip(table.rows, values.tolist(), strict=True):
+        try:
+            times.append(datetime.fromisoformat(text).timestamp())
+        except ValueError:
+            raise TableError(
+                f"row {row}, column {column!r}: {text!r} is neither a number nor a time such as "
+                "2024-05-31 12:30:00."
+            ) from None
+    return np.array(times)
 
 
-def _is_time(text):
-    try:
-        datetime.fromisoformat(text)
-    except ValueError:
-        return False
-    return True
+def tools_of(table, options):
+    """Labels of the probes in the column that `--tool` names, (n,); None without it."""
+    column = getattr(options, "tool", None)
+    if column is None:
+        return None
+    labels = table.others[column].tolist()
+    return np.array([f"{label:g}" if isinstance(label, float) else label for label in labels])
 
 
-def inputs_of(correction, columns, in_order):
-    """Rule by which blocks of a table become what a model takes, one after the other.
+def numbers_of(correction, options, in_order):
+    """Rule by which blocks of a table, one after the other, are corrected, each row by its probe.
 
-    Parameters
-    ----------
-    correction : SavedCorrection
-    columns : dict of str to str
-        As `columns_of_causes` gives it.
-    in_order : bool
-        Whether the rows are in the order of measurement, which tells directions.
-
-    Returns
-    -------
-    callable
-        Takes angles in rad and the block of the table that they are from.
+    It takes angles in rad and their block; in the order of measurement they tell directions.
     """
     known, last = correction.facts["causes"], None
+    columns = columns_of_causes(options)
     columns = {name: column for name, column in columns.items() if name in known}
 
-    def inputs(angles, block):
+    def numbers(angles, block):
         nonlocal last
-        extra = causes_of(block, columns)
+        options.rows, extra = block.rows, causes_of(block, columns)
         if in_order:
             ways, last = directions_of(angles, last), angles[-1]
             ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
             extra |= {name: way for name, way in ways.items() if name in known}
-        return correction.inputs(angles, extra)
+        X, tools = correction.inputs(angles, extra), tools_of(block, options)
+        if tools is None:
+            return correction.columns(X)
+        found = [(tools == tool, correction.with_tool(tool)) for tool in np.unique(tools)]
+        every = np.concatenate([own.columns(X[rows]) for rows, own in found])
+        return every[np.argsort(np.concatenate([np.flatnonzero(rows) for rows, _ in found]))]
 
-    return inputs
+    return numbers

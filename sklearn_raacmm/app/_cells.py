@@ -33,6 +33,27 @@ class TableError(ValueError):
     """A table that cannot be read, or not without being told more."""
 
 
+def number_of(text):
+    """Number that somebody typed, with either decimal sign."""
+    if not _NUMBER.fullmatch(text.strip()):
+        raise TableError(f"{text!r} is not a number.")
+    return float(text.strip().replace(",", "."))
+
+
+def in_lines(text, rows):
+    """A sentence that counts rows from 0, with their numbers in the file instead."""
+
+    def numbers(match):
+        return re.sub(r"\d+", lambda m: str(_at(rows, int(m[0]))), match[0])
+
+    text = re.sub(r"\brows? \d+(?:(?:,| and| to) \d+)*", numbers, text)
+    return text.replace(" (rows counted from 0)", "")
+
+
+def _at(rows, row):
+    return rows[row] if row < len(rows) else row
+
+
 @dataclass(frozen=True)
 class Dialect:
     """How a file is written; `separator` and `decimal` of what is no text are those to write with.
@@ -125,23 +146,7 @@ def without_mark(cells):
 
 
 def text_dialect(path, n_numbers):
-    """Look into a file of text and find how it is written.
-
-    Parameters
-    ----------
-    path : Path
-    n_numbers : int
-        How many numbers a row of data has at least.
-
-    Returns
-    -------
-    Dialect
-
-    Raises
-    ------
-    TableError
-        If there is no row with so many numbers.
-    """
+    """How a file of text is written, told by its first rows with at least so many numbers."""
     encoding = find_encoding(path)
     with open(path, encoding=encoding, newline="") as file:
         lines = [line for line in islice(file, _SNIFFED_LINES) if line.strip()]

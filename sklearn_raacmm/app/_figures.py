@@ -18,7 +18,6 @@ from sklearn_raacmm.utils import natural_order
 _INK = "#010203"
 _BEFORE, _AFTER = "#c2571a", "#2a78c2"
 _STYLE: Any = {
-    "svg.fonttype": "none",
     "text.color": _INK,
     "axes.edgecolor": _INK,
     "axes.labelcolor": _INK,
@@ -28,7 +27,6 @@ _STYLE: Any = {
     "figure.facecolor": "none",
     "legend.facecolor": "none",
     "legend.edgecolor": "none",
-    "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
@@ -38,47 +36,36 @@ _MOST_ARMS = 12
 _N_DRAWS = 400  # of a bootstrap, as many as `repeatability_interval` makes
 
 
-def figures_of(result, limit_mm=None):
-    """Figures of a LearnedCorrection.
-
-    Parameters
-    ----------
-    result : LearnedCorrection
-    limit_mm : float, default=None
-        Limit of 2S, drawn into the first figure.
-
-    Returns
-    -------
-    dict of str to str
-        ``positions``, ``joints``, ``volume`` and, where there are any, ``lengths``: SVG elements.
-    """
+def svg_of(draw, name, style=None):
+    """A whole SVG file of what `draw` draws into a figure; names in the file come from `name`."""
     try:
         import matplotlib
+        from matplotlib.figure import Figure
     except ImportError:
-        raise ImportError("The report needs matplotlib: pip install matplotlib.") from None
-    drawn = {}
-    makers = {
+        raise ImportError("Figures need matplotlib: pip install matplotlib.") from None
+    file = io.StringIO()
+    plain: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9}
+    with matplotlib.rc_context(plain | (style or {})):
+        figure = Figure(layout="constrained")
+        draw(figure)
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue()
+
+
+def figures_of(result, limit_mm=None):
+    """Figures of a LearnedCorrection as SVG elements, by name; `limit_mm` of 2S is in the first."""
+    draws = {
         "positions": lambda figure: _positions(figure, result.scores, limit_mm),
         "joints": lambda figure: _joints(figure, result),
         "volume": lambda figure: _volume(figure, result),
     }
     if result.scores.lengths:
-        makers["lengths"] = lambda figure: _lengths(figure, result.scores)
-    for name, make in makers.items():
-        # Names of clipping paths come from the salt: figures on one page must not share them.
-        with matplotlib.rc_context(_STYLE | {"svg.hashsalt": name}):
-            drawn[name] = _svg(make)
-    return drawn
+        draws["lengths"] = lambda figure: _lengths(figure, result.scores)
+    return {name: _on_page(svg_of(draw, name, _STYLE)) for name, draw in draws.items()}
 
 
-def _svg(make):
-    from matplotlib.figure import Figure
-
-    figure = Figure(layout="constrained")
-    make(figure)
-    file = io.StringIO()
-    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    text = file.getvalue()
+def _on_page(text):
+    """The element alone, in the colour of the page's text."""
     text = text[text.index("<svg") :].replace(_INK, "currentColor")
     # Groups are named alike in every figure, and nothing refers to them.
     text = re.sub(r'<g id="[^"]*"', "<g", text)
@@ -187,60 +174,28 @@ def _lengths(figure, scores):
 
 
 def chart_of(records):
-    """Control chart of checks, as SVG.
+    """Control chart of the records of checks, as a whole SVG file."""
 
-    Parameters
-    ----------
-    records : list of dict
-        Of :func:`check_correction`.
-
-    Returns
-    -------
-    str
-        A whole SVG file.
-    """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError("Charts need matplotlib: pip install matplotlib.") from None
-    file = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "chart", "font.size": 9}):
-        figure = Figure(figsize=(7, 5), layout="constrained")
+    def draw(figure):
+        figure.set_size_inches(7, 5)
         ControlChartDisplay(records=records).plot(figure.subplots(2, 1, sharex=True))
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    return file.getvalue()
+
+    return svg_of(draw, "chart")
 
 
 def picture_of(arm):
-    """Picture of an arm with all angles at zero: links, axes of the joints and the probe, as SVG.
-
-    Parameters
-    ----------
-    arm : Arm
-
-    Returns
-    -------
-    str
-        A whole SVG file.
-    """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError("Pictures need matplotlib: pip install matplotlib.") from None
+    """Links, axes of the joints and probe of an arm, all angles at zero, as a whole SVG file."""
     zero = np.zeros((1, arm.n_joints))
     frames, probe = arm.frames(zero)[0], arm.forward(zero)
     corners = np.concatenate([frames[:, :, 3], probe])
     # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
     first = 0 if arm.convention == "standard" else 1
     length = 0.08 * max(np.ptp(corners, axis=0).max(), 1.0)
-    file = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "arm", "font.size": 9}):
-        figure = Figure(figsize=(8, 4), layout="constrained")
-        for ax, (across, title) in zip(
-            figure.subplots(1, 2), ((0, "x and z, mm"), (1, "y and z, mm")), strict=True
-        ):
+
+    def draw(figure):
+        figure.set_size_inches(8, 4)
+        views = ((0, "x and z, mm"), (1, "y and z, mm"))
+        for ax, (across, title) in zip(figure.subplots(1, 2), views, strict=True):
             ax.plot(corners[:, across], corners[:, 2], color="0.5", linewidth=3)
             for i in range(arm.n_joints):
                 axis, origin = frames[i + first, :, 2], frames[i + first, :, 3]
@@ -251,43 +206,27 @@ def picture_of(arm):
                 ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
             ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
             ax.set(title=title, aspect="equal")
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    return file.getvalue()
+
+    return svg_of(draw, "arm")
 
 
 def picture_of_plan(arm, positions):
-    """Where the cones of a plan stand, from above and from the side, in their order, as SVG.
+    """Where the cones (n, 3), mm, of a plan stand, from above and from the side, as an element."""
+    turn = np.linspace(0, 2 * np.pi, 100)
+    circle = reach_mm(arm) * np.array([np.cos(turn), np.sin(turn)])
 
-    Parameters
-    ----------
-    arm : Arm
-    positions : ndarray of shape (n, 3)
-        In mm.
-
-    Returns
-    -------
-    str
-        A whole SVG file.
-    """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError("Pictures need matplotlib: pip install matplotlib.") from None
-    file, reach = io.StringIO(), reach_mm(arm)
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "plan", "font.size": 9}):
-        figure = Figure(figsize=(9, 4.5), layout="constrained")
-        views = ((0, 1, "from above: x and y, mm"), (0, 2, "from the side: x and z, mm"))
-        for ax, (across, up, title) in zip(figure.subplots(1, 2), views, strict=True):
-            ax.plot(positions[:, across], positions[:, up], color="0.7", linewidth=1)
-            ax.plot(positions[:, across], positions[:, up], "o", color=_AFTER)
-            for number, position in enumerate(positions, start=1):
-                ax.annotate(
-                    str(number), position[[across, up]], xytext=(4, 4), textcoords="offset points"
-                )
+    def draw(figure):
+        figure.set_size_inches(9, 4.5)
+        views = ((1, "from above: x and y, mm"), (2, "from the side: x and z, mm"))
+        for ax, (up, title) in zip(figure.subplots(1, 2), views, strict=True):
+            places = positions[:, [0, up]]
+            ax.plot(*places.T, color="0.7", linewidth=1)
+            ax.plot(*places.T, "o", color=_AFTER)
+            for number, place in enumerate(places, start=1):
+                ax.annotate(str(number), place, xytext=(4, 4), textcoords="offset points")
             ax.plot(0, 0, "s", color=_BEFORE, markersize=9)
-            turn = np.linspace(0, 2 * np.pi, 100)
-            ax.plot(reach * np.cos(turn), reach * np.sin(turn), color="0.8", linestyle=":")
+            ax.plot(*circle, color="0.8", linestyle=":")
             ax.set(title=title, aspect="equal")
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    return file.getvalue()
+
+    text = svg_of(draw, "plan")
+    return text[text.index("<svg") :]

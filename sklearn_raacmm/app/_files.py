@@ -5,15 +5,18 @@
 
 import csv
 import os
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_raacmm.app._causes import columns_of_causes
-from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._cells import TableError, number_of
+from sklearn_raacmm.app._tables import find_layout, read_table
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import SavedCorrection
+from sklearn_raacmm.measurements import within_turn
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -65,30 +68,17 @@ def files_of(source):
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
-def write_corrected(layout, correction, inputs, file):
-    """Copy a table with the corrected points beside its columns, block by block.
+def write_corrected(layout, numbers, file):
+    """Copy a table with the corrected points beside its columns, block by block; number of rows.
 
-    Parameters
-    ----------
-    layout : Layout
-        Of the table.
-    correction : SavedCorrection
-    inputs : callable
-        Takes angles in rad and their block of the table, returns what the model takes.
-    file : text stream
-        Written to, with the line ends that the stream makes.
-
-    Returns
-    -------
-    int
-        Number of rows.
+    `numbers` takes angles in rad and their block of the table, and gives the new columns.
     """
     dialect, n_rows = layout.dialect, 0
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        numbers = correction.columns(inputs(in_rad(block), block))
-        for row, values in zip(cells, numbers.tolist(), strict=True):
+        new = numbers(in_rad(block), block)
+        for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
     return n_rows
@@ -109,17 +99,37 @@ def open_beside(path, encoding):
 
 def in_rad(table):
     """Angles of a table in rad, within one turn."""
-    angles = np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles
-    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+    return within_turn(np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles)
 
 
-def table_options(options, arm, points=None, labelled=True):
+def read_rows(options, arm, labelled=True):
+    """The table that the options name; `options.rows` are the numbers of its rows in the file."""
+    table = read_table(options.table, arm.n_joints, **_table_options(options, arm, labelled))
+    options.rows = table.rows
+    _say_notes(table.notes)
+    return table
+
+
+def find_rows(options, arm, said=True):
+    """Layout of the table that the options name, to be read block by block without labels."""
+    layout = find_layout(options.table, arm.n_joints, **_table_options(options, arm, False))
+    _say_notes(layout.notes if said else ())
+    return layout
+
+
+def _say_notes(notes):
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+
+
+def _table_options(options, arm, labelled):
     """Options of `read_table` as the command line has them."""
+    points, tool = getattr(options, "points", None), getattr(options, "tool", None)
     if points and not Path(points).is_file():
         points = points.split(",")
         if len(points) != 3:
             raise TableError(
-                f"--points needs three columns, such as x,y,z, or a file that is there, got "
+                "--points needs three columns, such as x,y,z, or a file that is there, got "
                 f"{options.points!r}."
             )
     counts = options.counts_per_turn
@@ -135,12 +145,13 @@ def table_options(options, arm, points=None, labelled=True):
         "joint_names": arm.names,
         "counts_per_turn": counts,
         "sheet": options.sheet,
-        "others": columns_of_causes(options).values(),
+        "others": [*columns_of_causes(options).values(), *filter(None, [tool])],
     }
 
 
-def number_of(text):
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        raise TableError(f"{text!r} is not a number.") from None
+def vector_of(text):
+    """The three numbers of ``--probe X,Y,Z``, mm."""
+    vector = [number_of(cell) for cell in text.split(",")]
+    if len(vector) != 3:
+        raise TableError(f"--probe needs three numbers in mm, such as 0,0,250, got {text!r}.")
+    return vector

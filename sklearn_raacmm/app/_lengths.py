@@ -1,25 +1,21 @@
-"""Known lengths of the command line."""
+"""Known lengths: of the command line, and in files."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.app._cells import TableError
+from os import PathLike
+from typing import Any
+
+from sklearn_raacmm.app._cells import TableError, number_of
 from sklearn_raacmm.app._sources import find_source
 from sklearn_raacmm.calibration import lengths_of_places
 
 
 def length_of(text):
-    """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them.
-
-    Raises
-    ------
-    TableError
-        If these are not two labels and two numbers.
-    """
-    parts = text.split(":")
+    """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them."""
     try:
-        first, second, length, sd = parts
-        return first.strip(), second.strip(), float(length), float(sd)
+        first, second, length, sd = (part.strip() for part in text.split(":"))
+        return first, second, number_of(length), number_of(sd)
     except ValueError:
         raise TableError(
             "--length needs two positions, their distance and its standard deviation in mm, such "
@@ -27,37 +23,56 @@ def length_of(text):
         ) from None
 
 
-def read_places(path, sd=None):
-    """Known lengths of a plate: label, x, y, z and the standard deviation of these a row, mm.
+def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any]:
+    """Read known lengths: two labels, a length and its standard deviation a row, mm.
 
     Parameters
     ----------
     path : str or path-like
-        A table of four or five columns, with or without a header.
+        A table of three or four columns, with or without a header.
     sd : float, default=None
-        Standard deviation in mm where the table has no fifth column.
+        Standard deviation in mm where the table has no fourth column.
 
     Returns
     -------
     list of (label, label, length, standard deviation)
+        As `learn_correction` takes them.
 
     Raises
     ------
     TableError
-        If a row does not hold these.
+        If a row does not hold these; the sentence has its number.
     """
-    dialect, places = find_source(path, 3), []
-    for number, cells in dialect.rows():
-        values = [dialect.number(cell) for cell in cells[1:5]]
-        values += [sd] * (4 - len(values))
-        if None not in values:
-            places.append((str(cells[0]), *values))
-        elif places or None not in values[:3]:  # not the header
-            raise TableError(
-                f"{path}: row {number} must hold a label, x, y, z and their standard deviation in "
-                "mm; one for all rows is said with --length-sd 0.005."
-            )
+    return list(_rows_of(path, 2, 1, sd, "two labels and a length in mm"))
+
+
+def read_places(path, sd=None):
+    """Known lengths of a plate: label, x, y, z and the standard deviation of these a row, mm."""
     try:
-        return lengths_of_places(places)
+        return lengths_of_places(list(_rows_of(path, 1, 3, sd, "a label, x, y and z in mm")))
+    except TableError:
+        raise
     except ValueError as error:
         raise TableError(f"{path}: {error}") from None
+
+
+def _rows_of(path, n_labels, n_numbers, sd, what):
+    """Yield labels, numbers and a standard deviation of each row, the header left out."""
+    dialect, begun = find_source(path, n_numbers), False
+    for number, cells in dialect.rows():
+        values: list[Any] = [dialect.number(cell) for cell in cells[n_labels:]]
+        values = [*values, *(n_numbers + 1) * [None]][: n_numbers + 1]
+        if None in values[:n_numbers]:
+            if begun or any(value is not None for value in values):
+                raise TableError(f"{path}: row {number} must hold {what}.")
+            continue  # the header, or what stands above it
+        begun = True
+        if values[-1] is None and sd is None:
+            raise TableError(
+                f"{path}: row {number} has no standard deviation in mm in its last column; say it "
+                "with --length-sd 0.005."
+            )
+        labels = map(str, cells[:n_labels])
+        yield *labels, *values[:-1], sd if values[-1] is None else values[-1]
+    if not begun:
+        raise TableError(f"{path} holds no row of {what}.")

@@ -1,28 +1,32 @@
-"""Words of the command for the life of an arm: register, update, move, and check by causes."""
+"""Words of the command for the life of an arm: check, register, update and move."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import sys
 from dataclasses import replace
 from datetime import date as calendar
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of
-from sklearn_raacmm.app._files import files_of, in_rad, load_correction, number_of, table_options
-from sklearn_raacmm.app._tables import read_lengths, read_table
+from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
+from sklearn_raacmm.app._lengths import read_lengths
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction import check_correction, read_check_records, update_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe
-from sklearn_raacmm.utils import check_places, write_whole
+from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.utils import check_places, natural_order, write_whole
 
 OK, CHANGED = 0, 3
+# Chance that a check finds a fault in a correction that is right, by any of its tests.
+_FALSE_ALARM = 0.01
 # Scatter through the correction over what it left when it was learnt, from which on a registration
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
@@ -39,19 +43,16 @@ class _Today(NamedTuple):
     positions: Any
     points: np.ndarray | None  # (n, 3) mm
     lengths: list
+    rows: np.ndarray  # (n,) their numbers in the file
 
     @classmethod
     def of(cls, options, arm):
         by_tracker = bool(options.points)
-        given = table_options(options, arm, points=options.points, labelled=not by_tracker)
-        table = read_table(options.table, arm.n_joints, **given)
-        for note in table.notes:
-            print(f"note: {note}", file=sys.stderr)
+        table = read_rows(options, arm, labelled=not by_tracker)
         lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
         if by_tracker and lengths:
             raise TableError("--lengths are between cones; a tracker has no use for them.")
-        positions = None if by_tracker else table.positions
-        return cls(in_rad(table), positions, table.points, lengths)
+        return cls(in_rad(table), table.positions, table.points, lengths, table.rows)
 
     @property
     def said(self):
@@ -142,12 +143,7 @@ def move(options):
     saved, out = _opened(options)
     if not hasattr(saved.model, "with_arm"):
         raise TableError("this correction has no model of causes: register the new probe instead.")
-    probe = [number_of(cell) for cell in options.probe.split(",")]
-    if len(probe) != 3:
-        raise TableError(
-            f"--probe needs three numbers in mm, such as 0,0,250, got {options.probe!r}."
-        )
-    arm = saved.arm.replace(probe=probe)
+    arm = saved.arm.replace(probe=vector_of(options.probe))
     new = replace(saved, arm=arm, model=saved.model.with_arm(arm))
     said, facts = _what_has_moved(saved, new)
     print(*said, sep="\n")
@@ -164,57 +160,102 @@ def move(options):
     return OK, facts
 
 
-def check_by_causes(saved, options):
-    """Check today's poses against what the model expects of them, by cones, points or lengths."""
-    if not (isinstance(saved.model, ArmResidualRegressor) and saved.model.helps_):
+def check(options):
+    """Compare today's poses with what was promised at positions left out, and with the model."""
+    inputs = [options.table, *files_of(options.model)]
+    check_places(filter(None, (options.record, options.chart)), inputs)
+    saved = load_correction(options.model)
+    has_causes = isinstance(saved.model, ArmResidualRegressor) and saved.model.helps_
+    by_spread = saved.facts["measure"] == "2S" and not options.points
+    needed = [f"--{name}" for name in ("record", "chart", "lengths") if getattr(options, name)]
+    if not has_causes and (needed or not by_spread):
         raise TableError(
-            "this check needs a model of causes; this correction has none in use: check it with a "
-            "single-point test."
+            f"{' and '.join(needed) or 'this check'} needs a model of causes; this correction has "
+            "none in use: check it with a single-point test."
         )
     today = _Today.of(options, saved.arm)
+    rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
+    changed, facts = _by_causes(saved, today, options, rate) if has_causes else (False, {})
+    if by_spread:
+        changed = _by_spread(saved, today, rate, changed, facts)
+    elif not changed:
+        print(f"It holds: {today.said}, {facts['usual_mm']:.3f} mm (rms) is what is usual.")
+    return (CHANGED if changed else OK), facts | {"holds": not changed}
+
+
+def _by_spread(saved, today, rate, changed, facts):
+    """Whether the mean 2S, or what was found before, says that the correction no longer holds."""
+    before, after = (
+        single_point_repeatability(points, today.positions, aggregate=None)
+        for points in (saved.arm.forward(today.angles), saved.correct(today.angles)[0])
+    )
+    labels = np.unique(today.positions)
+    for i in natural_order(labels):
+        print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
+    expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
+    was, now = float(before.mean()), float(after.mean())
+    facts |= {"before_mm": was, "after_mm": now, "expected_below_mm": expected, "changed": changed}
+    change = f"mean 2S {was:.3f} -> {now:.3f} mm"
+    if now >= was:
+        print(f"It does not hold: {change}. Calibrate and learn again.")
+    elif now > expected:
+        print(
+            f"It helps less than it did: {change}; the mean of {len(after)} positions like those "
+            f"that it was judged at would be below {expected:.3f} mm in {1 / rate - 1:.0f} of "
+            f"{1 / rate:.0f} tests. Look at probe and base, or learn again."
+        )
+    else:
+        verdict = "It still helps, but something has changed" if changed else "It holds"
+        print(f"{verdict}: {change}; expected below {expected:.3f} mm.")
+    return changed or now >= was or now > expected
+
+
+def highest_mean(learnt, n, rate):
+    """Mean 2S, mm, that n new positions like those learnt exceed at this rate.
+
+    The one-sided prediction limit of a mean of normal values.
+    """
+    learnt = np.asarray(learnt)
+    quantile = stats.t.ppf(1 - rate, len(learnt) - 1)
+    spread = learnt.std(ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
+    return float(learnt.mean() + quantile * spread)
+
+
+def _by_causes(saved, today, options, rate):
+    """Whether the model's posterior makes a change of today's poses, and the facts of it."""
     refitted = ()
     if today.points is None:
-        found = calibrate(saved.arm, today.angles, today.positions, correction=saved.model, free=[])
-        y = found.residuals(today.angles, groups=today.positions)
+        y = position_residuals(saved.arm.forward(today.angles), today.positions)
     elif saved.base is None or options.new_base:
-        found, refitted = today.register(saved, free=()), ("base",)
-        y = found.residuals(today.angles, today.points)
+        y = today.register(saved, free=()).residuals(today.angles, today.points)
+        refitted = ("base",)
         print("The base was found from these same poses: what it takes up shows no change.")
     else:
         y = saved.residuals(today.angles, today.points)
-    check = check_correction(
-        saved.model, today.angles, y, groups=today.positions, lengths=today.lengths,
-        refitted=refitted, false_alarm_rate=0.01,
+    X = saved.inputs(today.angles)
+    found = check_correction(
+        saved.model, X, y, groups=today.positions, lengths=today.lengths, refitted=refitted,
+        false_alarm_rate=rate,
     )  # fmt: skip
-    say_check(check, options)
-    rms = float(np.sqrt(np.mean(np.sum((y - saved.model.predict(today.angles)) ** 2, axis=1))))
-    facts = {
-        "holds": check.holds, "suspect": check.suspect, "p_value": check.p_value,
-        "size_mm": check.size_mm, "usual_mm": check.usual_mm, "matters": check.matters,
-    }  # fmt: skip
-    if check.holds:
-        print(f"It holds: {today.said}, {check.usual_mm:.3f} mm (rms) is what it leaves as a rule.")
-    elif today.points is not None:
-        print(f"{today.said}: {rms:.3f} mm (rms) are left.")
-    return (OK if check.holds or not check.matters else CHANGED), facts
-
-
-def say_check(check, options, names=None):
-    """Print what a check found, keep its record, and draw its chart."""
-    if not check.holds:
+    changed = not found.holds and found.matters
+    if not found.holds:
+        worth = found.advice if changed else "That is too little to act on."
         print(
-            f"Suspect: {check.suspect}, {check.size_mm:.3f} mm at the probe (p = "
-            f"{check.p_value:.2g}). {check.advice}"
+            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
+            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {worth}"
         )
-    for row in check.slipped:
-        print(f"slipped: row {row + 1 if names is None else names[row]}, measure it again")
+    for row in found.slipped:
+        place = "" if today.positions is None else f" ({today.positions[row]})"
+        print(f"slipped: row {today.rows[row]}{place}, measure it again")
     if options.record:
-        check.append_to(options.record)
+        found.append_to(options.record)
         print(f"Appended to {options.record}")
     if options.chart:
-        records = read_check_records(options.record) if options.record else [check.record]
+        records = read_check_records(options.record) if options.record else [found.record]
         write_whole({options.chart: chart_of(records)})
         print(f"Written to {options.chart}")
+    names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
+    return changed, {name: getattr(found, name) for name in names}
 
 
 class _Nothing:

@@ -1,178 +1,241 @@
-"""Options of the words of the command `raacmm`, one function for each word."""
+"""Words and options of the command `raacmm`: two tables, and the parser that is made of them."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import argparse
+import re
+from difflib import get_close_matches
+from typing import Any, NamedTuple
 
-def learn(parser):
-    """Add the options of ``raacmm learn``."""
-    parser.add_argument("table", help="one row per pose: joint angles and position")
-    parser.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
-    _add_ends(parser)
-    _add_learning(parser, out=None)
-    _add_columns(parser)
-    text = "columns of a tracker's points, or a file of points"
-    parser.add_argument("--points", metavar="X,Y,Z", help=text)
-    text = "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved"
-    parser.add_argument("--length", action="append", metavar="FROM:TO:MM:SD", help=text)
-    parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
-    text = "a plate of known points: position, x, y, z, sd in mm"
-    parser.add_argument("--places", metavar="CSV", help=text)
-    parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
-    _add_causes(parser)
-    text = "folders of corrections of earlier arms of this make"
-    parser.add_argument("--like", nargs="+", metavar="FOLDER", help=text)
-    parser.add_argument("--serial", help="serial number, for the report")
-    parser.add_argument("--operator", help="name, for the report")
+from sklearn_raacmm._version import __version__
+
+_EPILOG = (
+    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change, "
+    "4 not judged: first repair what was found in the data."
+)
 
 
-def correct(parser):
-    """Add the options of ``raacmm correct``."""
-    parser.add_argument("table", help="table with joint angles")
-    _add_model(parser)
-    parser.add_argument("--out", required=True, help="CSV to write; - is the standard output")
-    _add_causes(parser)
-    _add_columns(parser, labelled=False)
+class Word(NamedTuple):
+    """A word of the command: the room that holds its function, and its options."""
+
+    name: str
+    room: str
+    text: str
+    example: str
+    options: str
 
 
-def check(parser):
-    """Add the options of ``raacmm check``."""
-    _add_today(parser, "a small test of today")
-    text = "the tracker was set up anew: find the base from these poses"
-    parser.add_argument("--new-base", action="store_true", help=text)
-    parser.add_argument("--record", metavar="CSV", help="file to append the line of this check to")
-    parser.add_argument("--chart", metavar="SVG", help="control chart of the record to write")
+_COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
+_LEARNING = "--limit-2s --folds --jobs --open --force"
+_CAUSES = "--extra --in-order --tool"
+_TODAY = f"table --model --points --lengths --length-sd {_COLUMNS}"
+
+WORDS = (
+    Word(
+        "learn", "_commands", "calibrate an arm, learn a correction, judge it, report",
+        "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
+        f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --length --lengths "
+        f"--places --length-sd {_CAUSES} --like --serial --operator",
+    ),
+    Word(
+        "correct", "_commands", "correct a table of any length",
+        "raacmm correct today.csv --model my_arm --out corrected.csv",
+        f"table --model --out {_CAUSES} {_COLUMNS.replace(' --position', '')}",
+    ),
+    Word(
+        "check", "_life", "ask whether a correction still holds today",
+        "raacmm check small_test.csv --model my_arm --record checks.csv --chart chart.svg",
+        f"{_TODAY} --new-base --record --chart",
+    ),
+    Word(
+        "register", "_life", "find a new probe or a new place through the correction",
+        "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
+        f"{_TODAY} --out",
+    ),
+    Word(
+        "update", "_life", "bring a correction up to date with few new poses",
+        "raacmm update today.csv --model my_arm --out my_arm_2026",
+        f"{_TODAY} --out --date",
+    ),
+    Word(
+        "move", "_life", "move a correction to a probe whose vector is known",
+        "raacmm move --model my_arm --probe 0,0,250 --out my_arm_250mm",
+        "--model --probe --out",
+    ),
+    Word(
+        "export", "_commands", "write a correction for other software",
+        "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
+        "--model --c --onnx --name --std --any-probe",
+    ),
+    Word(
+        "arm", "_commands", "show an arm and write its file; without an arm it asks",
+        "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
+        "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
+        "--modified --probe --into --template --out --picture",
+    ),
+    Word(
+        "plan", "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
+        "raacmm plan --arm my_arm.json --out plan",
+        "--arm --out --cones --poses --lean",
+    ),
+    Word(
+        "demo", "_commands", "learn the correction of a simulated arm, with a report",
+        "raacmm demo --open",
+        f"--out {_LEARNING}",
+    ),
+    Word(
+        "completion", "_main", "print what makes a shell complete words and options",
+        'eval "$(raacmm completion)"',
+        "",
+    ),
+)  # fmt: skip
 
 
-def register(parser):
-    """Add the options of ``raacmm register``."""
-    _add_today(parser, "poses with the new probe, or in the new place: 15 in two cones will do")
-    _add_folder(parser)
+def _flag(text):
+    return {"action": "store_true", "help": text}
 
 
-def update(parser):
-    """Add the options of ``raacmm update``."""
-    _add_today(parser, "20 poses or more of the arm as it is now")
-    _add_folder(parser)
-    parser.add_argument("--date", help="when they were measured (today)")
+_FOLDER = {"help": "folder to write into (that of --model)"}
+_LENGTHS: dict[str, Any] = {
+    "type": float, "nargs": 4, "metavar": ("SHOULDER", "UPPER", "FORE", "PROBE"),
+}  # fmt: skip
+_OFFSET: dict[str, Any] = {"type": float, "default": 0.0, "metavar": "MM"}
+# What argparse takes of each option; "word option" where it differs in a word.
+OPTIONS: dict[str, dict[str, Any]] = {
+    "learn table": {"help": "one row per pose: joint angles and position"},
+    "correct table": {"help": "table with joint angles"},
+    "check table": {"help": "a small test of today"},
+    "register table": {
+        "help": "poses with the new probe, or in the new place: 15 in two cones will do"
+    },
+    "update table": {"help": "20 poses or more of the arm as it is now"},
+    "source": {"nargs": "?", "help": "arm file, URDF, or name of a built-in arm"},
+    "--arm": {"required": True, "help": "arm file, URDF, or name of a built-in arm"},
+    "--base": {"metavar": "LINK", "help": "first link of a URDF's chain"},
+    "--tip": {"metavar": "LINK", "help": "last link of a URDF's chain: the probe"},
+    "--model": {"required": True, "help": "folder written by raacmm learn"},
+    "--out": {"required": True, "help": "folder to write into"},
+    "correct --out": {"required": True, "help": "CSV to write; - is the standard output"},
+    "register --out": _FOLDER,
+    "update --out": _FOLDER,
+    "move --out": _FOLDER,
+    "demo --out": {"default": "raacmm-demo", "help": "folder to write into (raacmm-demo)"},
+    "arm --out": {"help": "file to write, JSON or what --into names; - is the standard output"},
+    # -- the table
+    "--angles": {"metavar": "Q1,Q2,...", "help": "columns of the joint angles"},
+    "--position": {"metavar": "NAME", "help": "column of the positions' labels"},
+    "--unit": {"choices": ("deg", "rad"), "help": "unit of the joint angles"},
+    "--counts-per-turn": {
+        "metavar": "N", "help": "counts of the encoders in a turn, one number or one for each joint"
+    },
+    "--sheet": {"metavar": "NAME", "help": "sheet of a spreadsheet, name or number"},
+    "--points": {"metavar": "X,Y,Z", "help": "columns of a tracker's points, or a file of points"},
+    "--length": {
+        "action": "append", "metavar": "FROM:TO:MM:SD",
+        "help": "a known distance in mm and its sd: of a bar in two cones, or of a cone plate "
+        "moved",
+    },
+    "--lengths": {"metavar": "CSV", "help": "known lengths: from, to, mm, sd in mm"},
+    "--places": {"metavar": "CSV", "help": "a plate of known points: position, x, y, z, sd in mm"},
+    "--length-sd": {"type": float, "metavar": "MM", "help": "sd of all known lengths"},
+    "--extra": {
+        "nargs": "+", "metavar": "NAME[=COLUMN]",
+        "help": "a cause that a column holds, such as temperature=T1, payload, time",
+    },
+    "--in-order": _flag("rows are in the order of measurement: use the directions of the joints"),
+    "--tool": {"metavar": "COLUMN", "help": "column of the probe's name, where several took turns"},
+    # -- learning
+    "--limit-2s": {"type": float, "metavar": "MM", "help": "limit of the mean 2S to judge by"},
+    "--folds": {"type": int, "help": "times that some positions are left out (5)"},
+    "--jobs": {"type": int, "help": "folds computed at the same time (1)"},
+    "--open": _flag("open the report in the browser"),
+    "--force": _flag("replace the correction that the folder holds"),
+    "--like": {
+        "nargs": "+", "metavar": "FOLDER",
+        "help": "folders of corrections of earlier arms of this make",
+    },
+    "--serial": {"help": "serial number, for the report"},
+    "--operator": {"help": "name, for the report"},
+    # -- the life of a correction
+    "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
+    "--record": {"metavar": "CSV", "help": "file to append the line of this check to"},
+    "--chart": {"metavar": "SVG", "help": "control chart of the record to write"},
+    "--date": {"help": "when they were measured (today)"},
+    "move --probe": {
+        "metavar": "X,Y,Z", "required": True,
+        "help": "vector of the new probe in the last frame, mm; --probe=-5,0,250 before a sign",
+    },
+    "--c": {"metavar": "FOLDER", "help": "C source and header"},
+    "--onnx": {"metavar": "FILE", "help": "ONNX file to write"},
+    "--name": {"default": "arm_correction", "help": "name of the C functions"},
+    "--std": _flag("standard deviations in C, too"),
+    "--any-probe": _flag("functions in C take the vector of the probe, too"),
+    # -- arms
+    "--lengths-222": _LENGTHS | {"help": "lengths in mm of a 2-2-2 arm"},
+    "--lengths-223": _LENGTHS | {"help": "lengths in mm of a 2-2-3 arm"},
+    "--elbow-offset": _OFFSET | {
+        "help": "distance in mm at which the axes of the elbow pass each other (0)"
+    },
+    "--wrist-offset": _OFFSET | {
+        "help": "distance in mm at which the axes of the wrist pass each other (0)"
+    },
+    "--dh": {"metavar": "TABLE", "help": "table of a, alpha, d and theta offset"},
+    "--modified": _flag("the table of --dh is in the modified convention"),
+    "arm --probe": {"metavar": "X,Y,Z", "help": "probe centre in the last frame, mm, for --dh"},
+    "--into": {
+        "metavar": "FILE",
+        "help": "write the arm's numbers into a copy of the robot's own URDF or UR kinematics",
+    },
+    "--template": {
+        "metavar": "XLSX",
+        "help": "write a workbook to fill in: a sheet for --dh and one for poses",
+    },
+    "--picture": {"metavar": "SVG", "help": "picture of the arm and its axes"},
+    "--cones": {"type": int, "default": 8, "help": "number of cones (8)"},
+    "--poses": {"type": int, "default": 12, "help": "poses in each cone (12)"},
+    "--lean": {
+        "type": float, "default": 60.0, "metavar": "DEG",
+        "help": "how far the probe may lean from the vertical, degrees (60)",
+    },
+    "--json": _flag("print the result as JSON"),
+    "--quiet": _flag("print errors only"),
+}  # fmt: skip
 
 
-def move(parser):
-    """Add the options of ``raacmm move``."""
-    _add_model(parser)
-    text = "vector of the new probe in the last frame, mm; --probe=-5,0,250 before a sign"
-    parser.add_argument("--probe", metavar="X,Y,Z", required=True, help=text)
-    _add_folder(parser)
+class _Parser(argparse.ArgumentParser):
+    """A parser that asks whether a similar word was meant."""
+
+    known: Any = ()
+
+    def error(self, message):
+        wrong = re.search(r"unrecognized arguments: (\S+)|invalid choice: '([^']*)'", message)
+        near = (
+            get_close_matches((wrong[1] or wrong[2]).split("=")[0], self.known, 1) if wrong else ()
+        )
+        super().error(f"{message}. Was {near[0]} meant?" if near else message)
 
 
-def export(parser):
-    """Add the options of ``raacmm export``."""
-    _add_model(parser)
-    parser.add_argument("--c", metavar="FOLDER", help="C source and header")
-    parser.add_argument("--onnx", metavar="FILE", help="ONNX file to write")
-    parser.add_argument("--name", default="arm_correction", help="name of the C functions")
-    parser.add_argument("--std", action="store_true", help="standard deviations in C, too")
-    text = "functions in C take the vector of the probe, too"
-    parser.add_argument("--any-probe", action="store_true", help=text)
-
-
-def arm(parser):
-    """Add the options of ``raacmm arm``."""
-    parser.add_argument("source", nargs="?", help="arm file, URDF, or name of a built-in arm")
-    _add_ends(parser)
-    for layout in ("222", "223"):
-        parser.add_argument(
-            f"--lengths-{layout}", type=float, nargs=4,
-            metavar=("SHOULDER", "UPPER", "FORE", "PROBE"),
-            help=f"lengths in mm of a {'-'.join(layout)} arm",
-        )  # fmt: skip
-    for place in ("elbow", "wrist"):
-        text = f"distance in mm at which the axes of the {place} pass each other (0)"
-        parser.add_argument(f"--{place}-offset", type=float, default=0.0, metavar="MM", help=text)
-    parser.add_argument("--dh", metavar="TABLE", help="table of a, alpha, d and theta offset")
-    text = "the table of --dh is in the modified convention"
-    parser.add_argument("--modified", action="store_true", help=text)
-    text = "probe centre in the last frame, mm, for --dh"
-    parser.add_argument("--probe", metavar="X,Y,Z", help=text)
-    text = "write the arm's numbers into a copy of the robot's own URDF or UR kinematics"
-    parser.add_argument("--into", metavar="FILE", help=text)
-    text = "write a workbook to fill in: a sheet for --dh and one for poses"
-    parser.add_argument("--template", metavar="XLSX", help=text)
-    text = "file to write, JSON or what --into names; - is the standard output"
-    parser.add_argument("--out", help=text)
-    parser.add_argument("--picture", metavar="SVG", help="picture of the arm and its axes")
-
-
-def plan(parser):
-    """Add the options of ``raacmm plan``."""
-    parser.add_argument("--arm", required=True, help="arm file, URDF, or name of a built-in arm")
-    parser.add_argument("--out", required=True, help="folder to write into")
-    parser.add_argument("--cones", type=int, default=8, help="number of cones (8)")
-    parser.add_argument("--poses", type=int, default=12, help="poses in each cone (12)")
-    text = "how far the probe may lean from the vertical, degrees (60)"
-    parser.add_argument("--lean", type=float, default=60.0, metavar="DEG", help=text)
-
-
-def demo(parser):
-    """Add the options of ``raacmm demo``."""
-    _add_learning(parser, out="raacmm-demo")
-    parser.set_defaults(
-        angles=None, position=None, unit=None, counts_per_turn=None, sheet=None, points=None,
-        lengths=None, length=None, places=None, length_sd=None, serial="simulated",
-        operator=None, base=None, tip=None, extra=None, in_order=False, like=None,
-    )  # fmt: skip
-
-
-def completion(parser):
-    """``raacmm completion`` has no options of its own."""
-
-
-def _add_causes(parser):
-    text = "a cause that a column holds, such as temperature=T1, payload, time"
-    parser.add_argument("--extra", nargs="+", metavar="NAME[=COLUMN]", help=text)
-    text = "the rows are in the order of measurement: use the directions of the joints"
-    parser.add_argument("--in-order", action="store_true", help=text)
-
-
-def _add_ends(parser):
-    parser.add_argument("--base", metavar="LINK", help="first link of a URDF's chain")
-    parser.add_argument("--tip", metavar="LINK", help="last link of a URDF's chain: the probe")
-
-
-def _add_learning(parser, out):
-    parser.add_argument("--out", required=out is None, default=out, help="folder to write into")
-    parser.add_argument(
-        "--limit-2s", type=float, metavar="MM", help="limit of the mean 2S to judge by"
+def make_parser():
+    """The parser of the command; `known` of it and of each word are what can be completed."""
+    parser = _Parser(
+        "raacmm",
+        description="Residual correction for articulated arm coordinate measuring machines.",
+        epilog=f"{_EPILOG} raacmm WORD --help shows the options of a word.",
     )
-    parser.add_argument("--folds", type=int, help="times that some positions are left out (5)")
-    parser.add_argument("--jobs", type=int, help="folds computed at the same time (1)")
-    parser.add_argument("--open", action="store_true", help="open the report in the browser")
-    text = "replace the correction that the folder holds"
-    parser.add_argument("--force", action="store_true", help=text)
-
-
-def _add_columns(parser, labelled=True):
-    parser.add_argument("--angles", metavar="Q1,Q2,...", help="columns of the joint angles")
-    if labelled:
-        parser.add_argument("--position", metavar="NAME", help="column of the positions' labels")
-    parser.add_argument("--unit", choices=("deg", "rad"), help="unit of the joint angles")
-    text = "counts of the encoders in a turn, one number or one for each joint"
-    parser.add_argument("--counts-per-turn", metavar="N", help=text)
-    parser.add_argument("--sheet", metavar="NAME", help="sheet of a spreadsheet, name or number")
-
-
-def _add_model(parser):
-    parser.add_argument("--model", required=True, help="folder written by raacmm learn")
-
-
-def _add_today(parser, table):
-    parser.add_argument("table", help=table)
-    _add_model(parser)
-    parser.add_argument("--points", metavar="X,Y,Z", help="columns of a tracker's points")
-    parser.add_argument("--lengths", metavar="CSV", help="known lengths: from, to, mm, sd in mm")
-    parser.add_argument("--length-sd", type=float, metavar="MM", help="sd of all known lengths")
-    _add_columns(parser)
-
-
-def _add_folder(parser):
-    parser.add_argument("--out", help="folder to write into (that of --model)")
+    parser.add_argument("--version", action="version", version=__version__)
+    words = parser.add_subparsers(dest="word", required=True, metavar="WORD")
+    known = {"--help", "--version"}
+    for word in WORDS:
+        own = words.add_parser(
+            word.name, help=word.text, description=word.text,
+            epilog=f"example:\n  {word.example}\n\n{_EPILOG}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
+        for option in (*word.options.split(), "--json", "--quiet"):
+            own.add_argument(option, **(OPTIONS.get(f"{word.name} {option}") or OPTIONS[option]))
+        own.set_defaults(room=word.room)
+        own.known = (word.name, *own._option_string_actions)
+        known.update(own.known)
+    parser.known = sorted(known)
+    return parser

@@ -54,8 +54,6 @@ def plan(options):
 
 def _sheet(arm, found, names):
     """The page."""
-    picture = picture_of_plan(arm, found.positions)
-    picture = picture[picture.index("<svg") :]
     places = [
         [number, *(f"{value:.0f}" for value in place)]
         for number, place in enumerate(found.positions, start=1)
@@ -70,7 +68,7 @@ def _sheet(arm, found, names):
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title>"
         "<style>body{font:14px sans-serif;max-width:60em;margin:2em auto}td,th{padding:0 .6em;"
         f"text-align:right}}svg{{max-width:100%}}</style><h1>{title}</h1><p>{escape(repr(arm))}</p>"
-        f"<ol>{steps}</ol>{picture}"
+        f"<ol>{steps}</ol>{picture_of_plan(arm, found.positions)}"
         f"{html_table('Places of the cones', ['cone', 'x / mm', 'y / mm', 'z / mm'], places)}"
         f"{html_table('Poses, in their order', ['cone', *names], poses)}</html>\n"
     )

@@ -47,24 +47,9 @@ _PROGRAMS = (
 
 
 def find_source(path, n_numbers, sheet=None):
-    """Look into a file and find how its rows are read.
+    """How the rows of a file are read, of which those of data hold at least so many numbers.
 
-    Parameters
-    ----------
-    path : str or path-like
-    n_numbers : int
-        How many numbers a row of data has at least.
-    sheet : str, default=None
-        Name or number, from 1, of a spreadsheet's sheet. None: the first that has such rows.
-
-    Returns
-    -------
-    Dialect
-
-    Raises
-    ------
-    TableError
-        If there is no such file or no row with so many numbers.
+    `sheet` is the name or number, from 1, of a spreadsheet's; None: the first with such rows.
     """
     path = check_path("path", path)
     if not path.is_file():

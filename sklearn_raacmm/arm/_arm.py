@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sklearn_raacmm.arm import _files, _urdf
 from sklearn_raacmm.arm._built_in import BUILT_IN
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
@@ -23,14 +24,20 @@ from sklearn_raacmm.arm._checks import (
     pair_of,
     show,
 )
-from sklearn_raacmm.arm._formats import Formats
-from sklearn_raacmm.arm._kinematics import CHUNK_ROWS, cross, dh_theta, frame_columns, points_of
-from sklearn_raacmm.arm._layouts import from_lengths
+from sklearn_raacmm.arm._kinematics import (
+    CHUNK_ROWS,
+    cross,
+    dh_theta,
+    frame_columns,
+    points_of,
+    probe_of,
+)
+from sklearn_raacmm.arm._layouts import TWISTS
 from sklearn_raacmm.utils import chunks, html_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Arm(Formats):
+class Arm:
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
     An immutable value: equal and hashable by content, picklable, and safe to use as a parameter
@@ -88,15 +95,12 @@ class Arm(Formats):
 
     Examples
     --------
-    >>> import numpy as np
     >>> from sklearn_raacmm import Arm
     >>> arm = Arm.from_degrees(
     ...     a=[0, 62, 0, 62, 0, 0], alpha=[-90, -90, 90, -90, 90, -90],
     ...     d=[376.5, 0, 750, 0, 500, 15], probe=(0, 0, 100), name="nominal")
     >>> arm
     <Arm 'nominal': 6 joints, standard DH, probe (0, 0, 100) mm>
-    >>> arm.forward(np.deg2rad([[0, 90, 0, 90, 0, 0]])).round(6)
-    array([[-812. ,   15. ,  914.5]])
     >>> arm.forward([[0, 90, 0, 90, 0, 0]], angle_unit="deg").round(6)
     array([[-812. ,   15. ,  914.5]])
     """
@@ -168,10 +172,8 @@ class Arm(Formats):
     # -- a value: equality, copies, representation ------------------------------------------
 
     def _key(self):
-        return tuple(
-            value.tobytes() if isinstance(value, np.ndarray) else value
-            for value in (getattr(self, field.name) for field in fields(self))
-        )
+        values = self.__getstate__().values()
+        return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values)
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Arm) else NotImplemented
@@ -187,7 +189,10 @@ class Arm(Formats):
 
     def __reduce__(self) -> Any:
         # Through the constructor: arrays restored by pickle would be writable.
-        return _rebuild, ({field.name: getattr(self, field.name) for field in fields(self)},)
+        return _rebuild, (self.__getstate__(),)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __setstate__(self, state: Any) -> None:
         # The same for formats that restore an object by its state, as skops does.
@@ -199,32 +204,25 @@ class Arm(Formats):
         return f"<Arm{name}: {self.n_joints} joints, {self.convention} DH, probe ({probe}) mm>"
 
     def __str__(self) -> str:
-        rows = ["joint  sign      a/mm   alpha/deg      d/mm  offset/deg"]
-        for i in range(self.n_joints):
-            rows.append(
-                f"{i + 1:5d}  {self.joint_signs[i]:+4.0f}{self.a[i]:10.4f}"
-                f"{np.rad2deg(self.alpha[i]):12.4f}{self.d[i]:10.4f}"
-                f"{np.rad2deg(self.theta_offset[i]):12.4f}"
-            )
-        return "\n".join([repr(self), *rows])
+        header = "joint  sign      a/mm   alpha/deg      d/mm  offset/deg"
+        widths = (5, 6, 10, 12, 10, 12)
+        rows = (
+            "".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True))
+            for row in self._cells()
+        )
+        return "\n".join([repr(self), header, *rows])
+
+    def _cells(self):
+        """Number, sign, a, alpha, d and theta offset of each joint as text; mm and degrees."""
+        columns = (self.a, np.rad2deg(self.alpha), self.d, np.rad2deg(self.theta_offset))
+        for i, values in enumerate(zip(*columns, strict=True)):
+            sign = f"{self.joint_signs[i]:+.0f}"
+            yield str(i + 1), sign, *(f"{value:.4f}" for value in values)
 
     def _repr_html_(self):
         """Table of the joints, for notebooks."""
-        columns = [
-            range(1, self.n_joints + 1),
-            [f"{sign:+.0f}" for sign in self.joint_signs],
-            *(
-                [f"{value:.4f}" for value in values]
-                for values in (
-                    self.a,
-                    np.rad2deg(self.alpha),
-                    self.d,
-                    np.rad2deg(self.theta_offset),
-                )
-            ),
-        ]
         header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
-        return html_table(repr(self), header, zip(*columns, strict=True))
+        return html_table(repr(self), header, self._cells())
 
     @property
     def n_joints(self) -> int:
@@ -242,7 +240,6 @@ class Arm(Formats):
         Returns
         -------
         Arm
-            The changed arm.
 
         Examples
         --------
@@ -250,7 +247,7 @@ class Arm(Formats):
         >>> Arm.from_name("panda").replace(probe=(0, 0, 138), name="with a ball")
         <Arm 'with a ball': 7 joints, modified DH, probe (0, 0, 138) mm>
         """
-        known = {field.name: getattr(self, field.name) for field in fields(self)}
+        known = self.__getstate__()
         unknown = sorted(set(changes) - set(known))
         if unknown:
             raise TypeError(f"Arm has no parameter {', '.join(unknown)}; it has {list(known)}.")
@@ -283,11 +280,8 @@ class Arm(Formats):
         Arm
             The arm; its attributes are in mm and rad.
         """
-        alpha, theta_offset = (
-            np.deg2rad(floats(name, value))
-            for name, value in (("alpha", alpha), ("theta_offset", theta_offset))
-        )
-        return cls(a, alpha, d, theta_offset, **params)
+        alpha = np.deg2rad(floats("alpha", alpha))
+        return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod
     def from_name(cls, name: str, /, **changes: Any) -> "Arm":
@@ -297,17 +291,11 @@ class Arm(Formats):
         ----------
         name : str
             - "aacmm6": a six-joint arm CMM of about 1.35 m reach with its identified parameters,
-              Table 2 of "A Novel Kinematic Parameters Identification Method for AACMM Using
-              Repeatability and Scaling Factor", Mathematical Problems in Engineering 2018,
-              article 1760190;
-            - "panda", "iiwa7", "iiwa14": the Franka Panda and the KUKA LBR iiwa, nominal, seven
-              joints, modified convention;
-            - "ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e", "ur16e": Universal Robots, nominal,
-              six joints. Shoulder, elbow and first wrist axes are parallel, so there is no swivel
-              between shoulder and elbow: the pose is joint 4 and joint 3, which, with the
-              elevation of the line from shoulder to wrist, make the whole shape of the arm in its
-              vertical plane;
-            - "irb120": the ABB IRB 120, nominal, six joints.
+              Table 2 of article 1760190, Mathematical Problems in Engineering 2018;
+            - "panda", "iiwa7", "iiwa14": the Franka Panda and the KUKA LBR iiwa, nominal;
+            - "ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e", "ur16e": Universal Robots, nominal.
+              Three axes are parallel, so that the pose is joint 4 and joint 3;
+            - "irb120": the ABB IRB 120, nominal.
 
             The probe of the robots is the centre of their flange.
         **changes : dict
@@ -316,7 +304,6 @@ class Arm(Formats):
         Returns
         -------
         Arm
-            The arm.
 
         Examples
         --------
@@ -344,20 +331,17 @@ class Arm(Formats):
         """Build an arm of a usual layout from the lengths of a maker's drawing.
 
         Neighbouring axes cross at right angles, or pass each other at the offsets. With all angles
-        at zero the upper arm, the forearm and the probe lie along one line; see the page "Arms" of
-        the documentation for a picture. Where the encoders have their zero elsewhere, give
+        at zero the upper arm, the forearm and the probe lie along one line; the page "Arms" of the
+        documentation has a picture. Where the encoders have their zero elsewhere, give
         ``theta_offset``.
 
         Parameters
         ----------
         layout : {"2-2-2", "2-2-3"}
             Joints at shoulder, elbow and wrist; the seventh turns the probe about its own axis.
-        shoulder : float
-            Height of the shoulder above the base, mm.
-        upper, fore : float
-            Lengths from shoulder to elbow and from elbow to wrist, mm.
-        probe : float
-            From the last axis across (the wrist) to the centre of the probe, mm.
+        shoulder, upper, fore, probe : float
+            Lengths in mm: of the shoulder above the base, from there to the elbow, on to the wrist,
+            and from its last axis across to the centre of the probe.
         elbow_offset, wrist_offset : float, default=0
             Distances between the two axes at the shoulder and the upper arm, and between those at
             the elbow and the forearm, mm.
@@ -378,13 +362,27 @@ class Arm(Formats):
         Examples
         --------
         >>> from sklearn_raacmm import Arm
-        >>> arm = Arm.from_lengths("2-2-2", 375, 750, 500, 100)
-        >>> arm
+        >>> Arm.from_lengths("2-2-2", 375, 750, 500, 100)
         <Arm '2-2-2 arm': 6 joints, standard DH, probe (0, 0, 100) mm>
         """
-        return from_lengths(
-            cls, layout, shoulder, upper, fore, probe, elbow_offset, wrist_offset, params
+        if not (isinstance(layout, str) and layout in TWISTS):
+            raise ValueError(f"layout must be one of {sorted(TWISTS)}, got {layout!r}.")
+        twists = TWISTS[layout]
+        rest = [0.0] * (len(twists) - 6)
+        return cls.from_degrees(
+            a=[0.0, elbow_offset, 0.0, wrist_offset, 0.0, 0.0, *rest],
+            alpha=twists,
+            d=[shoulder, 0.0, upper, 0.0, fore, 0.0, *rest],
+            **{"probe": (0.0, 0.0, probe), "name": f"{layout} arm", **params},
         )
+
+    # -- files ------------------------------------------------------------------------------
+
+    from_json = classmethod(_files.from_json)
+    to_json = _files.to_json
+    from_urdf = classmethod(_urdf.from_urdf)
+    to_urdf = _urdf.to_urdf
+    update_urdf = _urdf.update_urdf
 
     # -- kinematics -------------------------------------------------------------------------
 
@@ -479,7 +477,7 @@ class Arm(Formats):
         first = 0 if self.convention == "standard" else 1
         for rows in chunks(len(angles), CHUNK_ROWS):
             columns = frame_columns(self, dh_theta(self, angles[rows]))
-            probe = columns[-1, 3] + np.tensordot(self.probe, columns[-1, :3], axes=1)
+            probe = probe_of(self, columns)
             for i, sign in enumerate(self.joint_signs):
                 frame = columns[i + first]
                 result[rows, :, i] = sign * cross(frame[2], probe - frame[3]).T

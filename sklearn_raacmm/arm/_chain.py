@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sklearn_raacmm.utils import show, write_whole
+from sklearn_raacmm.utils import show
 
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
@@ -49,24 +49,9 @@ class Joint(NamedTuple):
 
 
 def read_chain(source, base=None, tip=None):
-    """Joints from base to tip of a URDF or of UR's kinematics.
+    """Joints from base to tip of a URDF or of UR's kinematics, path or text.
 
-    Parameters
-    ----------
-    source : str or path-like
-        A path, or the text itself.
-    base, tip : str or None
-        Links where the chain begins and ends.
-
-    Returns
-    -------
-    joints : list of Joint
-    name : str
-        Of the robot.
-    text : str
-        Of the file.
-    where : str
-        Name of the source for messages.
+    With the robot's name, the file's text, and a name of the source for messages.
     """
     if not isinstance(source, str | PathLike):
         raise TypeError(f"source must be a path or the text of a URDF file, got {show(source)}.")
@@ -252,19 +237,7 @@ def _sin(angle):
 
 
 def edited(text, origins):
-    """Text of a file with other origins of some joints, and everything else as it is.
-
-    Parameters
-    ----------
-    text : str
-        Of a URDF, or of UR's kinematics.
-    origins : dict of str to ndarray of shape (4, 4)
-        By the names of the joints, mm.
-
-    Returns
-    -------
-    str
-    """
+    """Text of a file with other origins (4, 4), mm, of the joints named, and all else as it is."""
     if not text.lstrip().startswith("<"):
         return _edited_ur(text, origins)
     data, path, places = text.encode(), [], {}
@@ -319,8 +292,8 @@ def _xyz_rpy(origin):
     return tuple(" ".join(repr(float(value)) for value in part) for part in parts)
 
 
-def write_urdf(arm, path=None):
-    """Text of an arm as URDF, and the file if a path is given; see `Arm.to_urdf`."""
+def written(arm):
+    """Text of an arm as URDF; see `Arm.to_urdf`."""
     rows = []
     before = np.eye(4)
     for i in range(arm.n_joints):
@@ -357,10 +330,7 @@ def write_urdf(arm, path=None):
             low, high = map(float, limits)
             lines.append(f'    <limit lower="{low!r}" upper="{high!r}" effort="0" velocity="0"/>')
         lines.append("  </joint>")
-    text = "\n".join([*lines, "</robot>"]) + "\n"
-    if path is not None:
-        write_whole({path: text})
-    return text
+    return "\n".join([*lines, "</robot>"]) + "\n"
 
 
 def _along(length, angle):

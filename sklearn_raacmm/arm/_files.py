@@ -32,8 +32,30 @@ _JSON_KEYS = {
 _OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad"}
 
 
-def read_json(cls, source):
-    """Arm of class `cls` from a path, from text or bytes, or from what they hold."""
+def from_json(cls: Any, source: str | PathLike[str] | bytes | dict[str, Any]) -> Any:
+    """Read an arm from a JSON file.
+
+    Parameters
+    ----------
+    source : str, path-like, bytes or dict
+        Path of the file; or the text itself, which starts with a brace, as str or as bytes in
+        UTF-8; or the dict that the text stands for. A byte-order mark is ignored.
+
+    Returns
+    -------
+    Arm
+        The arm, equal to the one that was written.
+
+    Raises
+    ------
+    ValueError
+        If the text is not JSON, of another format or version, or a field is missing, not
+        numeric or out of bounds; the sentence names the field.
+    TypeError
+        If `source` is of another type.
+    OSError
+        If the file cannot be read, or is a folder.
+    """
     content, where = _content(source)
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise ValueError(f'{where} is not an arm: it needs "format": "{_FORMAT}".')
@@ -58,6 +80,42 @@ def read_json(cls, source):
         raise ValueError(f"{where}: {error}") from None
 
 
+def to_json(arm: Any, path: str | PathLike[str] | None = None) -> str:
+    """Write the arm as JSON, with the units in the names of the fields.
+
+    Parameters
+    ----------
+    path : str or path-like, default=None
+        File to write. It is written beside and renamed, so that a file of this name is always
+        whole. None only returns the text.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import Arm
+    >>> arm = Arm.from_name("panda")
+    >>> Arm.from_json(arm.to_json()) == arm
+    True
+    """
+    content = {"format": _FORMAT, "format_version": _FORMAT_VERSION}
+    for field, key in _JSON_KEYS.items():
+        value = getattr(arm, field)
+        content[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    if arm.names:
+        content["joint_names"] = list(arm.names)
+    if arm.limits is not None:  # JSON has no infinity
+        shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
+        content["limits_rad"] = shown.tolist()
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    if path is not None:
+        write_whole({path: text})
+    return text
+
+
 def _content(source: Any):
     """What the JSON holds, and a name of the source for error messages."""
     if isinstance(source, dict):
@@ -80,20 +138,3 @@ def _content(source: Any):
         return json.loads(text.removeprefix("\ufeff")), where
     except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, or nested without end
         raise ValueError(f"{where} is not valid JSON: {error}.") from None
-
-
-def write_json(arm, path):
-    """Text of an arm, and the file if a path is given."""
-    content = {"format": _FORMAT, "format_version": _FORMAT_VERSION}
-    for field, key in _JSON_KEYS.items():
-        value = getattr(arm, field)
-        content[key] = value.tolist() if isinstance(value, np.ndarray) else value
-    if arm.names:
-        content["joint_names"] = list(arm.names)
-    if arm.limits is not None:  # JSON has no infinity
-        shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
-        content["limits_rad"] = shown.tolist()
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    if path is not None:
-        write_whole({path: text})
-    return text

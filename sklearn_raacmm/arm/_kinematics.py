@@ -21,22 +21,10 @@ def dh_theta(arm: Any, angles: np.ndarray) -> np.ndarray:
 
 
 def carried(arm: Any, theta: np.ndarray, fixed: list[Any]) -> np.ndarray:
-    """Points that are fixed in frames of the arm, in the base frame.
+    """Points in the base frame, (len(fixed), 3, n_samples) mm, that are fixed in frames of the arm.
 
-    A point through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
-
-    Parameters
-    ----------
-    arm : Any
-    theta : ndarray of shape (n_joints, n_samples)
-        From `dh_theta`.
-    fixed : list of (int, sequence of 3 floats)
-        Number of the frame, 0 to n_joints, and the point's coordinates in it, in mm.
-
-    Returns
-    -------
-    ndarray of shape (len(fixed), 3, n_samples)
-        In mm.
+    `fixed` has the number of each point's frame and its three coordinates in it, mm. A point
+    through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
     """
     cos, sin = np.cos(theta), np.sin(theta)
     if theta.shape[1] == 1:
@@ -61,16 +49,21 @@ def carried(arm: Any, theta: np.ndarray, fixed: list[Any]) -> np.ndarray:
     return points
 
 
-def probe_points(arm: Any, theta: np.ndarray) -> np.ndarray:
-    """Probe points (3, n_samples), in mm."""
-    return carried(arm, theta, [(len(arm.a), arm.probe.tolist())])[0]
+def probe_points(arm: Any, theta: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
+    """Probe points (3, n_samples), in mm; `probes` as of `points_of`."""
+    own: Any = arm.probe.tolist() if probes is None else probes.T
+    return carried(arm, theta, [(len(arm.a), own)])[0]
 
 
-def points_of(arm: Any, angles: np.ndarray) -> np.ndarray:
-    """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time."""
+def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
+    """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time.
+
+    `probes` (n_samples, 3) are those of the rows in the last frame, mm; None: all have the arm's.
+    """
     points = np.empty((len(angles), 3))
     for rows in chunks(len(angles), CHUNK_ROWS):
-        points[rows] = probe_points(arm, dh_theta(arm, angles[rows])).T
+        own = None if probes is None else probes[rows]
+        points[rows] = probe_points(arm, dh_theta(arm, angles[rows]), own).T
     return points
 
 
@@ -104,10 +97,11 @@ def frame_columns(arm: Any, theta: np.ndarray) -> np.ndarray:
     return out
 
 
-def probe_of(arm, frames):
-    """Probe points (3, n_samples) from `frame_columns`."""
+def probe_of(arm, frames, probes=None):
+    """Probe points (3, n_samples) from `frame_columns`; `probes` as of `points_of`."""
     x, y, z, origin = frames[-1]
-    return origin + (arm.probe[0] * x + arm.probe[1] * y + arm.probe[2] * z)
+    own = arm.probe if probes is None else probes.T
+    return origin + (own[0] * x + own[1] * y + own[2] * z)
 
 
 def cross(u, v):
@@ -117,25 +111,17 @@ def cross(u, v):
     )
 
 
-def axis_vectors(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def axis_vectors(
+    arm: Any, angles: np.ndarray, probes: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """What turns and shifts by every axis of every frame do to the probe, and where things are.
 
-    Parameters
-    ----------
-    arm : Any
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-
-    Returns
-    -------
-    vectors : ndarray of shape (n, 3, 6 n_frames)
-        What a turn about each axis does to the probe, mm per rad; then the axes themselves. x, y
-        and z of the base, of frame 1, and so on.
-    places : ndarray of shape (n, 2, n_frames + 1)
-        x and y of the frames' origins and of the probe, mm.
+    Of angles (n, n_joints) in rad: what a turn about each axis, x, y and z of the base, of frame 1
+    and so on, does to the probe, mm per rad, then the axes themselves, (n, 3, 6 n_frames); and x
+    and y of the frames' origins and of the probe, (n, 2, n_frames + 1) mm.
     """
     frames = frame_columns(arm, dh_theta(arm, angles))
-    probe = probe_of(arm, frames)
+    probe = probe_of(arm, frames, probes)
     axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
     lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
     n_axes = 3 * len(frames)

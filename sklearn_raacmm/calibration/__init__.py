@@ -12,6 +12,7 @@ from sklearn_raacmm.calibration._priors import (
     REGISTERED_PLACE_MM,
     UNKNOWN_PLACE_MM,
 )
+from sklearn_raacmm.calibration._problem import encode_labels
 from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
@@ -23,5 +24,6 @@ __all__ = [
     "CalibrationResult",
     "calibrate",
     "check_length",
+    "encode_labels",
     "lengths_of_places",
 ]

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass
 from inspect import ismethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -15,8 +15,8 @@ from sklearn.cluster import KMeans
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
-from sklearn_raacmm.calibration import calibrate, check_length
+from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
+from sklearn_raacmm.calibration import calibrate, check_length, encode_labels
 from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
 from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -37,9 +37,10 @@ class Data:
     angles: np.ndarray
     positions: np.ndarray
     points: np.ndarray | None
+    tools: np.ndarray | None  # label of the probe of each row
     lengths: list
     rows: np.ndarray  # first row of each pose among those given
-    given: tuple  # angles, positions and points of these
+    given: tuple  # angles, positions, points and tools of these
     causes: tuple  # names of the columns of `values`
     values: np.ndarray  # (n, n_causes)
     like: tuple  # models of earlier arms of the make
@@ -47,7 +48,7 @@ class Data:
     @classmethod
     def checked(
         cls, arm, angles, positions, points, lengths, angle_unit,
-        extra=None, in_order=False, like=(),
+        extra=None, in_order=False, like=(), tools=None,
     ):  # fmt: skip
         check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit)
@@ -71,12 +72,19 @@ class Data:
                 )
         causes, values = checked_causes(extra, in_order, angles)
         refuse_told_time(causes, angles, codes)
-        given = angles, labels[codes], points
-        poses = find_poses(angles, codes, points)
+        kinds, like = codes, tuple(listed("like", like))
+        if tools is not None:
+            if like:
+                raise ValueError("like and tools cannot be given together.")
+            names, of_tool = encode_labels("tools", tools, len(angles))
+            tools, kinds = names[of_tool], codes * len(names) + of_tool
+        given = angles, labels[codes], points, tools
+        poses = find_poses(angles, kinds, points)
         angles, points, first = poses.mean_angles(angles), poses.mean(points), poses.first
+        tools = None if tools is None else tools[first]
         return cls(
-            arm, angles, given[1][first], points, lengths, first, given, causes, values[first],
-            tuple(listed("like", like)),
+            arm, angles, given[1][first], points, tools, lengths, first, given, causes,
+            values[first], like,
         )  # fmt: skip
 
     @property
@@ -111,23 +119,45 @@ class Data:
 
     def calibrate(self, rows):
         """Calibrate on these rows."""
+        tools = self._tools_of(rows)
         if self.points is not None:
-            return calibrate(self.arm, self.angles[rows], points=self.points[rows])
+            return calibrate(self.arm, self.angles[rows], points=self.points[rows], tools=tools)
         groups, lengths = self.positions[rows], self.lengths_among(rows)
-        return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
+        return calibrate(self.arm, self.angles[rows], groups, lengths=lengths, tools=tools)
 
     def calibrate_all(self):
         """Calibrate on all rows, as they were given."""
-        angles, positions, points = self.given
+        angles, positions, points, tools = self.given
         if points is not None:
-            return calibrate(self.arm, angles, points=points)
-        return calibrate(self.arm, angles, positions, lengths=self.lengths)
+            return calibrate(self.arm, angles, points=points, tools=tools)
+        return calibrate(self.arm, angles, positions, lengths=self.lengths, tools=tools)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
+        angles, tools = self.angles[rows], self._tools_of(rows)
         if self.points is None:
-            return calibration.residuals(self.angles[rows], groups=self.positions[rows])
-        return calibration.residuals(self.angles[rows], self.points[rows])
+            return calibration.residuals(angles, groups=self.positions[rows], tools=tools)
+        return calibration.residuals(angles, self.points[rows], tools=tools)
+
+    def shown(self, calibration, rows):
+        """Points of the calibrated arm with the probe of each of these rows, (n, 3) mm."""
+        return points_of(calibration.arm, self.angles[rows], self._probes(calibration, rows))
+
+    def at_probes(self, model, calibration, rows):
+        """The model as it predicts these rows, each with its own probe."""
+        tools = self._tools_of(rows)
+        if tools is None:
+            return model
+        arms = {tool: calibration.arms[tool] for tool in np.unique(tools).tolist()}
+        return _OfTools({tool: model.with_arm(arm) for tool, arm in arms.items()}, tools)
+
+    def _tools_of(self, rows):
+        return None if self.tools is None else self.tools[rows]
+
+    def _probes(self, calibration, rows):
+        """Probe of each of these rows, (n, 3) in mm; None where all have the arm's."""
+        tools = self._tools_of(rows)
+        return None if tools is None else np.array([calibration.arms[t].probe for t in tools])
 
     def outliers(self, calibration):
         """Rows far from where the calibrated arm has them, which its error model cannot explain.
@@ -141,8 +171,9 @@ class Data:
         rows, lonely = self.without_lonely(every)
         model = model_for(None, calibration.arm, self.causes)
         y = self.residuals(calibration, rows)
+        probes = self._probes(calibration, rows)
         with unheard():  # what there is to say is said of the rows that are learnt from
-            model.fit(self.inputs[rows], y, groups=self.positions[rows])
+            model.fit(self.inputs[rows], y, groups=self.positions[rows], probes=probes)
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -152,7 +183,7 @@ class Data:
             fitted = self._like_others(calibration.arm, rows, y)
         else:
             fitted = self._fit_alone(model, calibration, rows, y)
-        left = y - fitted.predict(self.inputs[rows])
+        left = y - self.at_probes(fitted, calibration, rows).predict(self.inputs[rows])
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
@@ -172,12 +203,31 @@ class Data:
         # A tracker knows where the positions are: lengths between them tell the model nothing.
         lengths = [] if self.points is not None else self.lengths_among(rows)
         extra = {"groups": self.positions[rows], "lengths": lengths}
+        if self.tools is not None:
+            if not (last is fitted and has_fit_parameter(last, "probes")):
+                raise ValueError("tools need an ArmResidualRegressor as the model, not a part.")
+            extra["probes"] = self._probes(calibration, rows)
         extra = {
             f"{prefix}{name}": value
             for name, value in extra.items()
             if len(value) and has_fit_parameter(last, name)
         }
         return fitted.fit(self.inputs[rows], y, **extra)
+
+
+class _OfTools(NamedTuple):
+    """A model at the probes of several tools, for rows in this order."""
+
+    models: dict  # by the label of the tool
+    tools: np.ndarray  # (n,) label of each row
+
+    def predict(self, X, return_std=False):
+        """As of one model."""
+        found = np.empty((1 + return_std, len(X), 3))
+        for tool, model in self.models.items():
+            rows = self.tools == tool
+            found[:, rows] = model.predict(X[rows], return_std)
+        return tuple(found) if return_std else found[0]
 
 
 def _regions(points):

@@ -3,22 +3,17 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import (
-    AFTER,
-    BEFORE,
-    FLOOR,
-    SHIFT,
+    PointsDisplay,
     axes_grid,
-    check_model,
-    check_name,
-    marks,
+    draw_sides,
     name_places,
-    new_axes,
     room_for_legend,
     subtract,
     unit_of,
@@ -34,7 +29,8 @@ from sklearn_raacmm.utils import check_points
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 
 
-class RepeatabilityDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class RepeatabilityDisplay(PointsDisplay):
     """Single-point repeatability of every position, before and after the correction.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`. Judge a correction at
@@ -44,19 +40,14 @@ class RepeatabilityDisplay:
     ----------
     before, after : ndarray of shape (n_positions,)
         Repeatability, mm.
-
     positions : array-like of shape (n_positions,), default=None
         Labels of the positions. None: 1, 2, ...
-
     floor : ndarray of shape (n_positions,), default=None
         What a perfect correction would leave, mm; known in simulations only.
-
     statistic : {"2s", "max", "mean"}, default="2s"
         See :func:`~sklearn_raacmm.metrics.single_point_repeatability`.
-
     name : str, default="after"
         Name of the correction in the legend.
-
     before_interval, after_interval : ndarray of shape (n_positions, 2), default=None
         Lower and upper ends of the intervals of `before` and `after`, mm.
 
@@ -64,10 +55,8 @@ class RepeatabilityDisplay:
     ----------
     ax_ : matplotlib Axes
         Axes of the figure.
-
     figure_ : matplotlib Figure
         The figure.
-
     unit_ : str
         Unit of the figure: "µm" where the values are below 0.1 mm on average, else "mm".
 
@@ -95,73 +84,16 @@ class RepeatabilityDisplay:
     >>> plt.close(display.figure_)
     """
 
-    ax_: Any
-    figure_: Any
-    unit_: str
-
-    def __init__(
-        self,
-        *,
-        before: np.ndarray,
-        after: np.ndarray,
-        positions: ArrayLike | None = None,
-        floor: np.ndarray | None = None,
-        statistic: str = "2s",
-        name: str = "after",
-        before_interval: np.ndarray | None = None,
-        after_interval: np.ndarray | None = None,
-    ) -> None:
-        self.before = before
-        self.after = after
-        self.positions = positions
-        self.floor = floor
-        self.statistic = statistic
-        self.name: str = check_name(name)
-        self.before_interval = before_interval
-        self.after_interval = after_interval
-
-    @classmethod
-    def from_estimator(
-        cls,
-        estimator: Any,
-        X: ArrayLike,
-        points: ArrayLike,
-        *,
-        groups: ArrayLike,
-        ax: Any = None,
-        **options: Any,
-    ) -> Self:
-        """Draw the repeatability of points corrected by a fitted model.
-
-        Parameters
-        ----------
-        estimator : object
-            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-
-        X : array-like of shape (n_points, n_features)
-            What the model takes, such as joint angles.
-
-        points : array-like of shape (n_points, 3)
-            Measured points (or their residuals), mm.
-
-        groups : array-like of shape (n_points,)
-            Label of the position of each point.
-
-        ax : matplotlib Axes, default=None
-            Axes to draw on. None: new ones.
-
-        **options : dict
-            `perfect`, `statistic`, `name`, `interval` and `random_state` of
-            :meth:`from_predictions`.
-
-        Returns
-        -------
-        display : RepeatabilityDisplay
-            What was drawn.
-        """
-        check_model(estimator)
-        prediction = estimator.predict(X)
-        return cls.from_predictions(points, prediction, groups=groups, ax=ax, **options)
+    before: np.ndarray
+    after: np.ndarray
+    positions: ArrayLike | None = None
+    floor: np.ndarray | None = None
+    statistic: str = "2s"
+    before_interval: np.ndarray | None = None
+    after_interval: np.ndarray | None = None
+    ax_: Any = field(init=False)
+    figure_: Any = field(init=False)
+    unit_: str = field(init=False)
 
     @classmethod
     def from_predictions(
@@ -181,30 +113,18 @@ class RepeatabilityDisplay:
 
         Parameters
         ----------
-        points : array-like of shape (n_points, 3)
-            Measured points (or their residuals), mm.
-
-        y_pred : array-like of shape (n_points, 3)
-            Predicted residuals, to be subtracted from the points, mm.
-
+        points, y_pred : array-like of shape (n_points, 3)
+            Measured points (or their residuals), and predicted residuals to be subtracted, mm.
         groups : array-like of shape (n_points,)
             Label of the position of each point.
-
         perfect : array-like of shape (n_points, 3), default=None
             What a perfect model would predict, mm, for the noise floor. Known in simulations only.
-
-        statistic : {"2s", "max", "mean"}, default="2s"
-            See :func:`~sklearn_raacmm.metrics.single_point_repeatability`.
-
-        name : str, default="after"
-            Name of the correction in the legend.
-
+        statistic, name : str
+            As for the class.
         interval : float or None, default=0.95
             Probability of the bootstrap intervals, between 0 and 1. None: no intervals.
-
         random_state : int, RandomState instance or None, default=0
             Of the bootstrap.
-
         ax : matplotlib Axes, default=None
             Axes to draw on. None: new ones.
 
@@ -232,13 +152,10 @@ class RepeatabilityDisplay:
             options |= {"probability": interval, "random_state": random_state}
             for side, some in corrected.items():
                 values[f"{side}_interval"] = repeatability_interval(some, groups, **options)
-        return cls(
-            positions=np.unique(groups),
-            floor=floor,
-            statistic=statistic,
-            name=name,
-            **values,
-        ).plot(ax)
+        positions = np.unique(groups)
+        return cls(positions=positions, floor=floor, statistic=statistic, name=name, **values).plot(
+            ax
+        )
 
     def plot(
         self,
@@ -253,7 +170,6 @@ class RepeatabilityDisplay:
         ----------
         ax : matplotlib Axes, default=None
             Axes to draw on. None: new ones.
-
         before_kwargs, after_kwargs : dict, default=None
             Passed to the two calls of matplotlib's ``plot``.
 
@@ -262,26 +178,22 @@ class RepeatabilityDisplay:
         self : object
             The display, with `ax_` and `figure_`.
         """
-        ax = new_axes(ax, figsize=(7, 3.6))
+        ax = axes_grid(ax, (1, 1), figsize=(7, 3.6))[0, 0]
         place = np.arange(1, len(self.before) + 1)
         unit = unit_of([self.before, self.after])
-        sides = (self.before_interval, self.after_interval)
-        marks(ax, place - SHIFT, self.before, "before", BEFORE, unit, before_kwargs, sides[0])
-        marks(ax, place + SHIFT, self.after, self.name, AFTER, unit, after_kwargs, sides[1])
-        if self.floor is not None:
-            marks(ax, place, self.floor, "noise floor", FLOOR, unit)
-        labels = place if self.positions is None else self.positions
-        name_places(ax, place, labels)
+        intervals = (self.before_interval, self.after_interval)
+        draw_sides(self, ax, slice(None), unit, (before_kwargs, after_kwargs), intervals)
+        name_places(ax, place, place if self.positions is None else self.positions)
         ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} ({unit[1]})")
-        shown = (self.before, self.after, self.floor, *sides)
+        shown = (self.before, self.after, self.floor, *intervals)
         largest = max(np.max(values) for values in shown if values is not None)
-        room_for_legend(ax, 0.0, unit[0] * largest, 0.35)
-        ax.legend(fontsize="small", loc="upper left", title="mean", title_fontsize="small")
+        room_for_legend(ax, 0.0, unit[0] * largest, 0.35, "mean")
         self.ax_, self.figure_, self.unit_ = ax, ax.figure, unit[1]
         return self
 
 
-class LengthErrorDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class LengthErrorDisplay(PointsDisplay):
     """Length errors of gauges in several placements, before and after the correction.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`. Each calibrated length gets
@@ -291,13 +203,10 @@ class LengthErrorDisplay:
     ----------
     before, after : ndarray of shape (n_placements,)
         Measured minus calibrated length, mm.
-
     lengths : ndarray of shape (n_placements,)
         Calibrated lengths, mm.
-
     floor : ndarray of shape (n_placements,), default=None
         Errors that a perfect correction would leave, mm; known in simulations only.
-
     name : str, default="after"
         Name of the correction in the legend.
 
@@ -305,10 +214,8 @@ class LengthErrorDisplay:
     ----------
     axes_ : ndarray of matplotlib Axes of shape (n_lengths,)
         Axes of each calibrated length, the shortest first.
-
     figure_ : matplotlib Figure
         The figure.
-
     unit_ : str
         Unit of the figure: "µm" where the errors are below 0.1 mm on average, else "mm".
 
@@ -330,69 +237,13 @@ class LengthErrorDisplay:
     >>> plt.close(display.figure_)
     """
 
-    axes_: Any
-    figure_: Any
-    unit_: str
-
-    def __init__(
-        self,
-        *,
-        before: np.ndarray,
-        after: np.ndarray,
-        lengths: np.ndarray,
-        floor: np.ndarray | None = None,
-        name: str = "after",
-    ) -> None:
-        self.before = before
-        self.after = after
-        self.lengths = lengths
-        self.floor = floor
-        self.name: str = check_name(name)
-
-    @classmethod
-    def from_estimator(
-        cls,
-        estimator: Any,
-        X: ArrayLike,
-        points: np.ndarray,
-        *,
-        groups: ArrayLike,
-        pairs: ArrayLike,
-        lengths: ArrayLike,
-        axes: Any = None,
-        **options: Any,
-    ) -> Self:
-        """Draw the length errors of gauges corrected by a fitted model.
-
-        Parameters
-        ----------
-        estimator : object
-            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-
-        X : array-like of shape (n_points, n_features)
-            What the model takes, such as joint angles.
-
-        points, groups, pairs, lengths, axes
-            See :meth:`from_predictions`.
-
-        **options : dict
-            `perfect` and `name` of :meth:`from_predictions`.
-
-        Returns
-        -------
-        display : LengthErrorDisplay
-            What was drawn.
-        """
-        check_model(estimator)
-        return cls.from_predictions(
-            points,
-            estimator.predict(X),
-            groups=groups,
-            pairs=pairs,
-            lengths=lengths,
-            axes=axes,
-            **options,
-        )
+    before: np.ndarray
+    after: np.ndarray
+    lengths: np.ndarray
+    floor: np.ndarray | None = None
+    axes_: Any = field(init=False)
+    figure_: Any = field(init=False)
+    unit_: str = field(init=False)
 
     @classmethod
     def from_predictions(
@@ -411,27 +262,18 @@ class LengthErrorDisplay:
 
         Parameters
         ----------
-        points : array-like of shape (n_points, 3)
-            Measured points, mm.
-
-        y_pred : array-like of shape (n_points, 3)
-            Predicted residuals, to be subtracted from the points, mm.
-
+        points, y_pred : array-like of shape (n_points, 3)
+            Measured points, and predicted residuals to be subtracted, mm.
         groups : array-like of shape (n_points,)
             Label of the gauge's end of each point.
-
         pairs : array-like of shape (n_placements, 2)
             Labels of the two ends of each placement.
-
         lengths : float or array-like of shape (n_placements,)
             Calibrated lengths, mm.
-
         perfect : array-like of shape (n_points, 3), default=None
             What a perfect model would predict, mm. Known in simulations only.
-
         name : str, default="after"
-            Name of the correction in the legend.
-
+            As for the class.
         axes : array-like of matplotlib Axes of shape (n_lengths,), default=None
             Axes to draw on, one for each different length. None: new ones.
 
@@ -483,7 +325,6 @@ class LengthErrorDisplay:
         ----------
         axes : array-like of matplotlib Axes of shape (n_lengths,), default=None
             Axes to draw on. None: new ones.
-
         before_kwargs, after_kwargs : dict, default=None
             Passed to the two calls of matplotlib's ``plot``.
 
@@ -499,18 +340,11 @@ class LengthErrorDisplay:
         low, high = unit[0] * np.min(drawn), unit[0] * np.max(drawn)
         for ax, size in zip(axes, sizes, strict=True):
             rows = np.flatnonzero(self.lengths == size)
-            place = np.arange(1, len(rows) + 1)
             ax.axhline(0, color="0.8", linewidth=1, zorder=0)
-            marks(ax, place - SHIFT, self.before[rows], "before", BEFORE, unit, before_kwargs)
-            marks(ax, place + SHIFT, self.after[rows], self.name, AFTER, unit, after_kwargs)
-            if self.floor is not None:
-                marks(ax, place, self.floor[rows], "noise floor", FLOOR, unit)
-            name_places(ax, place, place)
+            draw_sides(self, ax, rows, unit, (before_kwargs, after_kwargs))
+            name_places(ax, *2 * [np.arange(1, len(rows) + 1)])
             ax.set(xlabel="placement", title=f"{size:g} mm")
-            room_for_legend(ax, low - 0.05 * (high - low), high, 0.5)
-            ax.legend(
-                fontsize="small", loc="upper left", title="mean |error|", title_fontsize="small"
-            )
+            room_for_legend(ax, low - 0.05 * (high - low), high, 0.5, "mean |error|")
         axes[0].set_ylabel(f"measured - calibrated ({unit[1]})")
         self.axes_, self.figure_, self.unit_ = axes, axes[0].figure, unit[1]
         return self

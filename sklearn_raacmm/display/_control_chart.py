@@ -31,10 +31,8 @@ class ControlChartDisplay:
     ----------
     alarms : ndarray of int
         Numbers of the checks that named a suspect.
-
     axes_ : ndarray of matplotlib Axes of shape (2, 1)
         Means and ranges.
-
     figure_ : matplotlib Figure
         The figure.
 
@@ -76,7 +74,6 @@ class ControlChartDisplay:
         ----------
         path : str or path-like
             Written by :meth:`~sklearn_raacmm.CorrectionCheck.append_to`.
-
         axes : array-like of matplotlib Axes of shape (2, 1), default=None
             Axes to draw on. None: new ones.
 
@@ -99,7 +96,6 @@ class ControlChartDisplay:
         ----------
         axes : array-like of matplotlib Axes of shape (2, 1), default=None
             Axes to draw on. None: new ones.
-
         line_kwargs : dict, default=None
             Passed to the calls of matplotlib's ``plot`` that draw means and ranges.
 

@@ -3,10 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import dataclass
+from typing import Any, Self
+
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.utils import check_points, show
+from sklearn_raacmm.utils import check_points, deviations_by_group, show
 
 # Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
 # have no order, so that no line joins them.
@@ -14,10 +18,90 @@ BEFORE = {"color": "#D55E00", "marker": "o", "linestyle": "", "markersize": 5}
 AFTER = {"color": "#0072B2", "marker": "D", "linestyle": "", "markersize": 5}
 FLOOR = {"color": "0.2", "marker": "_", "linestyle": "", "markersize": 10}
 # How far before and after stand to the left and right of their place, so that neither hides.
-SHIFT = 0.12
+_SHIFT = 0.12
 # Mean size of the values up to which a figure is in micrometres, mm. The mean, because one outlier
 # says nothing of the size of the others.
 _MICROMETRES_UP_TO = 0.1
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class BeforeAfter:
+    """What a correction does: drawn of given predictions, or of those of a fitted model."""
+
+    name: str = "after"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise TypeError(f"name must be a text for the legend, got {show(self.name)}.")
+
+
+class PointsDisplay(BeforeAfter):
+    """A display of measured points."""
+
+    @classmethod
+    def from_estimator(
+        cls, estimator: Any, X: ArrayLike, points: ArrayLike, **options: Any
+    ) -> Self:
+        """Draw points corrected by a fitted model.
+
+        Parameters
+        ----------
+        estimator : object
+            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
+        X : array-like of shape (n_points, n_features)
+            What the model takes, such as joint angles.
+        points : array-like of shape (n_points, 3)
+            Measured points, mm.
+        **options : dict
+            The other parameters of :meth:`from_predictions`.
+
+        Returns
+        -------
+        display : object
+            What was drawn.
+        """
+        check_model(estimator)
+        display: Any = cls
+        return display.from_predictions(points, estimator.predict(X), **options)
+
+
+class PosesDisplay(BeforeAfter):
+    """A display of the residuals of poses."""
+
+    @classmethod
+    def from_estimator(cls, estimator: Any, X: ArrayLike, y: ArrayLike, **options: Any) -> Self:
+        """Draw residuals and what a fitted model leaves of them.
+
+        Parameters
+        ----------
+        estimator : object
+            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
+        X : array-like of shape (n_poses, n_joints)
+            Joint angles.
+        y : array-like of shape (n_poses, 3)
+            Cartesian residuals dx, dy, dz, mm.
+        **options : dict
+            The other parameters of :meth:`from_predictions`.
+
+        Returns
+        -------
+        display : object
+            What was drawn.
+        """
+        check_model(estimator)
+        display: Any = cls
+        return display.from_predictions(X, y, estimator.predict(X), **options)
+
+
+def before_and_after(n_rows, y, y_pred, groups):
+    """Residuals (n, 3) of so many poses, and what is left of them; None without a prediction."""
+    y = check_points(y, n_coordinates=3)
+    if len(y) != n_rows:
+        raise ValueError(f"X has {n_rows} rows, but y {len(y)}.")
+    if y_pred is None:
+        return y, None
+    left = subtract(y, y_pred)
+    return y, left if groups is None else deviations_by_group(left, groups)[0]
 
 
 def subtract(points, correction):
@@ -43,18 +127,6 @@ def check_model(estimator):
     check_is_fitted(estimator)
 
 
-def check_name(name):
-    """Text for a legend."""
-    if not isinstance(name, str):
-        raise TypeError(f"name must be a text for the legend, got {show(name)}.")
-    return name
-
-
-def new_axes(ax, figsize):
-    """Given axes, or new ones."""
-    return axes_grid(ax, (1, 1), figsize=figsize)[0, 0]
-
-
 def axes_grid(axes, shape, **options):
     """Given axes in this shape, or new ones."""
     if axes is None:
@@ -74,16 +146,27 @@ def unit_of(values):
     return (1000.0, "µm") if size < _MICROMETRES_UP_TO else (1.0, "mm")
 
 
-def marks(ax, place, values, label, style, unit, kwargs=None, interval=None):
-    """Draw a value (mm) at each place, with its interval (n, 2) where that is known."""
+def draw_sides(display, ax, rows, unit, kwargs, intervals=(None, None)):
+    """Draw these rows of a display's values (mm): before, after and, where it is known, the floor.
+
+    Where `intervals` (n, 2) of before and after are given, as vertical lines.
+    """
     factor, name = unit
-    mean = factor * np.mean(np.abs(values))
     digits = ".1f" if name == "µm" else ".3f"
-    style = style | {"label": f"{label}: {mean:{digits}} {name}"} | (kwargs or {})
-    (drawn,) = ax.plot(place, factor * np.asarray(values), **style)
-    if interval is not None:
-        low, high = factor * np.asarray(interval).T
-        ax.vlines(place, low, high, color=drawn.get_color(), linewidth=1.2)
+    for values, label, style, more, interval, shift in (
+        (display.before, "before", BEFORE, kwargs[0], intervals[0], -_SHIFT),
+        (display.after, display.name, AFTER, kwargs[1], intervals[1], _SHIFT),
+        (display.floor, "noise floor", FLOOR, None, None, 0.0),
+    ):
+        if values is None:
+            continue
+        shown = factor * np.asarray(values)[rows]
+        place = np.arange(1, len(shown) + 1) + shift
+        style = style | {"label": f"{label}: {np.mean(np.abs(shown)):{digits}} {name}"}
+        (drawn,) = ax.plot(place, shown, **(style | (more or {})))
+        if interval is not None:
+            low, high = factor * np.asarray(interval)[rows].T
+            ax.vlines(place, low, high, color=drawn.get_color(), linewidth=1.2)
 
 
 def name_places(ax, place, labels):
@@ -91,9 +174,12 @@ def name_places(ax, place, labels):
     step = -(-len(place) // 20)
     long = max(len(str(label)) for label in labels) > 4
     ax.set_xticks(place[::step], [str(label) for label in labels][::step], rotation=45 * long)
+    for label in ax.get_xticklabels():
+        label.set_parse_math(False)  # a dollar sign in a label is one
 
 
-def room_for_legend(ax, low, high, share):
-    """Limit the vertical axis, with this share of the range left free above."""
+def room_for_legend(ax, low, high, share, title):
+    """A legend, with this share of the vertical range left free above the values for it."""
     if high > low:
         ax.set_ylim(low, high + share * (high - low))
+    ax.legend(fontsize="small", loc="upper left", title=title, title_fontsize="small")

@@ -27,7 +27,6 @@ class HarmonicDisplay:
     ----------
     harmonics : structured ndarray of shape (n_harmonics,)
         The table `harmonics_` of :class:`ArmResidualRegressor`.
-
     n_joints : int
         Number of joints of the arm.
 
@@ -35,17 +34,13 @@ class HarmonicDisplay:
     ----------
     amplitude_sd : ndarray of shape (n_harmonics,)
         Standard deviations of the amplitudes, arc seconds.
-
     phase_sd : ndarray of shape (n_harmonics,)
         Standard deviations of the phases, degrees.
-
     gear_ratios : ndarray of shape (n_joints,)
         Likely gear ratio of each joint, 0 where the orders show none. It can be given to
         :class:`ArmResidualRegressor`.
-
     axes_ : ndarray of matplotlib Axes of shape (n_joints, 3)
         A row for each joint; amplitudes, phases and log Bayes factors.
-
     figure_ : matplotlib Figure
         The figure.
 
@@ -77,8 +72,9 @@ class HarmonicDisplay:
     def __init__(self, *, harmonics: np.ndarray, n_joints: int) -> None:
         self.harmonics = harmonics
         self.n_joints = n_joints
-        cos, sin = harmonics["cos_arcsec"], harmonics["sin_arcsec"]
-        cos_sd, sin_sd = harmonics["cos_sd_arcsec"], harmonics["sin_sd_arcsec"]
+        cos, sin, cos_sd, sin_sd = (
+            harmonics[f"{name}_arcsec"] for name in ("cos", "sin", "cos_sd", "sin_sd")
+        )
         self.gear_ratios: np.ndarray = _likely_gear_ratios(
             harmonics["joint"], harmonics["order"], harmonics["log_bayes_factor"], n_joints
         )
@@ -94,7 +90,6 @@ class HarmonicDisplay:
         ----------
         estimator : ArmResidualRegressor
             Fitted model.
-
         axes : array-like of matplotlib Axes of shape (n_joints, 3), default=None
             Axes to draw on. None: new ones.
 
@@ -125,7 +120,6 @@ class HarmonicDisplay:
         ----------
         axes : array-like of matplotlib Axes of shape (n_joints, 3), default=None
             Axes to draw on. None: new ones.
-
         errorbar_kwargs : dict, default=None
             Passed to the calls of matplotlib's ``errorbar``.
 
@@ -147,9 +141,8 @@ class HarmonicDisplay:
                 ax.grid(axis="y", color="0.9")
                 ax.set_axisbelow(True)
             if not len(some):
-                left.text(
-                    0.98, 0.8, "none found", color="0.5", ha="right", transform=left.transAxes
-                )
+                at = {"color": "0.5", "ha": "right", "transform": left.transAxes}
+                left.text(0.98, 0.8, "none found", **at)
                 continue
             order = some["order"]
             left.vlines(order, 0, some["amplitude_arcsec"], color=style["color"], linewidth=1)
@@ -159,9 +152,9 @@ class HarmonicDisplay:
             evidence = np.maximum(some["log_bayes_factor"], 0.5)
             right.vlines(order, 0.5, evidence, color=style["color"], linewidth=1)
             right.errorbar(order, evidence, **style)
-        axes[0, 0].set_title("amplitude (arc seconds)", fontsize="medium")
-        axes[0, 1].set_title("phase (deg)", fontsize="medium")
-        axes[0, 2].set_title("log Bayes factor (nats)", fontsize="medium")
+        titles = ("amplitude (arc seconds)", "phase (deg)", "log Bayes factor (nats)")
+        for ax, title in zip(axes[0], titles, strict=True):
+            ax.set_title(title, fontsize="medium")
         axes[0, 0].set_ylim(bottom=0)
         axes[0, 1].set(ylim=(-200, 200), yticks=[-180, 0, 180])
         axes[0, 2].set(yscale="log")
@@ -174,22 +167,10 @@ class HarmonicDisplay:
 
 
 def _likely_gear_ratios(joint, order, evidence, n_joints):
-    """Gear ratio of each joint of which high orders look like multiples.
+    """Gear ratio of each joint, 0 where none is likely, from joints, orders and log Bayes factors.
 
-    Parameters
-    ----------
-    joint : ndarray of shape (n_harmonics,)
-        Joint of each harmonic found, from 1.
-    order : ndarray of shape (n_harmonics,)
-    evidence : ndarray of shape (n_harmonics,)
-        Log Bayes factor of each.
-    n_joints : int
-
-    Returns
-    -------
-    ndarray of shape (n_joints,)
-        Ratio, or 0 where none is likely: the order above 72 for which the evidence of its multiples
-        on all joints is largest, given that it has a multiple on this joint and one more anywhere.
+    The order above 72 for which the evidence of its multiples on all joints is largest, given that
+    it has a multiple on this joint and one more anywhere.
     """
     ratios = np.zeros(n_joints, dtype=int)
     most = np.zeros(n_joints)

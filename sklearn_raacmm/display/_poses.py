@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, Self
 
@@ -10,14 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, arm_or_built_in, check_arm
-from sklearn_raacmm.display._drawing import AFTER, BEFORE, check_model, check_name, pyplot, subtract
-from sklearn_raacmm.utils import (
-    check_option,
-    check_points,
-    check_whole_number,
-    deviations_by_group,
-    show,
+from sklearn_raacmm.display._drawing import (
+    AFTER,
+    BEFORE,
+    PosesDisplay,
+    before_and_after,
+    pyplot,
 )
+from sklearn_raacmm.utils import check_option, check_whole_number, show
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
 _BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
@@ -28,7 +29,8 @@ _LONGEST = 0.3
 _ZOOM = 1.05
 
 
-class ArmPosesDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class ArmPosesDisplay(PosesDisplay):
     """Poses of an arm as stick figures in space, over their residuals, magnified.
 
     In a single-point test all poses end at one point, and the residuals stand on it like bristles:
@@ -41,13 +43,10 @@ class ArmPosesDisplay:
     ----------
     chains : ndarray of shape (n_poses, n_corners, 3)
         Corners of the arm from base to probe, mm.
-
     before : ndarray of shape (n_poses, 3)
         Cartesian residuals, mm.
-
     after : ndarray of shape (n_poses, 3), default=None
         What the correction leaves of them, mm.
-
     name : str, default="after"
         Name of the correction in the legend.
 
@@ -55,10 +54,8 @@ class ArmPosesDisplay:
     ----------
     ax_ : matplotlib Axes3D
         Axes of the figure.
-
     figure_ : matplotlib Figure
         The figure.
-
     magnification_ : float
         How many times longer than in truth the residuals are drawn.
 
@@ -77,54 +74,12 @@ class ArmPosesDisplay:
     >>> plt.close(display.figure_)
     """
 
-    ax_: Any
-    figure_: Any
-    magnification_: Any
-
-    def __init__(
-        self,
-        *,
-        chains: np.ndarray,
-        before: np.ndarray,
-        after: np.ndarray | None = None,
-        name: str = "after",
-    ) -> None:
-        self.chains = chains
-        self.before = before
-        self.after = after
-        self.name: str = check_name(name)
-
-    @classmethod
-    def from_estimator(
-        cls,
-        estimator: Any,
-        X: ArrayLike,
-        y: ArrayLike,
-        *,
-        arm: Arm | None = None,
-        ax: Any = None,
-        **options: Any,
-    ) -> Self:
-        """Draw poses, their residuals, and what a fitted model leaves of them.
-
-        Parameters
-        ----------
-        estimator : object
-            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-
-        X, y, arm, ax
-            See :meth:`from_predictions`.
-
-        **options : dict
-            The other parameters of :meth:`from_predictions`.
-
-        Returns
-        -------
-        display : ArmPosesDisplay
-            What was drawn.
-        """
-        check_model(estimator)
-        return cls.from_predictions(X, y, estimator.predict(X), arm=arm, ax=ax, **options)
+    chains: np.ndarray
+    before: np.ndarray
+    after: np.ndarray | None = None
+    ax_: Any = field(init=False)
+    figure_: Any = field(init=False)
+    magnification_: Any = field(init=False)
 
     @classmethod
     def from_predictions(
@@ -146,30 +101,22 @@ class ArmPosesDisplay:
         ----------
         X : array-like of shape (n_poses, n_joints)
             Joint angles.
-
         y : array-like of shape (n_poses, 3)
             Cartesian residuals dx, dy, dz, mm.
-
         y_pred : array-like of shape (n_poses, 3), default=None
             Predicted residuals, mm. None: only `y` is drawn.
-
         arm : Arm, default=None
             The arm. None: the built-in six-joint arm CMM, as in
             :class:`~sklearn_raacmm.PoseFeatures`.
-
         groups : array-like of shape (n_poses,), default=None
             Label of the position of each pose. A single-point test shows residuals only up to one
             constant per position: with `groups`, the mean of what is left at each is taken away.
-
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `X`.
-
         name : str, default="after"
             Name of the correction in the legend.
-
         ax : matplotlib Axes3D, default=None
             Axes to draw on, made with ``projection="3d"``. None: new ones.
-
         **options : dict
             `max_poses` and `magnification` of :meth:`plot`.
 
@@ -186,14 +133,8 @@ class ArmPosesDisplay:
         arm = arm_or_built_in(arm, cls.__name__)
         check_arm(arm)
         chains = arm_chains(arm, X, angle_unit)
-        y = check_points(y, n_coordinates=3)
-        if len(y) != len(chains):
-            raise ValueError(f"X has {len(chains)} rows, but y {len(y)}.")
-        after = None
-        if y_pred is not None:
-            after = subtract(y, y_pred)
-            after = after if groups is None else deviations_by_group(after, groups)[0]
-        return cls(chains=chains, before=y, after=after, name=name).plot(ax, **options)
+        before, after = before_and_after(len(chains), y, y_pred, groups)
+        return cls(chains=chains, before=before, after=after, name=name).plot(ax, **options)
 
     def plot(
         self,
@@ -211,17 +152,13 @@ class ArmPosesDisplay:
         ----------
         ax : matplotlib Axes3D, default=None
             Axes to draw on, made with ``projection="3d"``. None: new ones.
-
         max_poses : int, default=12
             Most stick figures, evenly spaced among the poses. All residuals are drawn.
-
         magnification : float or "auto", default="auto"
             How many times longer than in truth the residuals are drawn. "auto": 1, 2 or 5 times a
             power of ten, such that the longest is 12 to 30 % of the arm's extent.
-
         arm_kwargs : dict, default=None
             Passed to matplotlib's ``plot`` of the stick figures.
-
         before_kwargs, after_kwargs : dict, default=None
             Passed to matplotlib's ``plot`` of the residuals.
 

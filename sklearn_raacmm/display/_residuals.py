@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -13,14 +14,12 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.display._drawing import (
     AFTER,
     BEFORE,
+    PosesDisplay,
     axes_grid,
-    check_model,
-    check_name,
-    subtract,
+    before_and_after,
     unit_of,
 )
 from sklearn_raacmm.residuals import PoseFeatures, cartesian_to_cylindrical
-from sklearn_raacmm.utils import check_points, deviations_by_group
 
 _DOTS = {"linestyle": "", "marker": ".", "markersize": 4, "alpha": 0.5, "markeredgewidth": 0}
 # The band in which nine of ten residuals lie, over bins of equal numbers of poses.
@@ -28,7 +27,8 @@ _TAILS, _MOST_BINS, _LEAST_PER_BIN = (0.05, 0.95), 12, 20
 _COMPONENTS = ("radial", "tangential", "axial")
 
 
-class ResidualDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class ResidualDisplay(PosesDisplay):
     """Radial, tangential and axial residuals against the three angles of the pose.
 
     Dots are single poses. Where a correction is given, lines bound the band in which 90 % of the
@@ -40,16 +40,12 @@ class ResidualDisplay:
     ----------
     pose : ndarray of shape (n_points, 3)
         Angles of the pose, rad.
-
     before : ndarray of shape (n_points, 3)
         Radial, tangential and axial residuals, mm.
-
     after : ndarray of shape (n_points, 3), default=None
         What the correction leaves of them, mm.
-
     feature_names : sequence of str, default=("theta3", "theta4", "theta_dis")
         Names of the angles.
-
     name : str, default="after"
         Name of the correction in the legend.
 
@@ -57,10 +53,8 @@ class ResidualDisplay:
     ----------
     axes_ : ndarray of matplotlib Axes of shape (3, 3)
         A row for each component, a column for each angle.
-
     figure_ : matplotlib Figure
         The figure.
-
     unit_ : str
         Unit of the figure: "µm" where the residuals are below 0.1 mm on average, else "mm".
 
@@ -76,56 +70,13 @@ class ResidualDisplay:
     >>> plt.close(display.figure_)
     """
 
-    axes_: Any
-    figure_: Any
-    unit_: str
-
-    def __init__(
-        self,
-        *,
-        pose: np.ndarray,
-        before: np.ndarray,
-        after: np.ndarray | None = None,
-        feature_names: Sequence[Any] = ("theta3", "theta4", "theta_dis"),
-        name: str = "after",
-    ) -> None:
-        self.pose = pose
-        self.before = before
-        self.after = after
-        self.feature_names = feature_names
-        self.name: str = check_name(name)
-
-    @classmethod
-    def from_estimator(
-        cls,
-        estimator: Any,
-        X: ArrayLike,
-        y: ArrayLike,
-        *,
-        arm: Arm | None = None,
-        axes: Any = None,
-        **options: Any,
-    ) -> Self:
-        """Draw the residuals and what a fitted model leaves of them.
-
-        Parameters
-        ----------
-        estimator : object
-            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-
-        X, y, arm, axes
-            See :meth:`from_predictions`.
-
-        **options : dict
-            `groups`, `angle_unit` and `name` of :meth:`from_predictions`.
-
-        Returns
-        -------
-        display : ResidualDisplay
-            What was drawn.
-        """
-        check_model(estimator)
-        return cls.from_predictions(X, y, estimator.predict(X), arm=arm, axes=axes, **options)
+    pose: np.ndarray
+    before: np.ndarray
+    after: np.ndarray | None = None
+    feature_names: Sequence[Any] = ("theta3", "theta4", "theta_dis")
+    axes_: Any = field(init=False)
+    figure_: Any = field(init=False)
+    unit_: str = field(init=False)
 
     @classmethod
     def from_predictions(
@@ -146,26 +97,19 @@ class ResidualDisplay:
         ----------
         X : array-like of shape (n_points, n_joints)
             Joint angles.
-
         y : array-like of shape (n_points, 3)
             Cartesian residuals dx, dy, dz, mm.
-
         y_pred : array-like of shape (n_points, 3), default=None
             Predicted residuals, mm. None: only `y` is drawn.
-
         arm : Arm, default=None
             The arm, as in :class:`~sklearn_raacmm.PoseFeatures`.
-
         groups : array-like of shape (n_points,), default=None
             Label of the position of each point. A single-point test shows residuals only up to one
             constant per position: with `groups`, the mean of what is left at each is taken away.
-
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `X`.
-
         name : str, default="after"
             Name of the correction in the legend.
-
         axes : array-like of matplotlib Axes of shape (3, 3), default=None
             Axes to draw on. None: new ones.
 
@@ -182,18 +126,11 @@ class ResidualDisplay:
         features = PoseFeatures(arm, angle_unit=angle_unit, append_azimuth=True)
         columns = features.fit_transform(X)
         azimuth = np.arctan2(columns[:, 4], columns[:, 3])
-        y = check_points(y, n_coordinates=3)
-        if len(y) != len(columns):
-            raise ValueError(f"X has {len(columns)} rows, but y {len(y)}.")
-        after = None
-        if y_pred is not None:
-            left = subtract(y, y_pred)
-            left = left if groups is None else deviations_by_group(left, groups)[0]
-            after = cartesian_to_cylindrical(left, azimuth)
+        before, left = before_and_after(len(columns), y, y_pred, groups)
         return cls(
             pose=columns[:, :3],
-            before=cartesian_to_cylindrical(y, azimuth),
-            after=after,
+            before=cartesian_to_cylindrical(before, azimuth),
+            after=None if left is None else cartesian_to_cylindrical(left, azimuth),
             feature_names=features.get_feature_names_out()[:3].tolist(),
             name=name,
         ).plot(axes)
@@ -211,7 +148,6 @@ class ResidualDisplay:
         ----------
         axes : array-like of matplotlib Axes of shape (3, 3), default=None
             Axes to draw on. None: new ones.
-
         before_kwargs, after_kwargs : dict, default=None
             Passed to the calls of matplotlib's ``plot``.
 

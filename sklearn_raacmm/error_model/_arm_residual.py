@@ -77,7 +77,7 @@ class ArmResidualRegressor(
         What the columns of `X` after the angles are, in any unit: "temperature" of the arm or
         "temperature J" near joint J (from 1); "time"; "direction J", from which joint J came (1
         from smaller angles, -1 from larger ones); "payload"; "force x", "force y", "force z" on the
-        probe in the base frame; "tool", the number of the probe.
+        probe in the base frame.
 
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
@@ -240,6 +240,7 @@ class ArmResidualRegressor(
         groups: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
         orientation_residuals: ArrayLike | None = None,
+        probes: ArrayLike | None = None,
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
@@ -269,6 +270,11 @@ class ArmResidualRegressor(
             probe and turn the last link: they are three more rows of each pose, weighed by the
             noise that they show beside that of the points.
 
+        probes : array-like of shape (n_samples, 3), default=None
+            Vector of the probe of each row in the last frame, mm, where several took turns:
+            ``result.arms[label].probe`` of a calibration with `tools`. The causes are then learnt
+            from all of them; `predict` is for the probe of `arm`, and `with_arm` for others.
+
         Returns
         -------
         self : object
@@ -282,7 +288,8 @@ class ArmResidualRegressor(
             not known, or ``offsets=True`` comes without `groups`; if y are the probe's points, or
             half of them longer than a twentieth of the arm's reach; if lengths name unknown
             positions, are not positive, or come without offsets; if orientations come with offsets,
-            or are no small rotation vectors.
+            or are no small rotation vectors; if there are no three coordinates of a probe for each
+            row, or probes come with a second stage.
 
         Warns
         -----
@@ -291,14 +298,15 @@ class ArmResidualRegressor(
             calibrated, a reference in another frame, or an extra column without variation; see
             `findings_`. Rows in which the arm stood still are merged to one pose.
         """
-        rows = check_fit(self, X, y, sample_weight, groups, lengths)
+        rows = check_fit(self, X, y, sample_weight, groups, lengths, probes)
         arm, used = rows.arm, rows.weights > 0
         turns = check_turns(orientation_residuals, len(used), rows.codes)
         positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
         rows, turns = rows.at(used), None if turns is None else turns[used]
         dwells, rows, turns = poses_of(rows, self.extra, turns)
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
-        extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
+        values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
+        extra = with_references(tuple(self.extra), values, rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
@@ -433,9 +441,9 @@ class ArmResidualRegressor(
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If X has another number of columns than in `fit`, holds NaN or infinity, or has a tool
-            that the training data did not have; if `arm` is not the one that the model was fitted
-            with: `with_arm` moves it; if `return_std` and `return_cov` are both asked for.
+            If X has another number of columns than in `fit`, holds NaN or infinity; if `arm` is
+            not the one that the model was fitted with: `with_arm` moves it; if `return_std` and
+            `return_cov` are both asked for.
 
         Warns
         -----

@@ -42,13 +42,13 @@ _LARGEST_TURN = 0.5
 _BY_CHANCE = 1e-3
 
 
-def check_fit(estimator, X, y, sample_weight, groups, lengths):
+def check_fit(estimator, X, y, sample_weight, groups, lengths, probes):
     """All that `fit` is given.
 
     Parameters
     ----------
     estimator : Any
-    X, y, sample_weight, groups, lengths
+    X, y, sample_weight, groups, lengths, probes
         As for its `fit`.
 
     Returns
@@ -73,7 +73,20 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
     say_findings(check_targets(targets))
     codes = of_offsets
     lengths = _check_lengths(lengths, codes, groups, "kinematics" in estimator.causes)
+    if probes is not None:
+        X = np.hstack([X, _check_probes(probes, len(X), estimator.regressor)])
     return Rows(arm, X, y, weights, codes, tuple(lengths))
+
+
+def _check_probes(probes, n_rows, regressor):
+    """Probe of each row, (n, 3) in mm."""
+    probes = floats("probes", probes)
+    if probes.shape != (n_rows, 3):
+        raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
+    if regressor is not None:
+        raise ValueError("A second stage sees one probe only: probes go with regressor=None.")
+    refuse_huge("probes", probes)
+    return probes
 
 
 def _check_repeats(weights):
@@ -172,7 +185,7 @@ def poses_of(rows, extra, *others):
     rows : Rows
         Of weights above 0.
     extra : tuple of str
-        Names of the extra columns: a pose has one tool and one direction.
+        Names of the extra columns: a pose has one direction, and one probe.
     *others : ndarray of shape (n, ...) or None
         What goes with the rows.
 
@@ -183,7 +196,8 @@ def poses_of(rows, extra, *others):
     *others : ndarray of shape (n_poses, ...) or None
     """
     n_joints = rows.arm.n_joints
-    kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith(("tool", "direction"))]
+    kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith("direction")]
+    kinds += range(n_joints + len(extra), rows.X.shape[1])
     codes = np.zeros(len(rows.X)) if rows.codes is None else rows.codes
     codes = np.unique(np.column_stack([codes, rows.X[:, kinds]]), axis=0, return_inverse=True)[1]
     dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)

@@ -48,7 +48,7 @@ class Rows(NamedTuple):
     """What a model is fitted to."""
 
     arm: Arm
-    X: np.ndarray  # (n, n_joints + n_extra) angles in rad, then the extra columns
+    X: np.ndarray  # (n, n_joints + n_extra) angles in rad, extra columns, perhaps probes (n, 3)
     y: np.ndarray  # (n, 3) residuals in mm; (n, 6) with those of the orientation times `turn_mm`
     weights: np.ndarray  # (n,)
     codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets

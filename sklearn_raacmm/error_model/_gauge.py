@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, points_of
-from sklearn_raacmm.error_model._columns import Terms, scale_direction, term_columns, term_names
+from sklearn_raacmm.error_model._columns import (
+    Terms,
+    points_of_rows,
+    scale_direction,
+    term_columns,
+    term_names,
+)
 from sklearn_raacmm.inference import Extra
 from sklearn_raacmm.utils import chunks, group_means, group_sums, group_weights
 
@@ -94,7 +100,7 @@ def length_equations(arm, angles, weights, codes, terms, lengths):
     rows = np.isin(codes, used)
     angles, weights, codes = angles[rows], weights[rows], np.searchsorted(used, codes[rows])
     total = group_weights(codes, weights)
-    points = group_means(points_of(arm, angles[:, : arm.n_joints]), codes, weights)
+    points = group_means(points_of_rows(arm, terms, angles), codes, weights)
     columns = _mean_columns(arm, angles, weights, codes, terms)
     line = points[ends[1]] - points[ends[0]]
     measured = np.linalg.norm(line, axis=1)
@@ -159,7 +165,7 @@ def constrained(
     arm, terms = model.arm, model.terms
     columns = _mean_columns(arm, X, weights, codes, terms)
     if keep_scale and terms.kinematics:
-        points = group_means(points_of(arm, X[:, : arm.n_joints]), codes, weights)
+        points = group_means(points_of_rows(arm, terms, X), codes, weights)
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if size > 0:

@@ -34,8 +34,8 @@ def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
     ValueError
-        If X has another number of columns than in the fit, holds NaN or infinity, or has a tool
-        that the training data did not have; or if the model's arm has been exchanged since.
+        If X has another number of columns than in the fit, or holds NaN or infinity; or if the
+        model's arm has been exchanged since.
     """
     check_is_fitted(model)
     linear = model.linear_model_

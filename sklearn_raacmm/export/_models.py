@@ -354,23 +354,8 @@ def arm_model(chain, step):
             size = fading.size_mm**2
             share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
         chain.trust, y = share, p("mul", y, share)
-    y = _known_tools(chain, linear.terms.extra, y)
     v = p("mul", v, linear.std_scale**2) if chain.std else None
     return y, v if step.helps_ or v is None else p("max", v, fading.size_mm**2 / 3)
-
-
-def _known_tools(chain, extra, y):
-    """NaN where a tool is none of the fit's, which predict refuses."""
-    p = chain.p
-    for i, (name, known) in enumerate(extra):
-        if name == "tool":
-            off = p("sub", p.take(chain.x, [chain.arm.n_joints + i]), np.array(known))
-            off = p("max", off, p("mul", off, -1.0))
-            least = p.take(off, [0])
-            for tool in range(1, len(known)):
-                least = p("min", least, p.take(off, [tool]))
-            y = p("within", y, least, low=0.0, high=0.0)
-    return y
 
 
 def linear_model(chain, linear, fades):
@@ -463,14 +448,11 @@ def _sizes(chain, linear, table, vectors):
         at = np.arange(3) * 2 * n_axes + turns[:, None]
         torque = p("dots", p.take(vectors, at.ravel()), force)
         sizes = p("mul", sizes, _at_columns(p, m, pushed, torque))
-    factors = given_factors(arm, linear.terms)
-    for of_tool in np.unique(factors.of_tool):
-        column, by, reference, _ = (field[factors.of_tool == of_tool] for field in factors)
-        given = p("sub", p.take(values, by), reference)
-        if of_tool:  # 1 for this tool, 0 for others
-            given = p("less", p("mul", given, given), _TINY)
-        sizes = p("mul", sizes, _at_columns(p, m, column, given))
-    return sizes
+    column, by, reference = given_factors(arm, linear.terms)
+    if not len(column):
+        return sizes
+    given = p("sub", p.take(values, by), reference)
+    return p("mul", sizes, _at_columns(p, m, column, given))
 
 
 def _force_of(extra):

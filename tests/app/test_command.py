@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_check_records
-from sklearn_raacmm.app import _commands, _files, main
+from sklearn_raacmm.app import _commands, _files, _life, main
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._lengths import length_of, read_places
 from sklearn_raacmm.correction._records import append_record
@@ -185,7 +185,7 @@ def test_a_suspect_changes_the_exit_code(
     learned, machine, other_make, tmp_path, capsys, monkeypatch
 ):
     """Where the mean 2S alone would pass, as it is taken to do here, the suspect decides."""
-    monkeypatch.setattr(_commands, "highest_mean", lambda *_: 1.0)
+    monkeypatch.setattr(_life, "highest_mean", lambda *_: 1.0)
     folder, *_ = learned
     machine.rng = np.random.default_rng(9)
     readings, cones = machine.test(5, 12)
@@ -202,7 +202,7 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
     alarms = 0
     for _ in range(4000):
         learnt, today = rng.normal(0.02, 0.004, 10), rng.normal(0.02, 0.004, 5)
-        alarms += today.mean() > _commands.highest_mean(learnt, 5, 0.01)
+        alarms += today.mean() > _life.highest_mean(learnt, 5, 0.01)
     assert 0.006 < alarms / 4000 < 0.014
 
 
@@ -480,7 +480,8 @@ def test_options_of_an_arm_that_do_not_fit(capsys, arguments, sentence):
 
 
 def test_known_lengths_and_places_of_the_command_line(tmp_path):
-    assert length_of("A:B: 500.012:0.005") == ("A", "B", 500.012, 0.005)
+    for text in ("A:B: 500.012:0.005", "A:B:500,012:0,005"):
+        assert length_of(text) == ("A", "B", 500.012, 0.005)
     with pytest.raises(TableError, match="such as A:B"):
         length_of("A:B:500")
     path = tmp_path / "plate.csv"
@@ -488,8 +489,11 @@ def test_known_lengths_and_places_of_the_command_line(tmp_path):
     found = read_places(path, 0.004)
     assert found[0][:3] == ("A", "B", 500.0)
     assert len(found) == 3
-    with pytest.raises(TableError, match="row 2 must hold a label, x, y, z and their"):
+    with pytest.raises(TableError, match="row 2 has no standard deviation in mm in its last"):
         read_places(path)
+    path.write_text("ball;x;y;z\nA;0;O;0\nB;300;400;0\n")  # a damaged row is no header
+    with pytest.raises(TableError, match="row 2 must hold a label, x, y and z in mm"):
+        read_places(path, 0.004)
     path.write_text("A;0;0;0;0.004\nA;300;400;0;0.004\n")
     with pytest.raises(TableError, match="two different labels"):
         read_places(path)

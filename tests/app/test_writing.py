@@ -212,9 +212,9 @@ def test_whoever_closes_the_pipe_has_enough(places, monkeypatch):
 
 
 def test_every_word_has_an_example_in_its_help(capsys):
-    from sklearn_raacmm.app._main import _WORDS
+    from sklearn_raacmm.app._options import WORDS
 
-    for word in _WORDS:
+    for word in WORDS:
         with pytest.raises(SystemExit, match="0"):
             main([word.name, "--help"])
         said = capsys.readouterr().out

@@ -330,7 +330,8 @@ def test_one_unit_in_a_figure():
 def test_a_perfect_arm_is_drawn_without_warnings():
     points = np.repeat([[500.0, 0, 0], [800.0, 0, 0]], 3, axis=0)
     groups = np.repeat(["a", "b"], 3)
-    display = RepeatabilityDisplay.from_predictions(points, 0 * points, groups=groups)
+    labels = np.repeat(["$x^{1", "$x^{2"], 3)  # no formulae
+    display = RepeatabilityDisplay.from_predictions(points, 0 * points, groups=labels)
     display.figure_.canvas.draw()
     display = LengthErrorDisplay.from_predictions(
         points, 0 * points, groups=groups, pairs=[["a", "b"]], lengths=300.0

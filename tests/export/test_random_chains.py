@@ -79,9 +79,9 @@ def random_model(rng):
     kind, std = rng.integers(6), last is network
     if kind in (0, 1):
         causes = [c for c in ("gravity", "kinematics", "wobble") if rng.random() < 0.6]
-        extra = ["temperature", "force y", "tool"] if rng.random() < 0.5 else []
+        extra = ["temperature", "force y", "direction 2"] if rng.random() < 0.5 else []
         if extra:
-            X = np.column_stack([X, rng.normal(size=(n, 2)), rng.integers(1, 3, n)])
+            X = np.column_stack([X, rng.normal(size=(n, 2)), rng.choice([-1.0, 1.0], n)])
         second = make_pipeline(PoseFeatures(arm, **pose), scaler, last) if kind else None
         fade = [0.0, 0.7, "auto"][rng.integers(3)]
         model = ArmResidualRegressor(
@@ -105,7 +105,7 @@ def random_model(rng):
         X = np.column_stack([X, np.cos(turns), np.sin(turns)])
         model, unit = CylindricalResidualTarget(last), "rad"
     far = rng.uniform(-6, 6, (20, X.shape[1]))
-    far[:, arm.n_joints :] = X[:20, arm.n_joints :]  # a tool or a direction that can be
+    far[:, arm.n_joints :] = X[:20, arm.n_joints :]  # a direction that can be
     new = np.concatenate([X[:10], far])
     if unit == "deg":
         for rows in (X, new):
