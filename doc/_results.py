@@ -127,15 +127,16 @@ def readme_blocks(results):
     reduced = {m: [results.less(data, m) for data in mixes] for m in (THREE, ALL, PERFECT)}
     return {
         "headline": (
-            "**On three real robots `ArmResidualRegressor` reduced the mean deviation that "
-            f"calibration had left\nby {listed(less)} %**, at places that neither had seen "
+            f"**On three real robots `ArmResidualRegressor` took {listed(less)} % off the mean "
+            "deviation that\ncalibration had left**, at places that neither had seen "
             "([what to expect](#what-to-expect))."
         ),
         "table": headline_table(results),
         "three inputs": (
             "- **Three inputs see a part of it.** On the simulated arms above the paper's three "
-            f"angles reduced the\n  mean deviation by {listed(reduced[THREE])} %, all joints by "
-            f"{listed(reduced[ALL])} %, and a perfect model\n  by {listed(reduced[PERFECT])} %."
+            f"angles reduced the\n  mean deviation by {listed(reduced[THREE])} %. All joints "
+            f"reduced it by {listed(reduced[ALL])} %, a perfect model\n"
+            f"  by {listed(reduced[PERFECT])} %."
         ),
     }
 

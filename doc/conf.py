@@ -42,6 +42,7 @@ numpydoc_show_class_members = False
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist", "substitution"]
 myst_substitutions = substitutions()  # measured numbers and tables, from results.json
 myst_heading_anchors = 3
+highlight_options = {"python": {"stripnl": True}}  # no empty line at the end of an example
 copybutton_exclude = ".linenos, .gp, .go"
 intersphinx_mapping = write_inventories(Path(tempfile.gettempdir()) / "sklearn_raacmm-inventories")
 # What scikit-learn's metadata routing writes into docstrings of ours.
@@ -120,7 +121,14 @@ def gallery_in_sections(app, docname, source):
         source[0] = with_sections(source[0])
 
 
+def of_a_list(app, what, name, obj, options, lines):
+    """Say what the list of types is for, where Python would say what a list is."""
+    if name == "sklearn_raacmm.export.TRUSTED_TYPES":
+        lines[:] = ["Types that skops may build when it loads a model of this package."]
+
+
 def setup(app):
     """Connect to Sphinx."""
+    app.connect("autodoc-process-docstring", of_a_list)
     app.connect("missing-reference", of_the_package)
     app.connect("source-read", gallery_in_sections)

@@ -1,6 +1,7 @@
 """Draw the arm with its pose and the frame of its residual: ``python doc/draw_arm.py``.
 
-The corners are computed from an arm's table; writes ``doc/images/arm.svg``.
+The corners are computed from an arm's table. Writes ``doc/images/arm_side.svg`` and
+``arm_above.svg``, which a narrow screen shows one below the other.
 """
 
 from pathlib import Path
@@ -101,18 +102,15 @@ def top_view(ax):
 
 def main():
     """Draw both views."""
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(10, 4.6), width_ratios=[1.15, 1], layout="constrained"
-    )
-    side_view(left)
-    top_view(right)
-    for ax in (left, right):
+    for name, draw in (("side", side_view), ("above", top_view)):
+        figure, ax = plt.subplots(figsize=(4.8, 4.4), layout="constrained")
+        draw(ax)
         ax.set_aspect("equal")
         ax.set_anchor("N")  # titles at one height
         ax.axis("off")
-    path = Path(__file__).parent / "images" / "arm.svg"
-    figure.savefig(path, metadata={"Date": None})
-    return figure
+        path = Path(__file__).parent / "images" / f"arm_{name}.svg"
+        figure.savefig(path, metadata={"Date": None})
+        plt.close(figure)
 
 
 if __name__ == "__main__":

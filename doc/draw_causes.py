@@ -1,7 +1,7 @@
 """Draw what an encoder, a gear, a tube and a bearing do wrong: ``python doc/draw_causes.py``.
 
-Each cause stands beside the column that `ArmResidualRegressor` has for it; writes
-``doc/images/causes.svg``. Sizes are exaggerated.
+Each cause stands above the column that `ArmResidualRegressor` has for it; writes
+``doc/images/cause_*.svg``, which a narrow screen shows two in a row. Sizes are exaggerated.
 """
 
 from pathlib import Path
@@ -94,18 +94,19 @@ CAUSES = {
 
 def main():
     """Draw."""
-    figure, axes = plt.subplots(2, 4, figsize=(12, 5), height_ratios=[2.2, 1], layout="constrained")
-    for (title, (draw, wave, label, text)), above, below in zip(
-        CAUSES.items(), axes[0], axes[1], strict=True
-    ):
+    for title, (draw, wave, label, text) in CAUSES.items():
+        figure, (above, below) = plt.subplots(
+            2, 1, figsize=(3, 5), height_ratios=[2.2, 1], layout="constrained"
+        )
         draw(above)
         above.set_aspect("equal")
         above.axis("off")
         above.set_title(title, fontsize=12)
         column(below, wave, label)
         below.set_title(text, fontsize=9.5)
-    path = Path(__file__).parent / "images" / "causes.svg"
-    figure.savefig(path, metadata={"Date": None})
+        path = Path(__file__).parent / "images" / f"cause_{draw.__name__}.svg"
+        figure.savefig(path, metadata={"Date": None})
+        plt.close(figure)
 
 
 if __name__ == "__main__":

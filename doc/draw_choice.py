@@ -1,6 +1,6 @@
 """Draw the choice of an estimator: ``python doc/draw_choice.py``.
 
-Writes ``doc/images/choice.svg``: questions in a row, and below each what to take.
+Writes ``doc/images/choice.svg``: questions from top to bottom, and beside each what to take.
 """
 
 from pathlib import Path
@@ -11,8 +11,8 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 INK, ASK, TAKE = "0.2", "#0072B2", "#D55E00"  # safe for colour-blind readers
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "choice", "font.size": 10}
-WIDTH, HEIGHT, STEP, BELOW = 2.5, 0.95, 3.1, 1.75
-# Question, answer that leads down, and what to take then. The last one has no further question.
+WIDTH, HEIGHT, STEP, BESIDE = 2.4, 0.85, 1.45, 3.1
+# Question, answer that leads to the right, and what to take then.
 CHOICES = [
     ("Is there an arm?", "no", "RBFNetRegressor"),
     ("Is it calibrated, and\nare residuals known?", "no", "raacmm learn, or\nlearn_correction"),
@@ -32,7 +32,7 @@ def box(ax, x, y, text, colour):
         corner, WIDTH, HEIGHT, "round,pad=0,rounding_size=0.12", fc="white", ec=colour, lw=1.6
     )
     ax.add_patch(shape)
-    ax.text(x, y, text, ha="center", va="center", color=INK, fontsize=9)
+    ax.text(x, y, text, ha="center", va="center", color=INK, fontsize=11)
 
 
 def arrow(ax, start, end, label):
@@ -50,15 +50,16 @@ def main(path=Path(__file__).parent / "images" / "choice.svg"):
     """Draw and write the file."""
     other = {"yes": "no", "no": "yes"}
     with mpl.rc_context(STYLE):
-        figure, ax = plt.subplots(figsize=(11, 2.6), layout="constrained")
+        figure, ax = plt.subplots(figsize=(5.6, 5.2), layout="constrained")
         for i, (question, answer, take) in enumerate(CHOICES):
-            x = i * STEP
-            box(ax, x, 0, question, ASK)
-            box(ax, x, -BELOW, take, TAKE)
-            arrow(ax, (x, -HEIGHT / 2), (x, -BELOW + HEIGHT / 2), answer)
-            arrow(ax, (x + WIDTH / 2, 0), (x + STEP - WIDTH / 2, 0), other[answer])
-        box(ax, len(CHOICES) * STEP, 0, LAST, TAKE)
-        ax.set(xlim=(-1.4, len(CHOICES) * STEP + 1.4), ylim=(-2.35, 0.6), aspect="equal")
+            y = -i * STEP
+            box(ax, 0, y, question, ASK)
+            box(ax, BESIDE, y, take, TAKE)
+            arrow(ax, (WIDTH / 2, y), (BESIDE - WIDTH / 2, y), answer)
+            arrow(ax, (0, y - HEIGHT / 2), (0, y - STEP + HEIGHT / 2), other[answer])
+        y = -len(CHOICES) * STEP
+        box(ax, 0, y, LAST, TAKE)
+        ax.set(xlim=(-1.3, BESIDE + 1.3), ylim=(y - 0.5, 0.5), aspect="equal")
         ax.axis("off")
         figure.savefig(path, metadata={"Date": None, "Creator": None}, facecolor="white")
     plt.close(figure)

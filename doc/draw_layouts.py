@@ -1,4 +1,7 @@
-"""Draw the picture of the usual layouts on the page "Arms": ``python doc/draw_layouts.py``."""
+"""Draw the usual layouts on the page "Arms": ``python doc/draw_layouts.py``.
+
+Writes a file for each, so that a narrow screen shows one below the other.
+"""
 
 from pathlib import Path
 
@@ -42,14 +45,15 @@ def draw(ax, layout):
     ax.axis("off")
 
 
-def main(path=Path(__file__).parent / "images" / "layouts.svg"):
-    """Draw both and write the file."""
+def main(folder=Path(__file__).parent / "images"):
+    """Draw both and write the files."""
     with mpl.rc_context(STYLE):
-        figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
-        for ax, layout in zip(axes, ("2-2-2", "2-2-3"), strict=True):
+        for layout in ("2-2-2", "2-2-3"):
+            figure, ax = plt.subplots(figsize=(4.5, 3.2), layout="constrained")
             draw(ax, layout)
-        figure.savefig(path, metadata={"Date": None, "Creator": None})
-    plt.close(figure)
+            path = folder / f"layout_{layout.replace('-', '')}.svg"
+            figure.savefig(path, metadata={"Date": None, "Creator": None})
+            plt.close(figure)
 
 
 if __name__ == "__main__":

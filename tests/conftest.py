@@ -30,11 +30,6 @@ def pytest_addoption(parser):
         metavar="N",
         help="compute everything in chunks of N rows, so that small data cross their borders, too",
     )
-    parser.addoption(
-        "--exhaustive",
-        action="store_true",
-        help="run the tests marked exhaustive, too, which take many minutes",
-    )
 
 
 def pytest_configure(config):
@@ -46,11 +41,6 @@ def pytest_collection_modifyitems(config, items):
         file = item.path.relative_to(ROOT).as_posix()
         if {file, f"{file}::{getattr(item, 'originalname', '')}"} & SLOW:
             item.add_marker(pytest.mark.slow)
-    if not config.getoption("--exhaustive"):
-        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
-        if left_out:
-            config.hook.pytest_deselected(items=left_out)
-            items[:] = [item for item in items if item not in left_out]
 
 
 def data_dir(name):

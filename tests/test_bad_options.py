@@ -30,7 +30,6 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
-from sklearn_raacmm.utils import floats, show
 
 TEST = make_single_point(6, 8, random_state=0)
 DATA = TEST.nominal_arm, TEST.data, TEST.groups
@@ -166,20 +165,6 @@ def test_a_large_value_does_not_fill_the_screen(call):
     assert len(str(caught.value)) < 200
 
 
-@pytest.mark.parametrize("value", [Path("a.csv"), {1.0}, iter([1.0]), len, Arm, 1j, object()])
-def test_what_is_no_array(value):
-    with pytest.raises(TypeError, match="points must be an array, got"):
-        single_point_repeatability(value)
-    with pytest.raises(TypeError, match="angles must be an array, got"):
-        TEST.arm.forward(value)
-
-
-def test_a_number_of_many_digits():
-    with pytest.raises(ValueError, match=r"angles holds a number above 1e\+50, got 1000.*\.\.\."):
-        floats("angles", 10**400)
-    assert len(show(10**400)) < 70
-
-
 @pytest.mark.parametrize(
     "door",
     [
@@ -199,25 +184,6 @@ def test_degrees_are_warned_of_once_on_the_line_of_the_call(model, door):
             door(model, np.rad2deg(TEST.data))
     told = [warning for warning in caught if "more than two turns" in str(warning.message)]
     assert [Path(warning.filename).name for warning in told] == [Path(__file__).name]
-
-
-def test_poses_that_are_not_known_are_warned_of_on_the_line_of_the_call():
-    model = ArmResidualRegressor(TEST.arm, orders=1, causes=["kinematics", "wobble"])
-    rng = np.random.default_rng(0)
-    near, far = rng.uniform(-0.1, 0.1, (30, 6)), rng.uniform(-3, 3, (50, 6))
-    model.fit(near, 0.05 * np.sin(9 * near[:, 1:4]))
-    with pytest.warns(UserWarning, match="50 of 50 poses lie where the model knows li") as caught:
-        model.predict(far)
-    assert [Path(warning.filename).name for warning in caught] == [Path(__file__).name]
-
-
-@pytest.mark.parametrize("judge", [learn_correction, cross_validate_correction])
-def test_what_calibration_warns_of_names_the_line_of_the_call(judge):
-    few = make_single_point(4, 4, random_state=0)
-    model = ArmResidualRegressor(orders=1, causes=["kinematics"])
-    with pytest.warns(UserWarning, match="coordinates for .* free parameters") as caught:
-        judge(few.nominal_arm, few.data, few.groups, model=model, cv=2)
-    assert [Path(warning.filename).name for warning in caught] == [Path(__file__).name]
 
 
 @pytest.mark.parametrize("flag", ["return_std", "with_noise"])

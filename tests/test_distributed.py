@@ -73,14 +73,6 @@ def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path
     np.testing.assert_allclose(model.predict(X), expected, atol=1e-10)
 
 
-def test_predictions_chunk_by_chunk(client):
-    X, y, _ = rows()
-    model = RBFNetRegressor(25, length_scale=0.7, alpha=1e-3, random_state=0).fit(X[:900], y[:900])
-    chunks = da.from_array(X, chunks=(1000, 3))
-    lazy = chunks.map_blocks(model.predict, dtype=np.float64, drop_axis=1)
-    np.testing.assert_array_equal(lazy.compute(), model.predict(X))
-
-
 @pytest.mark.parametrize("backend", ["loky", "dask"])
 def test_search_over_positions_with_weights_on_workers(backend, client):
     test = make_single_point(n_positions=6, n_poses=10, random_state=0)

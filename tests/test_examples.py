@@ -80,17 +80,6 @@ def test_a_script_runs_alone_and_ends_in_its_pictures(run_alone, capsys, name):
     assert said in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_a_script_is_one_file_in_cells_that_says_its_size(name):
-    text = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
-    assert not re.search(r"^(from|import) _", text, flags=re.MULTILINE)
-    assert "argparse" not in text
-    head = text.split('"""')[1]
-    assert re.search(r"^=+$", head, flags=re.MULTILINE)
-    if "make_single_point" in text or "fetch_" in text:
-        assert re.search(r"simulated|real", head), "says which kind of data"
-
-
 def test_the_search_finds_the_best_of_its_own_table(run_alone, capsys):
     page, pictures = run_alone("plot_grid_search")
     assert len(pictures) == 1

@@ -7,17 +7,13 @@ refused, and nothing that is read is run.
 import ast
 import json
 import os
-import pickle
 import signal
-import struct
 import subprocess
 import sys
 import threading
 import time
-import zlib
 from pathlib import Path
 
-import joblib
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -61,35 +57,6 @@ def run(script, tmp_path):
     return said
 
 
-INTERRUPTED = """
-import signal
-import numpy as np
-from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _selection
-
-rng = np.random.default_rng(0)
-X, y = rng.uniform(size=(600, 3)), rng.normal(size=(600, 3))
-model = RBFNetRegressor(200, length_scale=0.05, alpha=0.01, shared=True)
-choose, steps = _selection._ForwardPass.choose, []
-
-def choose_and_press_ctrl_c(*args):
-    steps.append(0)
-    if len(steps) == 100:
-        signal.raise_signal(signal.SIGINT)
-    return choose(*args)
-
-_selection._ForwardPass.choose = choose_and_press_ctrl_c
-try:
-    model.fit(X, y)
-except KeyboardInterrupt:
-    print("interrupted")
-_selection._ForwardPass.choose = choose
-print(len(steps), hasattr(model, "coef_"))
-fresh = RBFNetRegressor(20, length_scale=0.5, alpha=0.01, shared=True).fit(X[:200], y[:200])
-model.set_params(n_centers=20, length_scale=0.5).fit(X[:200], y[:200])
-print(np.array_equal(model.predict(X[:9]), fresh.predict(X[:9])))
-"""
-
 KILLED = """
 import os, signal
 import numpy as np
@@ -113,11 +80,6 @@ except TerminatedWorkerError:
 search.set_params(param_grid={"n_centers": [5, 6]}, n_jobs=1)
 print(search.fit(X, y).best_estimator_.predict(X).shape)
 """
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_interrupt_in_the_middle_of_a_fit(tmp_path):
-    assert run(INTERRUPTED, tmp_path).split() == ["interrupted", "100", "False", "True"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -216,29 +178,6 @@ def test_a_folder_in_place_of_a_file_is_named(tmp_path):
         ARM.to_json(tmp_path)
     with pytest.raises(FileNotFoundError, match="No such folder"):
         ARM.to_json(tmp_path / "nowhere" / "arm.json")
-
-
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-@pytest.mark.parametrize("compress", [0, 3])
-def test_model_that_was_cut_short_does_not_load(model, tmp_path, share, compress):
-    path = tmp_path / "model.joblib"
-    joblib.dump(model, path, compress=compress)
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    # Which of these pickle raises depends on where the file ends.
-    cut_short = pickle.UnpicklingError, EOFError, ValueError, OSError, IndexError, struct.error
-    with pytest.raises(cut_short):
-        joblib.load(path)
-
-
-def test_compressed_model_with_a_changed_byte_does_not_load(model, tmp_path):
-    path = tmp_path / "model.joblib"
-    joblib.dump(model, path, compress=3)  # zlib ends in a checksum
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 255
-    path.write_bytes(content)
-    with pytest.raises((zlib.error, pickle.UnpicklingError, EOFError, ValueError, OSError)):
-        joblib.load(path)
 
 
 # -- files of arms ---------------------------------------------------------------------------------

@@ -174,11 +174,3 @@ def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):
     assert hash(loaded) == hash(data.arm)
     with pytest.raises(ValueError, match="read-only"):
         loaded.d[0] = 0.0
-
-
-def test_skops_files_carry_the_version(skops, fitted, monkeypatch):
-    monkeypatch.setattr(_versioned, "__version__", "0.0.7")
-    text = skops.dumps(fitted["harmonics"])
-    monkeypatch.undo()
-    with pytest.warns(InconsistentVersionWarning, match=r"saved by sklearn_raacmm 0\.0\.7"):
-        skops.loads(text, trusted=TRUSTED_TYPES)

@@ -17,7 +17,6 @@ from sklearn_raacmm import (
     Arm,
     CylindricalResidualTarget,
     RBFNetRegressor,
-    cartesian_to_cylindrical,
     cylindrical_to_cartesian,
     position_residuals,
 )
@@ -161,16 +160,6 @@ def test_json_brings_back_the_same_arm(arm):
 
 
 # -- residuals -------------------------------------------------------------------------------------
-
-
-@examples
-@given(listed(st.tuples(mm(1.0), mm(1.0), mm(1.0)), 5), listed(st.floats(-20, 20), 5))
-def test_cylindrical_frame_there_and_back(vectors, azimuth):
-    there = cartesian_to_cylindrical(vectors, azimuth)
-    assert_allclose(np.linalg.norm(there, axis=1), np.linalg.norm(vectors, axis=1), atol=1e-14)
-    assert_allclose(cylindrical_to_cartesian(there, azimuth), vectors, atol=1e-14)
-    whole_turn = np.add(azimuth, 2 * np.pi)
-    assert_allclose(cartesian_to_cylindrical(vectors, whole_turn), there, atol=1e-13)
 
 
 @examples

@@ -53,8 +53,7 @@ def numbers_of(correction, options, in_order):
     It takes angles in rad and their block; in the order of measurement they tell directions.
     """
     known, last = correction.facts["causes"], None
-    columns = columns_of_causes(options)
-    columns = {name: column for name, column in columns.items() if name in known}
+    columns = {name: column for name, column in columns_of_causes(options).items() if name in known}
 
     def numbers(angles, block):
         nonlocal last

@@ -18,7 +18,6 @@ from sklearn_raacmm.arm._kinematics import (
     reach_mm,
 )
 from sklearn_raacmm.arm._layouts import usual_pose
-from sklearn_raacmm.utils import one_warning
 
 __all__ = [
     "FIELDS",
@@ -33,7 +32,6 @@ __all__ = [
     "check_arm",
     "dh_theta",
     "frame_columns",
-    "one_warning",
     "parameter_jacobian",
     "points_of",
     "probe_points",

@@ -68,8 +68,7 @@ _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
 # What counts as knowing nothing of a base, a reach and a turn of one radian.
 _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE_COORDINATES = ("rx", "ry", "rz", "x", "y", "z")
-# A correction depends on the probe that is fitted through it. Two rounds as a rule: it changes by
-# a ten-thousandth of what the probe does.
+# A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
 _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
 
@@ -108,8 +107,8 @@ def calibrate(
     """Identify the static parameters of an arm.
 
     Either from a single-point test, where the points of one group coincide (a ball in a socket, a
-    probe in a cone), with or without known lengths between groups; or from positions that a
-    tracker measured, in an unknown frame, of an unknown point of the last link.
+    probe in a cone), with or without known lengths between groups; or from positions that a tracker
+    measured, in an unknown frame, of an unknown point of the last link.
 
     Parameters
     ----------
@@ -122,10 +121,9 @@ def calibrate(
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
     orientations : array-like of shape (n_samples, 3, 3) or Rotation, default=None
-        Measured orientations of the target beside `points`: rotation matrices, or a
-        :class:`scipy.spatial.transform.Rotation`, from the target's axes to those of the points.
-        How the target sits on the last link is found; positions and orientations are weighted by
-        the noise that each shows.
+        Measured orientations of the target beside `points`, from the target's axes to those of the
+        points: rotation matrices, or a :class:`scipy.spatial.transform.Rotation`. How the target
+        sits on the last link is found.
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between the fixed points of two groups, mm: tuples or the rows of an array.
     tools : array-like of shape (n_samples,), default=None
@@ -136,9 +134,8 @@ def calibrate(
         of its own. For `points` only.
     correction : object, default=None
         Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
-        ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points, so
-        that base, tool and table are fitted to corrected points. Needed wherever the correction
-        will be used with the result.
+        ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points. Needed
+        wherever the correction will be used with the result.
     free : iterable of str, default=("a", "alpha", "d", "theta_offset", "probe")
         Fields of `arm` that may change.
     loss : {"soft_l1", "huber", "cauchy", "squared"}, default="soft_l1"
@@ -167,15 +164,10 @@ def calibrate(
 
     Warns
     -----
-    UserWarning
-        If groups of one point say nothing, if there are too few rows for the parameters that are
-        free (fewer than one coordinate to check for each one to fit), if a known length disagrees
-        with the rest of the data, if the fit did not converge, if it makes no sense (points that
-        scatter by more than 2 % of the reach or twice as much as before, an arm that reaches less
-        than 200 mm), or if the points scatter more with the correction than without it.
     FindingWarning
-        "table-off": a parameter is more than 10 mm or 0.1 rad from the table, or ten standard
-        deviations of a prior that was given.
+        Of what is found in the data, such as too few rows for the free parameters, a known length
+        that disagrees, poses that are too much alike, a set-up that has moved, a correction that
+        does harm, a table that is far off, or a fit that makes no sense; see ``result.findings``.
 
     Notes
     -----
@@ -185,20 +177,17 @@ def calibrate(
     departures from the nominal arm over theirs. Robust losses weigh whole points, so that the
     result does not depend on the directions of the axes, and known lengths.
 
-    A single-point test cannot see the common scale of all lengths, but a smaller arm scatters
-    less, so that least squares alone would shrink it. The distances are therefore divided by the
-    scale of the links: the prior, or known lengths, alone decide the scale.
+    A single-point test cannot see the common scale of all lengths, but a smaller arm scatters less,
+    so that least squares alone would shrink it. The distances are therefore divided by the scale of
+    the links: the prior, or known lengths, alone decide the scale.
 
     Prior standard deviations are those of MacKay's fixed point: the sum of squares of the
     departures over the number of parameters that the data determine. Long lengths, of at least a
-    quarter of the longest, and short ones have one each: a forgotten offset of 60 mm must not
-    widen what is believed of the links, which carry the scale. With few data they are drawn to
-    0.4 mm, 0.3 mm and 0.003 rad; they stay from 0.01 to 10 mm, to 100 mm, and from 0.0001 to
-    0.02 rad (``benchmarks/bench_lengths.py scale``).
+    quarter of the longest, and short ones have one each: a forgotten offset of 60 mm must not widen
+    what is believed of the links, which carry the scale. With few data they are drawn to 0.4 mm,
+    0.3 mm and 0.003 rad (``benchmarks/bench_lengths.py scale``).
 
     The parameters of two parallel axes in a row (UR10) depend on each other; the prior chooses.
-    A fifth parameter for such axes (Hayati) is left out: on a UR10 measured by a tracker it
-    lowered the mean deviation by 0.6 %.
 
     Examples
     --------

@@ -237,17 +237,8 @@ def warn_of_what_no_arm_is(arm, before, after):
 def table_findings(names, nominal, values, sd, far, lengths):
     """Findings on a table that the data contradict: an offset forgotten, a link mistyped.
 
-    Parameters
-    ----------
-    names : list of str
-    nominal, values, sd, far : ndarray of shape (n_parameters,)
-        Before, after and its standard deviation, and how far apart they may be, mm and rad.
-    lengths : sequence
-        Known lengths: where there are any, they may be what is wrong.
-
-    Returns
-    -------
-    list of Finding
+    Arrays (n_parameters,), mm and rad: before, after and its standard deviation, and how far apart
+    they may be. Known lengths may be what is wrong.
     """
     departure = np.abs(values - nominal)
     # Parameters that only others determine wander: an offset along the last axis and the probe.
@@ -277,13 +268,7 @@ def table_findings(names, nominal, values, sd, far, lengths):
 
 
 def warn_of_harm(corrected, bare):
-    """Say that the points scatter more with a correction than without it.
-
-    Parameters
-    ----------
-    corrected, bare : ndarray of shape (n,)
-        Distances of the points with the correction and without, each with a fit of its own, mm.
-    """
+    """Say that the points scatter more with a correction than without it, distances (n,) in mm."""
     more = corrected - bare
     if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
         said = (

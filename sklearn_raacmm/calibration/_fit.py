@@ -12,12 +12,7 @@ from scipy.stats import chi, norm
 
 from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
 from sklearn_raacmm.calibration._priors import are_long
-from sklearn_raacmm.calibration._problem import (
-    jacobian_of_all,
-    left_jacobian,
-    points_of_all,
-    unpack,
-)
+from sklearn_raacmm.calibration._problem import left_jacobian, points_and_jacobian, unpack
 from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.utils import align, robust_scale
 
@@ -32,8 +27,8 @@ _MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
 MAX_ROUNDS = 20
 # Rounds in which prior standard deviations are found; two digits of them are enough.
 _EVIDENCE_ROUNDS = 8
-# Gauss-Newton steps of one round. They end where the next one would lower the sum of squares by
-# less than this part. Damping of a step that did not lower it, and where it is given up.
+# Gauss-Newton steps of one round, which ends where the next would lower the squares by less than
+# this part. Least damping, and where a step is given up.
 _MAX_STEPS, _SMALL_GAIN = 100, 1e-10
 _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 # Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
@@ -43,9 +38,8 @@ _LEAST_PIVOT = 1e-8
 _STEP_RAD, _STEP_MM = 1e-2, 10.0
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
-# Share of the sets without outliers in which rows may be named. Half of it is left to chance, and
-# in 0.01 the tail may be longer than it is taken to be. The rest is for what the straight line of
-# `outlier_limit` does not describe: without it 10 of 200 simulated sets are named, with it 4.
+# Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
+# tail may be longer than it is taken to be. 4 of 200 simulated sets are named.
 _FALSE_NAMES, _FALSE_TAILS = 0.05, 0.01
 # The part of the distances whose size tells how long the tail of the others is.
 _TAIL = 0.9
@@ -68,10 +62,10 @@ class Fit:
         self.nominal, self.prior_sd, self.loss = nominal, prior_sd.astype(float), loss
         self.families = families
         self.x = nominal.copy()
-        self.rotations, self.targets = np.empty((0, 3, 3)), np.empty((0, 3, 3))
+        self.rotations = self.targets = np.empty((0, 3, 3))
         self.converged = False
         self._evaluated = None
-        points, jac = self._points_and_jacobian(self.x, True)
+        points, jac = self._points_and_jacobian(self.x)
         if problem.points is not None:
             self._place(points)
         # The common scale of the long links, each as much as the data feel it: an offset along the
@@ -87,25 +81,19 @@ class Fit:
 
     def _place(self, points):
         """First guess of every base, and of every target's orientation."""
-        problem, shifts = self.problem, []
-        self.rotations = np.empty((problem.n_stations, 3, 3))
-        for s in range(problem.n_stations):
-            rows = problem.rows_of_station(s)
-            self.rotations[s], shift = align(points[rows], problem.points[rows])
-            shifts += [np.r_[0, 0, 0, shift]]
-        self.x = np.concatenate([self.x, *shifts])
+        problem = self.problem
+        rows_of = [problem.rows_of_station(s) for s in range(problem.n_stations)]
+        places = [align(points[rows], problem.points[rows]) for rows in rows_of]
+        self.rotations = np.stack([rotation for rotation, _ in places])
+        self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
         if problem.turns is not None:
+            away = np.empty_like(problem.turns)
             flange = flange_turns(self.nominal_arm, self.angles)[0]
-            away = np.swapaxes(self._rotation_of_rows() @ flange, 1, 2) @ problem.turns
-            self.targets = np.stack(
-                [mean_turn(away[problem.rows_of_tool(t)]) for t in range(problem.n_tools)]
-            )
+            for rows, rotation in zip(rows_of, self.rotations, strict=True):
+                away[rows] = np.swapaxes(rotation @ flange[rows], 1, 2) @ problem.turns[rows]
+            tools = range(problem.n_tools)
+            self.targets = np.stack([mean_turn(away[problem.rows_of_tool(t)]) for t in tools])
             self.x = np.concatenate([self.x, np.zeros(3 * problem.n_tools)])
-
-    def _rotation_of_rows(self):
-        """Rotation of the base of each row, (n, 3, 3) or one for all."""
-        stations = self.problem.stations
-        return self.rotations[0] if stations is None else self.rotations[stations]
 
     def base_columns(self, station):
         """Columns of a station's base: rotation, then shift."""
@@ -203,7 +191,7 @@ class Fit:
         self.sigma = self._new_sigma(seen)
         self.weights = WEIGHTS[self.loss](distances / self.sigma)
         if self.problem.turns is not None:
-            sizes = np.linalg.norm(self.turn_residuals(), axis=1)
+            sizes = np.linalg.norm(self._turn_residuals_and_jacobian(self.x)[0], axis=1)
             seen = sizes
             if spread is not None:
                 seen = spread[1] * self.sigma_turn / np.sqrt(self.turn_weights)
@@ -212,7 +200,7 @@ class Fit:
 
     def _solve(self, mask):
         """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
-        n, bases = len(self.nominal), self.problem.n_stations
+        bases = self.problem.n_stations
         unit = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)]
         unit = np.r_[unit, np.full(len(self.x) - len(unit), _STEP_RAD)][mask]
         rows, jac = self._residuals_and_jacobian(self.x, mask)
@@ -233,38 +221,31 @@ class Fit:
             else:
                 damping = max(100 * damping, _DAMPING)
         # Rotations are small ones about the last: take them over.
-        for s in range(bases):
-            turn = n + 6 * s + np.arange(3)
-            self.rotations[s] = Rotation.from_rotvec(self.x[turn]).as_matrix() @ self.rotations[s]
-            self.x[turn] = 0
-        for t in range(len(self.targets)):
-            turn = self._target_columns(t)
-            self.targets[t] = Rotation.from_rotvec(self.x[turn]).as_matrix() @ self.targets[t]
-            self.x[turn] = 0
+        for turns, columns_of in (
+            (self.rotations, lambda s: self.base_columns(s)[:3]),
+            (self.targets, self._target_columns),
+        ):
+            for i in range(len(turns)):
+                turns[i] = self._turn(self.x, turns[i], columns_of(i))
+                self.x[columns_of(i)] = 0
 
-    def _points_and_jacobian(self, x, table_is_free):
-        """Corrected points (n, 3), and their derivatives (n, 3, n_parameters) by table and probes.
+    @staticmethod
+    def _turn(x, turn, columns):
+        """Rotation matrix: that of the rotation vector in some columns of x, after another one."""
+        return Rotation.from_rotvec(x[columns]).as_matrix() @ turn
 
-        The last ones are kept. Points move linearly with a probe, so that nothing is computed anew
-        where only probes have moved; the derivatives by the table are then of the former probes.
-        """
-        arm_x, n_table = x[: len(self.nominal)], 4 * self.nominal_arm.n_joints
-        if self._evaluated is not None:
-            old, points, jac = self._evaluated
-            same_table = np.array_equal(old[:n_table], arm_x[:n_table])
-            move = arm_x[n_table:] - old[n_table:]
-            if same_table and not move.any():
-                return points, jac
-            if same_table and not table_is_free:
-                return points + jac[:, :, n_table:] @ move, jac
-        points, jac = jacobian_of_all(self.nominal_arm, self.angles, arm_x, self.problem)
-        self._evaluated = arm_x.copy(), points, jac
-        return points, jac
+    def _points_and_jacobian(self, x):
+        """Corrected points (n, 3) and their derivatives by table and probes; the last are kept."""
+        arm_x = x[: len(self.nominal)]
+        if self._evaluated is None or not np.array_equal(self._evaluated[0], arm_x):
+            found = points_and_jacobian(self.nominal_arm, self.angles, arm_x, self.problem)
+            self._evaluated = arm_x.copy(), *found
+        return self._evaluated[1:]
 
     def _data_residuals(self, x, mask):
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
         problem, n = self.problem, len(self.nominal)
-        points, jac = self._points_and_jacobian(x, mask[: 4 * self.nominal_arm.n_joints].any())
+        points, jac = self._points_and_jacobian(x)
         jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
         if problem.points is None:
             centres, centres_jac = (problem.sums(v, self.weights) for v in (points, jac))
@@ -282,12 +263,13 @@ class Fit:
         residuals = np.empty_like(points)
         for s in range(problem.n_stations):
             rows, columns = problem.rows_of_station(s), self.base_columns(s)
-            rotvec = x[columns[:3]]
-            turn = Rotation.from_rotvec(rotvec).as_matrix() @ self.rotations[s]
+            turn = self._turn(x, self.rotations[s], columns[:3])
             turned = points[rows] @ turn.T
             residuals[rows] = turned + x[columns[3:]] - problem.points[rows]
             whole[rows, :, :n_free] = turn @ jac[rows]
-            for column, axis in zip(place[columns[:3]], left_jacobian(rotvec).T, strict=True):
+            for column, axis in zip(
+                place[columns[:3]], left_jacobian(x[columns[:3]]).T, strict=True
+            ):
                 whole[rows, :, column] = np.cross(axis, turned)
             whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
         return residuals, whole, None, None
@@ -301,13 +283,13 @@ class Fit:
         rotation = np.empty_like(flange)
         for s in range(problem.n_stations):
             rows, columns = problem.rows_of_station(s), self.base_columns(s)[:3]
-            rotation[rows] = Rotation.from_rotvec(x[columns]).as_matrix() @ self.rotations[s]
+            rotation[rows] = self._turn(x, self.rotations[s], columns)
             jac[rows, :, columns[0] : columns[2] + 1] = left_jacobian(x[columns])
         turned = rotation @ axes
         jac[:, :, n : 2 * n], jac[:, :, 3 * n : 4 * n] = turned[:, :, :n], turned[:, :, n:]
         for t in range(problem.n_tools):
             rows, columns = problem.rows_of_tool(t), self._target_columns(t)
-            target = Rotation.from_rotvec(x[columns]).as_matrix() @ self.targets[t]
+            target = self._turn(x, self.targets[t], columns)
             carried = rotation[rows] @ flange[rows]
             residuals[rows] = turn_vectors(carried @ target @ measured[rows])
             jac[rows, :, columns[0] : columns[2] + 1] = carried @ left_jacobian(x[columns])
@@ -348,7 +330,7 @@ class Fit:
 
     def points(self):
         """Corrected points (n, 3) in mm, in the arm's base frame."""
-        return points_of_all(self.nominal_arm, self.angles, self.x, self.problem)
+        return self._points_and_jacobian(self.x)[0].copy()
 
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
@@ -360,10 +342,6 @@ class Fit:
             rows, shift = problem.rows_of_station(s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]
         return points
-
-    def turn_residuals(self):
-        """Differences of orientation (n, 3) in rad, in the frame of the points."""
-        return self._turn_residuals_and_jacobian(self.x)[0]
 
     def distances(self):
         """Distances (n,) in mm from the plain mean of the group: what scatter is made of."""

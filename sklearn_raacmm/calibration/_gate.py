@@ -9,13 +9,12 @@ import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._orientation import flange_turns
-from sklearn_raacmm.calibration._problem import jacobian_of_all
+from sklearn_raacmm.calibration._problem import points_and_jacobian
 from sklearn_raacmm.measurements import coarse_angles, find_poses, moved_positions, moved_set_up
 from sklearn_raacmm.utils import Finding, say_findings, slip_factors
 
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
-# leaves there from which on the data have said too little: 0.02 in clean tests of 60 poses, 0.2 and
-# more along a path.
+# leaves there from which on too little is known: 0.02 in clean tests of 60 poses, 0.2 along a path.
 _TRIED, _OPEN = 100, 0.1
 # Points that scatter by more than a part of that promise nothing.
 _FAR = 5.0
@@ -130,7 +129,7 @@ def set_up_moved(fit, mask, poses):
     problem, n = fit.problem, 4 * fit.nominal_arm.n_joints + 3
     if problem.points is None or problem.n_stations > 1 or problem.n_tools > 1:
         return
-    points, columns = jacobian_of_all(fit.nominal_arm, fit.angles, fit.x[:n], problem)
+    points, columns = points_and_jacobian(fit.nominal_arm, fit.angles, fit.x[:n], problem)
     turns = flange_turns(fit.arm(), fit.angles)[0]
     around = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
     base = np.broadcast_to(np.eye(3), columns[:, :, :3].shape)

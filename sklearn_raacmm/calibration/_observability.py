@@ -30,21 +30,9 @@ class Observability(NamedTuple):
 def observability(jac, names, prior_sd, unit, sigma):
     """Rank, condition, observability index and open combinations.
 
-    Parameters
-    ----------
-    jac : ndarray of shape (m, p)
-        Derivatives of the data, in standard deviations, by the free parameters.
-    names : list of str
-    prior_sd : ndarray of shape (p,)
-        What counts as knowing nothing of each.
-    unit : ndarray of shape (p,)
-        Change of each parameter that moves the probe by about 1 mm.
-    sigma : float
-        Standard deviation of a coordinate, mm.
-
-    Returns
-    -------
-    Observability
+    `jac` (m, p) are the derivatives of the data, in standard deviations `sigma` (mm), by the free
+    parameters; `prior_sd` (p,) counts as knowing nothing of each, and `unit` (p,) moves the probe
+    by about 1 mm.
     """
     if not len(names):
         return Observability(0, 1.0, 0.0, ())

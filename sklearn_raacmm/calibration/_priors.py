@@ -5,12 +5,11 @@
 
 import numpy as np
 
-# What machining leaves of a length, mm, and the matching angle, rad. They hold where few rows say
-# little; `calibrate` replaces them by what the evidence says (benchmarks/bench_calibrate.py).
+# What machining leaves of a length, mm, and the matching angle, rad, where few rows say little
+# (benchmarks/bench_calibrate.py).
 LENGTH_MM, ANGLE_RAD = 0.3, 0.003
-# What `calibrate` starts from: standard deviation, how many parameters that were seen it is worth,
-# and its bounds. Of the long lengths, which carry the scale, of the short ones, where an offset may
-# have been forgotten, and of the angles (benchmarks/bench_lengths.py scale).
+# What `calibrate` starts from: standard deviation, how many parameters it is worth, and its bounds.
+# Of long lengths, of short ones, and of angles (benchmarks/bench_lengths.py scale).
 LONG_MM, SHORT_MM, ANGLES_RAD = (
     (0.4, 1.0, 0.01, 10.0),
     (0.3, 4.0, 0.01, 100.0),

@@ -14,31 +14,15 @@ from sklearn_raacmm.utils import encode_groups
 
 @dataclass
 class Problem:
-    """Checked data of one calibration.
+    """Checked data of one calibration."""
 
-    Attributes
-    ----------
-    index : ndarray of shape (n,) or None
-        Number of the fixed point of each row; None for measured points.
-    points : ndarray of shape (n, 3) or None
-        Measured points, mm.
-    lengths : list of (int, int, float, float)
-        Known lengths between two fixed points, mm.
-    correction : ndarray of shape (n, 3) or None
-        What is subtracted from the arm's points, mm, in the arm's base frame.
-    tools, stations : ndarray of shape (n,) or None
-        Number of the tool and of the station of each row; None where all rows share one.
-    turns : ndarray of shape (n, 3, 3) or None
-        Measured orientations of the target, as rotation matrices in the frame of the points.
-    """
-
-    index: Any
-    points: np.ndarray | None
-    lengths: list
-    correction: np.ndarray | None = None
-    tools: np.ndarray | None = None
+    index: Any  # (n,) number of the fixed point of each row; None for measured points
+    points: np.ndarray | None  # (n, 3) measured, mm
+    lengths: list  # of (point, point, length, sd): known ones between two fixed points, mm
+    correction: np.ndarray | None = None  # (n, 3) mm, subtracted from the arm's points
+    tools: np.ndarray | None = None  # (n,) numbers; None where all rows share one
     stations: np.ndarray | None = None
-    turns: np.ndarray | None = None
+    turns: np.ndarray | None = None  # (n, 3, 3) orientations of the target beside `points`
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
 
@@ -110,27 +94,17 @@ def unpack(arm, x, tool=0):
     )
 
 
-def points_of_all(arm, angles, x, problem):
-    """Corrected points (n, 3) in the arm's base frame."""
-    points = np.empty((len(angles), 3))
-    for tool in range(problem.n_tools):
-        rows = problem.rows_of_tool(tool)
-        points[rows] = unpack(arm, x, tool).forward(angles[rows])
-    return points if problem.correction is None else points - problem.correction
+def points_and_jacobian(arm, angles, x, problem):
+    """Corrected points (n, 3) in the base frame, and their derivatives (n, 3, len(x)).
 
-
-def jacobian_of_all(arm, angles, x, problem):
-    """Corrected points (n, 3) and their derivatives (n, 3, len(x)) by table and probes."""
-    if problem.n_tools == 1:
-        points, jac = parameter_jacobian(unpack(arm, x), angles)
-        return (points if problem.correction is None else points - problem.correction), jac
-    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
+    By table and probes, mm and rad.
+    """
     n_table = 4 * arm.n_joints
+    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
-        rows = problem.rows_of_tool(tool)
+        rows, start = problem.rows_of_tool(tool), n_table + 3 * tool
         points[rows], own = parameter_jacobian(unpack(arm, x, tool), angles[rows])
         jac[rows, :, :n_table] = own[:, :, :n_table]
-        start = n_table + 3 * tool
         jac[rows, :, start : start + 3] = own[:, :, n_table:]
     return (points if problem.correction is None else points - problem.correction), jac
 

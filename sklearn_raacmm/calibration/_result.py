@@ -41,8 +41,7 @@ class CalibrationResult:
         Parameters that stay where the prior has them because the data do not know better, and
         ``"scale"`` if this is so of the common scale of all links.
     unidentified_combinations : tuple of str
-        The sums of parameters that the data leave open, such as ``"d2 - d3"``: every parameter
-        may be known only together with others. mm and rad.
+        The sums of parameters that the data leave open, such as ``"d2 - d3"``, mm and rad.
     prior_sd : dict
         Prior standard deviations that were used: ``"length_mm"`` of the long lengths,
         ``"short_length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
@@ -58,22 +57,17 @@ class CalibrationResult:
         are not zero, over the square root of the number of rows. Larger is better.
     scale_sd : float
         Relative standard deviation of the common scale of all links.
-    scatter_given_mm : float
-        Scatter with the arm as it was given.
-    scatter_before_mm : float
-        Scatter with nothing but the probe fitted (and the base, for measured points).
-    scatter_after_mm : float
-        Scatter of the calibrated arm: the mean distance of the points, outliers included, from the
-        mean of their group, or from their measured positions. With a correction, of the corrected
-        points, like the two above.
+    scatter_given_mm, scatter_before_mm, scatter_after_mm : float
+        Mean distance of the points, outliers included, from the mean of their group, or from their
+        measured positions: with the arm as it was given, with nothing but the probe (and the base)
+        fitted, and calibrated. With a correction, of the corrected points.
     residuals_mm : ndarray of shape (n_samples, 3)
         Those differences, in the arm's base frame.
     length_errors_mm : ndarray of shape (n_lengths,)
         Distances between the centres of groups less the known lengths.
-    sigma_mm : float
-        Standard deviation of one coordinate that the fit found and weighted with.
-    sigma_rad : float or None
-        The same of one component of the orientation, where orientations were given.
+    sigma_mm, sigma_rad : float
+        Standard deviation that the fit found of a coordinate, and of a component of the
+        orientation, where orientations were given, else None.
     outliers : tuple of int
         Rows farther than `outlier_limit_mm` from where they belong (the weighted mean of their
         group, which they hardly pull), the farthest first.
@@ -85,14 +79,12 @@ class CalibrationResult:
         1 for all others. Three in ten of small sets without outliers lose a row by it.
     groups : ndarray of shape (n_samples,) or None
         The labels, as given.
-    arms : dict
-        The calibrated arm with the probe of each label of `tools`; empty without.
-    bases : dict
-        Rotation and translation of each label of `stations`; empty without.
+    arms, bases : dict
+        The calibrated arm with the probe of each label of `tools`, and rotation and translation of
+        each label of `stations`; empty without.
     base_rotation, base_translation : ndarray of shape (3, 3) and (3,), or None
-        For measured points, the arm's base in their frame:
-        ``points = arm.forward(angles) @ base_rotation.T + base_translation``. With several
-        stations, of the first.
+        For measured points, the arm's base in their frame, with several stations of the first:
+        ``points = arm.forward(angles) @ base_rotation.T + base_translation``.
     target_rotation : ndarray of shape (3, 3) or None
         Orientation of the first tool's target in the last link's frame, where orientations were
         given.

@@ -153,8 +153,12 @@ def learn_correction(
     ((5, 3), (5, 3))
     """
     options = {
-        "angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs, "progress": progress,
-    }  # fmt: skip
+        "angle_unit": angle_unit,
+        "model": model,
+        "cv": cv,
+        "n_jobs": n_jobs,
+        "progress": progress,
+    }
     # `validate_params` would name this function where a parameter of the model is wrong.
     validate_parameter_constraints(_OPTIONS, options, caller_name="learn_correction")
 
@@ -233,21 +237,24 @@ def cross_validate_correction(
     True
     """
     options = {
-        "angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs, "progress": progress,
-    }  # fmt: skip
+        "angle_unit": angle_unit,
+        "model": model,
+        "cv": cv,
+        "n_jobs": n_jobs,
+        "progress": progress,
+    }
     return learn_correction(arm, angles, positions, points, lengths, **options).scores
 
 
 def _say_what_moved(data, calibration, model, noise, rows):
     """Say which positions moved, and by how much the run drifted, of what a model leaves."""
+    expected = data.at_probes(model, calibration, slice(None)).predict(data.inputs)
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
-        there = data.at_probes(model, calibration, slice(None))
-        left = calibration.residuals_mm[data.rows] - there.predict(data.inputs)
+        left = calibration.residuals_mm[data.rows] - expected
         every = np.ones(len(left))
         say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
-    there = data.at_probes(model, calibration, rows)
-    left = data.residuals(calibration, rows) - there.predict(data.inputs[rows])
+    left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
     say_findings([drift_of(calibration.arm, data.angles[rows], left, codes)])
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
 
-from sklearn_raacmm.arm import Arm, one_warning
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.correction._records import append_record
@@ -29,6 +29,7 @@ from sklearn_raacmm.utils import (
     group_means,
     listed,
     one_blas_thread,
+    one_warning,
     show,
     validate_params,
 )
@@ -142,7 +143,7 @@ class CorrectionCheck:
     },
     prefer_skip_nested_validation=True,
 )
-@one_warning()
+@one_warning
 def check_correction(
     model: ArmResidualRegressor,
     X: ArrayLike,
@@ -246,19 +247,21 @@ def check_correction(
     linear_model_of(model, "checked")
     model = model if arm is None else model.with_arm(arm)
     linear = _widened(model.linear_model_)
-    rows: Any = X
-    labels = None if groups is None else encode_groups(groups, len(rows))[0].tolist()
-    lengths = _check_lengths(lengths, labels)
     today = NewPoses.checked(model, X, y, groups, sample_weight)
+    lengths = listed("lengths", lengths)
+    if lengths and groups is None:
+        raise ValueError("lengths are between positions: give groups, the position of each pose.")
+    labels = encode_groups(groups)[0].tolist() if lengths else []
+    lengths = [check_length(entry, labels) for entry in lengths]
     poses, slipped = _poses_of(linear, model, today, lengths)
     nuisance = poses.nuisance(refitted)
     root = poses.root_of_covariance()
     whiten = Whitened(root, nuisance)
+    taken = len(root) - whiten.freedom
     if whiten.freedom < 3:
-        n_rows = len(root)
         raise ValueError(
-            f"{len(poses.left)} poses have {n_rows} coordinates for {n_rows - whiten.freedom} "
-            "freedoms of positions, base and probe: nothing is left to check the correction with."
+            f"{len(poses.left)} poses have {len(root)} coordinates for {taken} freedoms of "
+            "positions, base and probe: nothing is left to check the correction with."
         )
     causes = poses.causes()
     tests = score_tests(causes, whiten, poses.residual(), linear.n_positions)
@@ -287,9 +290,9 @@ def check_correction(
             f"It is real and small, {size_mm:.2g} mm beside the {usual_mm:.2g} mm that the "
             f"correction leaves: nothing needs to be done. {advice}"
         )
-    rows = tuple(np.flatnonzero(slipped).tolist())
+    named = tuple(np.flatnonzero(slipped).tolist())
     return CorrectionCheck(
-        holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, rows, record
+        holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, named, record
     )
 
 
@@ -317,8 +320,8 @@ def _poses_of(linear, model, today, lengths):
     angles, weights = today.angles[kept], today.weights[kept]
     codes = None if today.codes is None else today.codes[kept]
     points = linear.arm.forward(angles[:, : linear.arm.n_joints]) - correction[kept]
-    known = _Lengths.between(points, codes, weights, lengths)
-    return _Poses(linear, angles, left[kept], tamed[kept], weights, codes, known), slipped
+    known = _lengths_between(points, codes, weights, lengths)
+    return _Poses(linear, angles, left[kept], tamed[kept], weights, codes, *known), slipped
 
 
 def _slipped(linear, poses, left):
@@ -343,37 +346,22 @@ def _slipped(linear, poses, left):
     return slipped, middle + share[:, None] * (left - middle)
 
 
-def _check_lengths(lengths, labels):
-    """Known lengths as (position, position, mm, mm), positions by their number."""
-    lengths = listed("lengths", lengths)
-    if lengths and labels is None:
-        raise ValueError("lengths are between positions: give groups, the position of each pose.")
-    return [check_length(entry, labels) for entry in lengths]
+def _lengths_between(points, codes, weights, lengths):
+    """Known lengths whose two ends have poses: what coordinates do to them, errors, stated sd.
 
-
-class _Lengths(NamedTuple):
-    """Known lengths, as small changes of the poses' coordinates change them."""
-
-    rows: np.ndarray  # (l, 3 n) mm per mm
-    errors: np.ndarray  # (l,) of the corrected points, mm
-    noise_share: np.ndarray  # (l,) variance of each in units of a coordinate's
-    sd: np.ndarray  # (l,) stated, mm
-
-    @classmethod
-    def between(cls, points, codes, weights, lengths):
-        """Of those lengths whose two ends have poses."""
-        present = set() if codes is None else set(codes.tolist())
-        known = [entry for entry in lengths if {*entry[:2]} <= present]
-        # Weights of the poses in the mean of one end less the mean of the other.
-        ends = [[weights * (codes == end) for end in entry[:2]] for entry in known]
-        shares = [last / last.sum() - first / first.sum() for first, last in ends]
-        shares = np.array(shares).reshape(-1, len(points))
-        line = shares @ points
-        size = np.linalg.norm(line, axis=1)
-        rows = shares[:, :, None] * (line / size[:, None])[:, None, :]
-        stated, sd = np.array([entry[2:] for entry in known], dtype=float).reshape(-1, 2).T
-        shape = (len(known), 3 * len(points))
-        return cls(rows.reshape(shape), size - stated, np.square(shares) @ (1 / weights), sd)
+    (l, 3 n) in mm per mm; (l,) in mm, of the corrected points; (l,) in mm.
+    """
+    present = set() if codes is None else set(codes.tolist())
+    known = [entry for entry in lengths if {*entry[:2]} <= present]
+    # Weights of the poses in the mean of one end less the mean of the other.
+    ends = [[weights * (codes == end) for end in entry[:2]] for entry in known]
+    shares = [last / last.sum() - first / first.sum() for first, last in ends]
+    shares = np.array(shares).reshape(-1, len(points))
+    line = shares @ points
+    size = np.linalg.norm(line, axis=1)
+    rows = shares[:, :, None] * (line / size[:, None])[:, None, :]
+    stated, sd = np.array([entry[2:] for entry in known], dtype=float).reshape(-1, 2).T
+    return rows.reshape(len(known), 3 * len(points)), size - stated, sd
 
 
 class _Poses(NamedTuple):
@@ -385,25 +373,26 @@ class _Poses(NamedTuple):
     tamed: np.ndarray  # (n, 3) the same without the tails
     weights: np.ndarray  # (n,)
     codes: np.ndarray | None  # (n,) position of each pose
-    known: _Lengths
+    lengths: np.ndarray  # (l, 3 n) what the coordinates do to the lengths, mm per mm
+    length_errors: np.ndarray  # (l,) mm
+    length_sd: np.ndarray  # (l,) mm
 
     def rows(self, columns):
-        """Columns (n, 3, k) at the poses as rows of coordinates and lengths, (m, k)."""
-        flat = columns.reshape(3 * len(columns), -1)
-        return np.concatenate([flat, self.known.rows @ flat])
+        """Columns (n, 3, k) or (3 n, k) as rows of coordinates and lengths, (m, k)."""
+        flat = columns.reshape(3 * len(self.left), -1)
+        return np.concatenate([flat, self.lengths @ flat])
 
     def residual(self):
         """What is left of coordinates and lengths, (m,), mm."""
-        return np.r_[self.tamed.ravel(), self.known.errors]
+        return np.r_[self.tamed.ravel(), self.length_errors]
 
     def root_of_covariance(self):
         """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
-        half, noise = self.rows(self.linear.columns(self.angles)) @ self.linear.half, self.known
-        shares = np.r_[1 / np.repeat(self.weights, 3), noise.noise_share]
-        covariance = half @ half.T
-        covariance[np.diag_indices(len(covariance))] += self.linear.noise_variance * shares
-        n = 3 * len(self.left)
-        covariance[range(n, len(half)), range(n, len(half))] += np.square(noise.sd)
+        half = self.rows(self.linear.columns(self.angles)) @ self.linear.half
+        of_coordinates = np.diag(np.repeat(self.linear.noise_sd / np.sqrt(self.weights), 3))
+        noise = self.rows(of_coordinates)
+        of_lengths = np.r_[np.zeros(len(of_coordinates)), np.square(self.length_sd)]
+        covariance = half @ half.T + noise @ noise.T + np.diag(of_lengths)
         return cholesky(covariance, lower=True, check_finite=False)
 
     def usual_mm(self):
@@ -423,16 +412,12 @@ class _Poses(NamedTuple):
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
             raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
         place = self.rows(place_columns(self.linear.arm, self.angles, with_base=True))
-        parts = [place[:, :0]]
-        if "probe" in refitted:
-            parts.append(place[:, :3])
-        if "base" in refitted:
-            parts.append(place[:, 3:])
-        if self.codes is not None:
-            # The offset of a position is that of its residuals, not of where it is.
-            offsets = np.kron(self.codes[:, None] == np.unique(self.codes), np.eye(3))
-            parts.append(np.pad(offsets, ((0, len(place) - len(offsets)), (0, 0))))
-        return np.concatenate(parts, axis=1)
+        place = place[:, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
+        if self.codes is None:
+            return place
+        # The offset of a position is that of its residuals, not of where it is.
+        offsets = np.kron(self.codes[:, None] == np.unique(self.codes), np.eye(3))
+        return np.hstack([place, np.pad(offsets, ((0, len(place) - len(offsets)), (0, 0)))])
 
     def causes(self):
         """What each cause would do to the poses: (m, k) columns by name."""

@@ -119,7 +119,9 @@ def next_poses(
         columns, half = _of_model(linear)
     else:
         columns, half = _of_arm(model if linear is None else linear.arm, free, groups)
-    noise_sd = _NOISE_MM if linear is None else max(linear.noise_sd, 1e-9)
+    noise_sd = _NOISE_MM if linear is None else linear.noise_sd
+    if free is not None:  # priors of millimetres beside no noise at all
+        noise_sd = max(noise_sd, 1e-9)
     offsets = linear.offsets if free is None else groups is not None
     X = _check_poses(model, X)
     if groups is None:

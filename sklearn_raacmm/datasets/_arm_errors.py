@@ -1,5 +1,8 @@
 """What is wrong with a simulated arm, and by how much; public in `sklearn_raacmm.datasets`."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -13,22 +16,20 @@ from sklearn_raacmm.utils import show
 class ArmErrors:
     """Sizes of an arm's physical error sources, each in its own unit; 0 switches a source off.
 
-    Each description names the source of the size. The ranges are those that we found or inferred,
-    and the defaults lie inside them.
+    Defaults are *published*, *derived* from published sizes, or *our choice*.
 
     Parameters
     ----------
     length_mm : float, default=0.2
-        Standard deviation of the errors of a, d and the probe vector, mm. *Published*: an
-        identified arm (that of ``Arm.from_name("aacmm6")``) shows 0.1 to 0.7 mm.
+        Standard deviation of the errors of a, d and the probe vector, mm. *Published*: the
+        identified arm of ``Arm.from_name("aacmm6")`` shows 0.1 to 0.7 mm.
     angle_deg : float, default=0.02
         Standard deviation of the errors of twists and zero offsets, degrees. *Published*: the same
         arm shows 0.004 to 0.047 degrees.
     eccentricity_arcsec : tuple of two float, default=(4.0, 1.2)
         Amplitudes of the first and the second harmonic of each encoder; joints differ by half of
-        it either way, phases are random. *Our choice*: makers of encoders publish 412.5 arcsec per
-        um of eccentricity and mm of diameter and a compensation from 100 to 10 arcsec; what is
-        left in a finished arm is inferred.
+        it either way, phases are random. *Our choice*: makers publish a compensation from 100 to 10
+        arcsec; what is left in a finished arm is inferred.
     encoder_noise_arcsec : float, default=1.0
         White noise of each reading. *Published* for encoders: 0.5 to 1.5 arcsec.
     quantisation_arcsec : float, default=0.62
@@ -71,14 +72,9 @@ class ArmErrors:
     slip_mm : float, default=1.0
         How far it has slipped then, in a random direction.
 
-    See Also
-    --------
-    SimulatedArm : An arm with these errors.
-
     Notes
     -----
-    Left out: the force of the hand, for which we found no published size that belongs to one
-    newton of an arm like this.
+    Left out: the force of the hand, for which we found no published size.
 
     Examples
     --------

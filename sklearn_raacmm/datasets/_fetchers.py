@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from datetime import datetime
+from functools import partial
 from numbers import Integral, Real
 from os import PathLike
 from typing import Any
@@ -14,7 +16,7 @@ from sklearn.utils import Bunch
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._bunch import pack
-from sklearn_raacmm.datasets._checksums import PANDA, UR10
+from sklearn_raacmm.datasets._checksums import SHA256
 from sklearn_raacmm.datasets._download import cached_file, data_folder
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
@@ -28,7 +30,6 @@ UR10_URL = (
     "https://raw.githubusercontent.com/christianlandgraf/ipa-robot-accuracy/"
     "507fba69bdaf6c43c2faf306e70a7e37c5e39b89/Series_A"
 )
-UR10_FILE = "measurements_grid.csv"
 HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement; the sd is our guess
 _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 17)
 # Three angles in degrees. The file does not say about which axes. Of all orders, senses and
@@ -95,7 +96,7 @@ _CONSTRAINTS = {
 
 
 @validate_params(
-    _CONSTRAINTS | {"arm": [StrOptions(set(PANDA))]}, prefer_skip_nested_validation=True
+    _CONSTRAINTS | {"arm": [StrOptions({"panda_2", "panda_3"})]}, prefer_skip_nested_validation=True
 )
 def fetch_panda_ball_socket(
     arm: str = "panda_3",
@@ -139,31 +140,15 @@ def fetch_panda_ball_socket(
     Returns
     -------
     data : :class:`~sklearn.utils.Bunch`
-        As :func:`make_single_point`, but for the simulation:
+        As :func:`make_single_point`: ``data`` (n_poses, 7), ``target``, ``groups``, ``points``,
+        ``arm``, calibrated on all rows and the known lengths, ``nominal_arm`` and names; and:
 
-        data : ndarray or DataFrame of shape (n_poses, 7)
-            Joint angles, rad.
-        target : ndarray or DataFrame of shape (n_poses, 3)
-            Residuals dx, dy, dz, mm: point minus mean point of its socket.
-        groups : ndarray or Series of shape (n_poses,)
-            Label of the socket, ``"backleft/0"``: points of one group should coincide.
         placements : ndarray or Series of shape (n_poses,)
             Label of the placement of the two sockets. Split by it, not by socket: the other socket
             is 50 mm away.
-        points : ndarray of shape (n_poses, 3)
-            Points that the calibrated arm shows, mm.
-        arm : Arm
-            The arm, calibrated on all rows and the known lengths.
-        nominal_arm : Arm
-            The arm before calibration.
         lengths : list of (label, label, length, standard deviation)
             The 50 mm between the two sockets of each placement, for
-            :func:`~sklearn_raacmm.calibrate`. The
-            standard deviation of 0.1 mm is our guess.
-        feature_names, target_names : list of str
-            Names of the columns.
-        frame : DataFrame
-            data, target, position and placement; only with ``as_frame=True``.
+            :func:`~sklearn_raacmm.calibrate`. The standard deviation of 0.1 mm is our guess.
         DESCR : str
             Description, source, licence, citation.
 
@@ -195,24 +180,23 @@ def fetch_panda_ball_socket(
     >>> test.data.shape, test.target.shape  # doctest: +SKIP
     ((387, 7), (387, 3))
     """
-    home = data_folder(data_home, "panda_ball_socket", arm)
-    url = f"{_address(base_url, PANDA_URL)}/{arm}"
-    labels, tables = [], []
-    for placement, checksums in PANDA[arm].items():
-        for hole, checksum in enumerate(checksums):
-            path = cached_file(
-                home / placement / f"hole_{hole}.csv",
-                f"{url}/{placement}/hole_{hole}.csv",
-                checksum,
-                download_if_missing=download_if_missing,
-                n_retries=n_retries,
-                delay=delay,
-            )
-            tables.append(np.loadtxt(path, delimiter=",", ndmin=2))
-            labels.append(f"{placement}/{hole}")
+    fetch = partial(
+        cached_file,
+        folder=data_folder(data_home, "panda_ball_socket"),
+        address=_address(base_url, PANDA_URL),
+        download_if_missing=download_if_missing,
+        n_retries=n_retries,
+        delay=delay,
+    )
+    names = [name for name in SHA256 if name.startswith(arm)]
+    tables = [np.loadtxt(fetch(name), delimiter=",", ndmin=2) for name in names]
+    # Of "panda_3/backleft/hole_0.csv" the label is "backleft/0".
+    labels = [f"{name.split('/')[1]}/{name[-len('0.csv')]}" for name in names]
     angles = np.concatenate(tables)
     groups = np.repeat(labels, [len(table) for table in tables])
-    lengths = [(f"{name}/0", f"{name}/1", HOLES_MM, HOLES_SD_MM) for name in PANDA[arm]]
+    lengths = [
+        (a, b, HOLES_MM, HOLES_SD_MM) for a, b in zip(labels[::2], labels[1::2], strict=True)
+    ]
     nominal = Arm.from_name("panda", probe=(0, 0, 241))
     calibrated = calibrate(nominal, angles, groups, lengths=lengths).arm
     points = calibrated.forward(angles)
@@ -250,55 +234,31 @@ def fetch_ur10_tracker(
 
     Parameters
     ----------
-    data_home : str or path-like, default=None
-        Folder to keep the file in, under ``ur10_tracker``. None: that of
-        :func:`sklearn.datasets.get_data_home`, usually ``~/scikit_learn_data``.
-    download_if_missing : bool, default=True
-        If False, raise an OSError where the file is not there or is not what it should be.
+    data_home, download_if_missing, as_frame, n_retries, delay
+        As in :func:`fetch_panda_ball_socket`; the folder is ``ur10_tracker``.
     return_X_y : bool, default=False
         Return ``(data, target, groups)`` only; split by the last.
-    as_frame : bool, default=False
-        Return pandas objects.
-    n_retries : int, default=3
-        How often to ask again where the network or the server fails.
-    delay : float, default=1.0
-        Seconds between tries.
     base_url : str, default=None
-        Where to find ``measurements_grid.csv`` instead of the authors' repository: a mirror, or
-        ``"file:///..."`` for a folder. What comes from there has to have the same checksum.
+        Where to find ``measurements_grid.csv`` instead of the authors' repository.
 
     Returns
     -------
     data : :class:`~sklearn.utils.Bunch`
-        data : ndarray or DataFrame of shape (11911, 6)
-            Commanded joint angles, rad.
+        As :func:`make_single_point`: ``data`` (11911, 6), the commanded joint angles, rad,
+        ``groups``, the numbers of the goal positions, ``temperature``, ``directions`` by the pose
+        that was measured before, ``points``, ``arm``, calibrated on all rows, ``nominal_arm`` and
+        names; and:
+
         target : ndarray or DataFrame of shape (11911, 3)
             Residuals dx, dy, dz in the arm's base frame, mm: what the calibrated arm shows minus
             what the tracker measured.
-        groups : ndarray or Series of shape (11911,)
-            Number of the goal position: split by it.
-        points : ndarray of shape (11911, 3)
-            Points that the calibrated arm shows, mm.
         tracker_points : ndarray of shape (11911, 3)
             Measured points in the tracker's frame, mm.
         tracker_orientations : ndarray of shape (11911, 3, 3)
             Measured orientations of the tracker's target, as rotation matrices from the target's
             axes to the tracker's, for ``calibrate(..., orientations=)``.
-        temperature : ndarray of shape (11911,)
-            In degC.
-        directions : ndarray of shape (11911, 6)
-            Direction from which each joint came: 1 from smaller angles, -1 from larger ones, 0
-            where it stood still, by the pose that was measured before.
         time : ndarray of datetime64 of shape (11911,)
             When each pose was measured, to a second. Ten poses do not stand in this order.
-        arm : Arm
-            The arm, calibrated on all rows.
-        nominal_arm : Arm
-            The arm before calibration.
-        feature_names, target_names : list of str
-            Names of the columns.
-        frame : DataFrame
-            data, target and position; only with ``as_frame=True``.
         DESCR : str
             Description, source, licence, citation.
 
@@ -331,19 +291,20 @@ def fetch_ur10_tracker(
     ((11911, 6), (11911, 3))
     """
     path = cached_file(
-        data_folder(data_home, "ur10_tracker", UR10_FILE),
-        f"{_address(base_url, UR10_URL)}/{UR10_FILE}",
-        UR10,
+        "measurements_grid.csv",
+        data_folder(data_home, "ur10_tracker"),
+        _address(base_url, UR10_URL),
         download_if_missing=download_if_missing,
         n_retries=n_retries,
         delay=delay,
     )
     # Semicolons between fields, decimal commas.
-    text = path.read_text(encoding="utf-8-sig").replace(",", ".")
-    table = np.loadtxt(text.splitlines()[1:], delimiter=";", usecols=range(_TURN.stop))
+    lines = path.read_text(encoding="utf-8-sig").replace(",", ".").splitlines()[1:]
+    table = np.loadtxt(lines, delimiter=";", usecols=range(_TURN.stop))
     angles, tracker_points = table[:, _JOINTS], table[:, _POINT]
     goals = np.unique(table[:, _GOAL].round(6), axis=0, return_inverse=True)[1].ravel()
-    time = np.array([_time_of(line) for line in text.splitlines()[1:]], dtype="datetime64[s]")
+    times = [datetime.strptime(line.split(";", 1)[0], "%Y%m%d%H%M%S") for line in lines]
+    time = np.array(times, dtype="datetime64[s]")
     order = np.argsort(time, kind="stable")
     directions = np.empty_like(angles)
     directions[order] = directions_of(angles[order])
@@ -371,12 +332,6 @@ def fetch_ur10_tracker(
     return pack(data, return_X_y, as_frame)
 
 
-def _time_of(line):
-    """Time in the first field of a line, 20200714163904, as NumPy reads it."""
-    t = line.split(";", 1)[0]
-    return f"{t[:4]}-{t[4:6]}-{t[6:8]}T{t[8:10]}:{t[10:12]}:{t[12:14]}"
-
-
 def _address(given, default):
     if given is None:
         return default
@@ -384,4 +339,4 @@ def _address(given, default):
         raise ValueError(
             f"base_url must be an address like https://... or file:///..., got {given!r}."
         )
-    return given.rstrip("/")
+    return given

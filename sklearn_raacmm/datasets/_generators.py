@@ -1,9 +1,7 @@
-"""Simulated measurements with an articulated arm CMM, and open data of real arms.
+"""Simulated single-point tests and gauges; public in `sklearn_raacmm.datasets`."""
 
-Functions ``make_...`` simulate measurements of an arm with physical errors. What the user of a real
-arm would have is at the top level of each data set; what only a simulation knows is under
-``simulation``. Functions ``fetch_...`` load data that others measured and published.
-"""
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
 from functools import lru_cache
@@ -64,8 +62,8 @@ def make_single_point(
         Draws positions, poses and noise. :func:`make_gauge` with the same int and the same
         `machine` measures with the same individual, at other places.
     return_X_y : bool, default=False
-        Return ``(data, target, groups)`` only. The groups are needed for every split: rows of one
-        position resemble each other, and a random split would make a model look too good.
+        Return ``(data, target, groups)`` only. Split by the groups: rows of one position resemble
+        each other.
     as_frame : bool, default=False
         Return pandas objects.
 
@@ -74,16 +72,16 @@ def make_single_point(
     data : :class:`~sklearn.utils.Bunch`
         What the arm's user has:
 
-        data : ndarray or DataFrame of shape (n_positions * n_poses, 6)
-            Encoder readings, rad.
-        target : ndarray or DataFrame of shape (n_positions * n_poses, 3)
+        data : ndarray or DataFrame of shape (n_rows, 6)
+            Encoder readings, rad, in the order in which they were taken.
+        target : ndarray or DataFrame of shape (n_rows, 3)
             Residuals dx, dy, dz, mm: point minus mean point of its position.
-        groups : ndarray or Series of shape (n_positions * n_poses,)
+        groups : ndarray or Series of shape (n_rows,)
             Number of the position.
         lengths : list of (int, int, float, float)
             Known lengths, as :func:`calibrate` takes them: the two ends of each bar, its length
             with an error, and the standard deviation of that, 0.01 mm.
-        points : ndarray of shape (n_positions * n_poses, 3)
+        points : ndarray of shape (n_rows, 3)
             Points that the calibrated arm shows, mm.
         arm : Arm
             The arm as calibrated on simulated data of its own, at another temperature.
@@ -91,36 +89,30 @@ def make_single_point(
             The arm before calibration.
         feature_names, target_names : list of str
             Names of the columns.
-        directions : ndarray of shape (n_positions * n_poses, 6)
-            Direction from which each joint came: 1 from smaller angles, -1 from larger ones. The
-            rows are in the order in which they were taken.
-        temperature : ndarray of shape (n_positions * n_poses,)
+        directions : ndarray of shape (n_rows, 6)
+            Direction from which each joint came: 1 from smaller angles, -1 from larger ones.
+        temperature : ndarray of shape (n_rows,)
             Temperature of the arm, degC; it was calibrated at 20 degC.
-        payload : ndarray of shape (n_positions * n_poses,)
+        payload : ndarray of shape (n_rows,)
             Weight at the probe, N; it was calibrated without.
         frame : DataFrame
             data, target and position; only with ``as_frame=True``.
         simulation : Bunch
             What is known in a simulation only: ``machine`` (SimulatedArm), ``positions``
             (centres of the cones, mm), ``true_points`` (where the probe really was, mm),
-            ``perfect_correction`` (what the best possible model would predict from the readings,
-            mm; ``points - perfect_correction`` scatter by noise alone: the noise floor) and
-            ``slipped`` (of each row whether the probe had slipped out of its seat).
+            ``perfect_correction`` (what the best possible model predicts from the readings, mm) and
+            ``slipped`` (whether the probe had slipped out of its seat).
 
     Raises
     ------
     ValueError
         If a number is too small, the machine unknown, or no reachable place is found.
 
-    See Also
-    --------
-    make_gauge : Known lengths.
-
     Notes
     -----
     The poses are found by inverse kinematics such that the true probe is within 1e-6 mm of the
-    cone's centre plus the seating error. The same seed means the same data with every version and
-    on every platform, but for the rounding of sines and cosines.
+    cone's centre plus the seating error. The same seed means the same data everywhere, but for the
+    rounding of sines and cosines.
 
     Examples
     --------
@@ -173,14 +165,8 @@ def make_gauge(
         directions.
     n_poses : int, default=10
         Number of poses at each end, at least 2.
-    machine : SimulatedArm or ArmErrors or str, default="typical"
-        As :func:`make_single_point`.
-    random_state : int, RandomState instance or None, default=0
-        As :func:`make_single_point`.
-    return_X_y : bool, default=False
-        Return ``(data, target, groups)`` only.
-    as_frame : bool, default=False
-        Return pandas objects.
+    machine, random_state, return_X_y, as_frame
+        As in :func:`make_single_point`.
 
     Returns
     -------
@@ -217,16 +203,17 @@ def make_gauge(
 
 
 @lru_cache(maxsize=8)
-def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
+def _calibrated_arm(machine):
     """Calibrate the arm as its user would, before it warms, with cones and gauges of its own."""
     rng = np.random.RandomState(machine.calibration_seed)
-    positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
-    lengths = np.repeat([300.0, 500.0], n_placements)
+    positions, poses = _draw_cones(machine, 14, 40, rng)
+    lengths = np.repeat([300.0, 500.0], 6)
     ends, end_poses = _draw_gauges(machine, lengths, 10, rng)
     cones = np.vstack([positions, ends])
     # At one temperature, and by a careful user whose probe never slips.
     angles, groups, _ = _readings(machine, cones, poses + end_poses, rng)
-    pairs = n_positions + np.arange(2 * len(lengths)).reshape(-1, 2)
+    first = len(positions) + 2 * np.arange(len(lengths))
+    known = [(i, i + 1, length, _LENGTH_SD_MM) for i, length in zip(first, lengths, strict=True)]
     with warnings.catch_warnings():
         # The gauges are exact here. They disagree because the arm is wrong, by up to 0.1 mm.
         warnings.filterwarnings("ignore", ".*known lengths disagree", UserWarning)
@@ -234,9 +221,7 @@ def _calibrated_arm(machine, n_positions=14, n_placements=6, n_poses=40):
             machine.nominal_arm,
             angles,
             groups,
-            lengths=[
-                (a, b, length, _LENGTH_SD_MM) for (a, b), length in zip(pairs, lengths, strict=True)
-            ],
+            lengths=known,
             # Fixed, so that the simulated data stay what they are.
             prior_length_mm=2.0,
             prior_angle_rad=0.02,
@@ -250,14 +235,8 @@ def _readings(machine, cones, poses, rng, warming_k=0.0, slipped: Any = 0.0, pay
     seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
     true_points = cones[groups] + seating + slipped
     poses = np.vstack(poses)
-    angles = machine.solve(
-        poses,
-        true_points,
-        warming_k=warming_k,
-        directions=directions_of(poses),
-        payload_n=payload_n,
-    )
-    return machine.read(angles, rng), groups, true_points
+    state = {"warming_k": warming_k, "directions": directions_of(poses), "payload_n": payload_n}
+    return machine.read(machine.solve(poses, true_points, **state), rng), groups, true_points
 
 
 def _warming(errors, n_rows):
@@ -356,13 +335,8 @@ def _draw_gauges(machine, lengths, n_poses, rng):
 
 def _in_direction(machine, share, rng):
     azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(-_MAX_ELEVATION, _MAX_ELEVATION)
-    direction = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    across, up = np.cos(elevation), np.sin(elevation)
+    direction = np.array([across * np.cos(azimuth), across * np.sin(azimuth), up])
     return machine.shoulder + share * machine.reach * direction
 
 

@@ -3,6 +3,9 @@
 Public in `sklearn_raacmm.datasets`.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from typing import Any
 
 import numpy as np
@@ -37,8 +40,7 @@ class SimulatedArm:
     errors : ArmErrors or str, default="typical"
         Sizes of the error sources, or the name of a mix, see :meth:`ArmErrors.from_name`.
     random_state : int, RandomState instance or None, default=0
-        Draws the individual: its parameter errors, amplitudes and phases. The same individual has
-        the same draws whatever the sizes.
+        Draws the individual: the same one has the same draws whatever the sizes.
 
     Attributes
     ----------
@@ -65,8 +67,8 @@ class SimulatedArm:
     z_i . sum (r_k - O_i) x F_k, over the weights F_k at r_k beyond it. A tube of length L with
     its own weight w per length and a load F at its end sinks by (w L^4 / 8 + F L^3 / 3) / EI and
     slopes by (w L^3 / 6 + F L^2 / 2) / EI, times the cosine of its elevation (the cantilever of
-    every textbook); EI follows from the sag. The moment at its end is left out: hinges and
-    swivels pass none on about their own axes. Gravity points along the base's -z.
+    every textbook); EI follows from the sag. The moment at its end is left out. Gravity points
+    along the base's -z.
 
     Examples
     --------
@@ -250,17 +252,15 @@ class SimulatedArm:
         self,
         angles: ArrayLike,
         *,
-        warming_k: Any = None,
-        directions: np.ndarray | None = None,
-        payload_n: float = 0.0,
+        warming_k: ArrayLike | None = None,
+        directions: ArrayLike | None = None,
+        payload_n: ArrayLike = 0.0,
     ) -> np.ndarray:
         """Where the probe really is.
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, 6)
-            Encoder angles free of noise, rad.
-        warming_k, directions, payload_n
+        angles, warming_k, directions, payload_n
             As in :meth:`deviations`.
 
         Returns
@@ -268,10 +268,8 @@ class SimulatedArm:
         points : ndarray of shape (n_samples, 3)
             True centres of the probe, mm.
         """
-        deviations = self.deviations(
-            angles, warming_k=warming_k, directions=directions, payload_n=payload_n
-        )
-        return self.true_arm.forward(angles) + sum(deviations.values())
+        state: dict = {"warming_k": warming_k, "directions": directions, "payload_n": payload_n}
+        return self.true_arm.forward(angles) + sum(self.deviations(angles, **state).values())
 
     def read(
         self, angles: ArrayLike, random_state: int | np.random.RandomState | None = None
@@ -332,9 +330,7 @@ class SimulatedArm:
         found = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)
-            reached = _reach(
-                self.nominal_arm.forward, self.nominal_arm, candidates, point, n_steps=25
-            )
+            reached = _reach(self.nominal_arm.forward, self.nominal_arm, candidates, point)
             found = np.vstack([found, reached[self._is_handy(reached, point)]])
             # More than asked for, so that even steps from left to right can be chosen.
             if len(found) >= 1.5 * n_poses:
@@ -350,9 +346,9 @@ class SimulatedArm:
         angles: np.ndarray,
         points: np.ndarray,
         *,
-        warming_k: Any = None,
-        directions: np.ndarray | None = None,
-        payload_n: float = 0.0,
+        warming_k: ArrayLike | None = None,
+        directions: ArrayLike | None = None,
+        payload_n: ArrayLike = 0.0,
     ) -> np.ndarray:
         """Move poses a little until the true probe is at the points.
 
@@ -381,7 +377,7 @@ class SimulatedArm:
 
         angles = check_angles(angles, 6, "rad")
         points = _points("points", points, (len(angles), 3))
-        angles = _reach(forward, self.true_arm, angles, points, n_steps=25)
+        angles = _reach(forward, self.true_arm, angles, points)
         missed = np.linalg.norm(forward(angles) - points, axis=1) > 1e-6
         if missed.any():
             raise ValueError(f"{missed.sum()} of {len(missed)} points are out of the arm's reach.")
@@ -450,9 +446,9 @@ def _points(name, points, shape) -> np.ndarray:
     return points
 
 
-def _reach(forward, arm, angles, points, n_steps):
+def _reach(forward, arm, angles, points):
     """Newton steps of least norm towards the points; poses that do not reach them end nearby."""
-    for _ in range(n_steps):
+    for _ in range(25):
         missing = points - forward(angles)
         if np.abs(missing).max() < 1e-10:
             break

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model._checks import check_turns
+from sklearn_raacmm.error_model._checks import check_poses, check_turns
 from sklearn_raacmm.error_model._columns import (
     LOAD,
     PUSH,
@@ -21,7 +21,6 @@ from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
 from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import lever_mm
-from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._solve import angles_for, limits_of
 from sklearn_raacmm.error_model._structures import IDLE_SD, order_price, smooth_shares
 

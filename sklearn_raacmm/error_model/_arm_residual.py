@@ -17,6 +17,7 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
     check_fit,
+    check_poses,
     check_turns,
     poses_of,
 )
@@ -27,7 +28,6 @@ from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
 from sklearn_raacmm.error_model._in_use import ModelInUseMixin
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
@@ -39,7 +39,6 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     centred,
     check_flags,
-    encode_groups,
     fit_context,
     heard_findings,
     many_without_weight,
@@ -69,35 +68,27 @@ class ArmResidualRegressor(
     ----------
     arm : Arm, default=None
         The calibrated arm. If None, the built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
-
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of the joint angles in `X`.
-
     extra : list of str, default=()
         What the columns of `X` after the angles are, in any unit: "temperature" of the arm or
         "temperature J" near joint J (from 1); "time"; "direction J", from which joint J came (1
         from smaller angles, -1 from larger ones); "payload"; "force x", "force y", "force z" on the
         probe in the base frame.
-
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. A joint is offered no more orders than it shows different
         angles, but all above 72 where these are scattered. A list offers these orders only.
-
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
-
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset of any size: it has
         where `y` are deviations from the position's own mean. "auto": where the positions' means
         are zero; else the evidence finds how large they are. False: there are none.
-
     fade : float or "auto", default="auto"
-        Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s its posterior standard
-        deviation at this pose and r the root mean square of the training residuals, both as lengths
-        of vectors. 0: not at all. "auto": 1, or where four positions or more have offsets 0.3 times
-        the factor by which errors at positions left out widen s, up to 1.
-
+        Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
+        standard deviation at this pose and r the root mean square of the training residuals. 0: not
+        at all. "auto": 1, or less where four positions or more have offsets.
     regressor : estimator, default=None
         A second stage, fitted on joint angles in rad to what the linear model leaves, in the
         cylindrical frame of the probe.
@@ -106,52 +97,37 @@ class ArmResidualRegressor(
     ----------
     linear_model_ : LinearModel
         Columns, coefficients and their covariance.
-
     harmonics_ : structured ndarray of shape (n_chosen,)
         The harmonics found, largest first: `joint` from 1, `order`, `amplitude_arcsec`,
         `phase_deg` (the angle error is ``amplitude * cos(order * theta - phase)``), `cos_arcsec`
         and `sin_arcsec` with standard deviations, and `log_bayes_factor` (of the log evidence).
-
     terms_ : structured ndarray of shape (n_terms,)
         The other causes: `family`, `name`, `value`, `sd`, in arc seconds; for lengths in the length
         that one arc second spans at the arm's reach, for loads under their torque at that reach.
-
     prior_sd_ : dict
         Standard deviation of the coefficients of each family in these units.
-
     noise_sd_ : float
         Standard deviation of a coordinate about the model, mm.
-
     offsets_ : bool
         Whether offsets were fitted.
-
     n_determined_ : float
         Effective number of coefficients that the data determine.
-
     coef_ : ndarray of shape (n_columns,)
         Cosine and sine of each of `column_harmonics_`, then the values of `terms_`.
-
     column_harmonics_ : ndarray of shape (n_chosen, 2)
         Joint from 1 and order of each.
-
     regressor_ : CylindricalResidualTarget or None
         The fitted second stage.
-
     fading_ : Fading
         How corrections fade: `factor` and `size_mm` (r).
-
     helps_ : bool
         Whether the model helped at positions left out; True without `groups`.
-
     judgement_ : Judgement or None
         The numbers behind it. None where nothing was left out.
-
     findings_ : tuple of Finding
         What there is to say about the data.
-
     pose_weight_ : ndarray of shape (n_samples,)
         What the robust weights [1]_ left of each training pose: 0 for outliers.
-
     arm_ : Arm
         The arm in use.
 
@@ -248,28 +224,20 @@ class ArmResidualRegressor(
         ----------
         X : array-like of shape (n_samples, n_joints + n_extra)
             Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-
         y : array-like of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
-
         sample_weight : array-like of shape (n_samples,), default=None
             Weights; an integer weight is worth that many repeats of the row. Rows of weight 0
             change nothing.
-
         groups : array-like of shape (n_samples,), default=None
             Label of the position of each sample: for the judgement, and for the offsets.
-
         lengths : iterable of (label, label, length, standard deviation), default=()
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
             offsets, only they tell the model of what happens between positions.
-
         orientation_residuals : array-like of shape (n_samples, 3), default=None
-            How far the orientation that the arm shows is turned from the measured one: rotation
-            vectors in rad, in the arm's base frame, as
-            :meth:`CalibrationResult.orientation_residuals` gives them. The same causes move the
-            probe and turn the last link: they are three more rows of each pose, weighed by the
-            noise that they show beside that of the points.
-
+            Rotation vectors in rad from the measured orientation to that which the arm shows, in
+            its base frame, as :meth:`CalibrationResult.orientation_residuals` gives them: three
+            more rows of each pose, weighed by the noise that they show beside that of the points.
         probes : array-like of shape (n_samples, 3), default=None
             Vector of the probe of each row in the last frame, mm, where several took turns:
             ``result.arms[label].probe`` of a calibration with `tools`. The causes are then learnt
@@ -283,25 +251,21 @@ class ArmResidualRegressor(
         Raises
         ------
         ValueError
-            If X has not one column per joint and extra name, or y not three, something is NaN or
-            infinite, a weight is negative or all are 0, the model has no columns at all, a cause is
-            not known, or ``offsets=True`` comes without `groups`; if y are the probe's points, or
-            half of them longer than a twentieth of the arm's reach; if lengths name unknown
-            positions, are not positive, or come without offsets; if orientations come with offsets,
-            or are no small rotation vectors; if there are no three coordinates of a probe for each
-            row, or probes come with a second stage.
+            If shapes, labels, weights, causes or lengths do not fit together, something is NaN or
+            infinite, the model has no columns at all, ``offsets=True`` comes without `groups`, or
+            orientations come with offsets; if `y` are the probe's points, or half of them longer
+            than a twentieth of the arm's reach; if `probes` come with a second stage.
 
         Warns
         -----
         FindingWarning
             Of what is found in the data, such as a wrong sign or unit of `y`, an arm that is not
-            calibrated, a reference in another frame, or an extra column without variation; see
-            `findings_`. Rows in which the arm stood still are merged to one pose.
+            calibrated, or a reference in another frame; see `findings_`. Rows in which the arm
+            stood still are merged to one pose.
         """
-        rows = check_fit(self, X, y, sample_weight, groups, lengths, probes)
+        rows, positions = check_fit(self, X, y, sample_weight, groups, lengths, probes)
         arm, used = rows.arm, rows.weights > 0
         turns = check_turns(orientation_residuals, len(used), rows.codes)
-        positions = np.arange(len(used)) if groups is None else encode_groups(groups)[1]
         rows, turns = rows.at(used), None if turns is None else turns[used]
         dwells, rows, turns = poses_of(rows, self.extra, turns)
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
@@ -404,17 +368,13 @@ class ArmResidualRegressor(
         ----------
         X : array-like of shape (n_samples, n_joints + n_extra)
             Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-
         return_std : bool, default=False
             Also return the standard deviation of the correction before it fades.
-
         with_noise : bool, default=False
-            Add the noise of a measured coordinate to the standard deviation: of the residual that
-            a new measurement shows, rather than of the correction.
-
+            Add the noise of a measured coordinate to it: of the residual that a new measurement
+            shows, rather than of the correction.
         return_cov : bool, default=False
             Instead of standard deviations, return the covariance of all coordinates of all poses.
-
         with_unseen : bool, default=False
             Whether the covariance contains what a single-point test cannot show, such as a common
             scale, as far as the model knows it: for lengths over several positions.
@@ -423,34 +383,28 @@ class ArmResidualRegressor(
         -------
         residuals : ndarray of shape (n_samples, 3)
             dx, dy and dz in mm: subtract them from the measured points.
-
         std : ndarray of shape (n_samples, 3)
-            Standard deviations in mm, where asked for: 1.96 of them make an interval of 95 % at
-            positions that were left out of the fit, as far as these could be tried. Far from the
-            training poses they grow. Where positions have offsets they are those of what such a
-            test can show: a motion of the base is left out. They are those of the linear model; a
+            In mm, where asked for: 1.96 of them make an interval of 95 % at positions that were
+            left out of the fit. Where positions have offsets, without a motion of the base. A
             second stage does not change them.
-
         covariance : ndarray of shape (3 n_samples, 3 n_samples)
             In mm^2, where asked for: x, y and z of the first pose, then of the next. With g the
-            derivatives of a length or a diameter by these coordinates, ``g @ covariance @ g`` is
-            its variance.
+            derivatives of a length by these coordinates, ``g @ covariance @ g`` is its variance.
 
         Raises
         ------
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If X has another number of columns than in `fit`, holds NaN or infinity; if `arm` is
-            not the one that the model was fitted with: `with_arm` moves it; if `return_std` and
-            `return_cov` are both asked for.
+            If X does not fit the model, or holds NaN or infinity; if `arm` is not the one that the
+            model was fitted with: `with_arm` moves it; if `return_std` and `return_cov` are both
+            asked for.
 
         Warns
         -----
         UserWarning
-            If the angles are most likely in the other unit: larger than two turns in rad, or all
-            within one turn of radians in degrees; if most of the corrections
-            are reduced to less than a tenth.
+            If the angles are most likely in the other unit, or most of the corrections are reduced
+            to less than a tenth.
         """
         check_flags(
             return_std=return_std,
@@ -483,18 +437,7 @@ class ArmResidualRegressor(
         return self.offsets_
 
     def second_stage(self, angles: np.ndarray) -> np.ndarray:
-        """What the second stage adds, before it fades.
-
-        Parameters
-        ----------
-        angles : ndarray of shape (n_samples, n_joints + n_extra)
-            In rad, whatever `angle_unit` is.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, 3)
-            In mm; 0 where there is no second stage.
-        """
+        """What the second stage adds at angles in rad before it fades, (n_samples, 3) in mm."""
         if self.regressor_ is None:
             return np.zeros((len(angles), 3))
         return self.regressor_.predict(angles[:, : self.arm_.n_joints])

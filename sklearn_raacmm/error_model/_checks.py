@@ -1,4 +1,4 @@
-"""What the models of an arm ask of their training data; each fault gets one clear sentence."""
+"""What the models of an arm ask of the rows they are given; each fault gets one clear sentence."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,19 +6,21 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import fdtr
+from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import arm_for, reach_mm
+from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
-from sklearn_raacmm.error_model._extra import check_extra, warn_of_constants
+from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
-from sklearn_raacmm.error_model._poses import in_rad
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
     CENTRED,
     Finding,
     check_data,
+    check_features,
     check_weights,
     encode_groups,
     floats,
@@ -37,24 +39,14 @@ _LARGEST_REACHES = 10.0
 # A residual of the orientation that is larger, in rad, is no small error of an arm.
 _LARGEST_TURN = 0.5
 # A share of the means between CENTRED and 1 is worth a word where independent rows have one as
-# small in fewer fits than one of a thousand. Against a reference it is above 1, as neighbours err
-# alike.
+# small in fewer fits than one of a thousand.
 _BY_CHANCE = 1e-3
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, probes):
-    """All that `fit` is given.
+    """Rows of all that `fit` of an estimator is given, those of weight 0 among them.
 
-    Parameters
-    ----------
-    estimator : Any
-    X, y, sample_weight, groups, lengths, probes
-        As for its `fit`.
-
-    Returns
-    -------
-    Rows
-        Those of weight 0 among them.
+    And the position of each row, (n,) from 0; without groups each row is one.
     """
     X, y = check_data(estimator, X, y)
     extra = check_extra(estimator.extra)
@@ -67,15 +59,15 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes):
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
-    of_offsets = _check_offsets(estimator.offsets, y, weights, groups)
-    codes = None if groups is None else encode_groups(groups, len(y))[1]
-    targets = Targets(y, weights, arm, X[:, : arm.n_joints], codes, of_offsets is not None)
+    labels, positions = (None, None) if groups is None else encode_groups(groups, len(y))
+    codes = positions if _have_offsets(estimator.offsets, y, weights, positions) else None
+    targets = Targets(y, weights, arm, X[:, : arm.n_joints], positions, codes is not None)
     say_findings(check_targets(targets))
-    codes = of_offsets
-    lengths = _check_lengths(lengths, codes, groups, "kinematics" in estimator.causes)
+    lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     if probes is not None:
         X = np.hstack([X, _check_probes(probes, len(X), estimator.regressor)])
-    return Rows(arm, X, y, weights, codes, tuple(lengths))
+    rows = Rows(arm, X, y, weights, codes, tuple(lengths))
+    return rows, np.arange(len(y)) if groups is None else positions
 
 
 def _check_probes(probes, n_rows, regressor):
@@ -123,43 +115,36 @@ def _check_vectors(y, arm):
     return y
 
 
-def _check_lengths(lengths, codes, groups, kinematics):
+def _check_lengths(lengths, codes, labels, kinematics):
     """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
     lengths = listed("lengths", lengths)
-    if not lengths:
-        if codes is not None and not kinematics:
-            said = (
-                "Without the cause kinematics nothing holds the distances between positions with "
-                "offsets: they may come out worse than without correction."
-            )
-            advice = (
-                "Keep it among causes, give known lengths, or do not measure lengths with this "
-                "model."
-            )
-            say_findings([Finding("distances-not-held", said, advice)])
-        return []
-    if codes is None:
+    if lengths and codes is None:
         raise ValueError(
             "lengths are for positions with offsets; residuals against a reference, or without "
             "groups, have no use for them."
         )
-    labels = encode_groups(groups)[0].tolist()
-    return [check_length(entry, labels) for entry in lengths]
+    if not lengths and codes is not None and not kinematics:
+        said = (
+            "Without the cause kinematics nothing holds the distances between positions with "
+            "offsets: they may come out worse than without correction."
+        )
+        advice = "Keep it, give known lengths, or do not measure lengths with this model."
+        say_findings([Finding("distances-not-held", said, advice)])
+    return [check_length(entry, labels.tolist()) for entry in lengths]
 
 
-def _check_offsets(offsets, y, weights, groups):
-    """Index of each row's position where offsets are to be fitted, else None."""
-    if groups is None:
+def _have_offsets(offsets, y, weights, positions):
+    """Whether offsets of the positions are to be fitted."""
+    if positions is None:
         if offsets is True:
             raise ValueError("offsets=True needs groups: the position of each sample.")
-        return None
-    _, codes = encode_groups(groups, len(y))
-    if offsets == "auto":
-        share = share_of_means(y, codes, weights)
-        offsets = share < CENTRED
-        if not offsets:
-            say_findings(_deviations_of_other_rows(share, y.shape[1], codes, weights))
-    return codes if offsets else None
+        return False
+    if offsets != "auto":
+        return offsets
+    share = share_of_means(y, positions, weights)
+    if share >= CENTRED:
+        say_findings(_deviations_of_other_rows(share, y.shape[1], positions, weights))
+    return share < CENTRED
 
 
 def _deviations_of_other_rows(share, n_outputs, codes, weights):
@@ -178,22 +163,10 @@ def _deviations_of_other_rows(share, n_outputs, codes, weights):
 
 
 def poses_of(rows, extra, *others):
-    """Rows in which the arm stood still as one pose each.
+    """Rows (of weights above 0) in which the arm stood still as one pose each.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of weights above 0.
-    extra : tuple of str
-        Names of the extra columns: a pose has one direction, and one probe.
-    *others : ndarray of shape (n, ...) or None
-        What goes with the rows.
-
-    Returns
-    -------
-    dwells : Dwells
-    rows : Rows
-    *others : ndarray of shape (n_poses, ...) or None
+    A pose has one probe, and one direction, which `extra` names. Returns the `Dwells`, the `Rows`,
+    and of each of the others, (n, ...) or None, the mean of each pose.
     """
     n_joints = rows.arm.n_joints
     kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith("direction")]
@@ -237,3 +210,24 @@ def check_turns(turns: Any, n_rows: int, codes: np.ndarray | None) -> Any:
             "unknown offsets."
         )
     return turns
+
+
+def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
+    """Rows of X as a fitted `LinearModel` takes them: angles in rad, then the extra columns."""
+    check_is_fitted(model)
+    linear = model.linear_model_
+    if model.arm is not None and model.arm != linear.arm:
+        raise ValueError(
+            f"arm is {model.arm!r}, but the model was fitted with {linear.arm!r}: a fitted model "
+            "is moved to another probe by with_arm, and to another table by a new fit."
+        )
+    X = check_features(model, X, dtype=np.float64, reset=False)
+    n_joints = linear.arm.n_joints
+    check_values(linear.terms.extra, X[:, n_joints:])
+    return in_rad(X, n_joints, model.angle_unit)
+
+
+def in_rad(X, n_joints, angle_unit):
+    """The same rows with their first columns, the angles, in rad."""
+    angles = check_angles(X[:, :n_joints], n_joints, angle_unit)
+    return angles if n_joints == X.shape[1] else np.hstack([angles, X[:, n_joints:]])

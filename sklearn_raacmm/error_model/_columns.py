@@ -35,8 +35,8 @@ _WOBBLE_ORDERS = (1, 2)
 _BASE = ("base_x", "base_y", "base_alpha", "base_beta")
 # Shorter lengths of the table do not grow: 1 mm of aluminium grows by 0.02 um per K.
 _LEAST_GROWING_MM = 1.0
-# Consecutive waves of one joint about one axis from which on a product per joint is faster than
-# one selection of all axes: measured between 1 and 512 rows.
+# Waves of one joint about one axis from which on a product per joint is faster than one selection
+# of all axes: ten times with 318 harmonics of a UR10.
 _LONG_RUN = 24
 
 
@@ -69,10 +69,11 @@ class Column(NamedTuple):
     of: int = 0  # joint of the wave from 0; for LOAD the frame of the load, n_joints + 1: the probe
     order: int = 0  # of the wave: cosine if positive, sine if negative, none if 0
     by: int = -1  # the extra column that multiplies it, from 0; -1: none
+    reference: float = 0.0  # what is taken off that column before
 
 
 class ColumnTable(NamedTuple):
-    """The fields of all columns, harmonics included, as arrays of shape (n_columns,)."""
+    """The fields of all columns as arrays of shape (n_columns,)."""
 
     kind: np.ndarray
     frame: np.ndarray
@@ -85,6 +86,15 @@ class ColumnTable(NamedTuple):
 def _first_frame(arm):
     """Frame whose z axis the first joint turns about."""
     return 0 if arm.convention == "standard" else 1
+
+
+def _harmonics(arm, pairs):
+    """Waves of the error of each joint's encoder: a cosine and a sine for each order."""
+    first = _first_frame(arm)
+    for j, k in pairs.tolist():
+        unit = arm.joint_signs[j] * ARCSEC
+        for order in (k, -k):
+            yield Column("", len(FAMILIES) - 2, TURN, j + first, 2, unit, j, order)
 
 
 def _gravity(arm):
@@ -137,7 +147,7 @@ def _wobble(arm):
                     yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, signed)
 
 
-def _temperature(arm, name, by):
+def _temperature(arm, name, by, mean):
     """Growth of lengths and drift of offsets, of all joints or of one, per unit of temperature.
 
     A length grows in proportion to itself: a coefficient of 1 is one arc second in rad, 4.8 ppm.
@@ -154,9 +164,8 @@ def _temperature(arm, name, by):
             continue
         if grows or column.name.startswith("theta_offset"):
             unit = ARCSEC * length if grows else ARCSEC
-            yield column._replace(
-                name=f"{column.name} by {name}", family=TEMPERATURE, unit=unit, by=by
-            )
+            of = f"{column.name} by {name}"
+            yield column._replace(name=of, family=TEMPERATURE, unit=unit, by=by, reference=mean)
 
 
 def _force(arm):
@@ -172,13 +181,14 @@ def _extra(arm, extra):
     """What the columns of X after the angles do."""
     if any(name.startswith(("force", "payload")) for name, _ in extra):
         yield from _force(arm)
-    for by, (name, _) in enumerate(extra):
+    for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
         if kind in ("temperature", "time"):
-            yield from _temperature(arm, name, by)
+            yield from _temperature(arm, name, by, reference[0])
         elif kind == "direction":
             unit, frame = arm.joint_signs[joint] * ARCSEC, joint + _first_frame(arm)
-            yield Column(f"joint {joint + 1} lags", DIRECTION, TURN, frame, 2, unit, by=by)
+            of = f"joint {joint + 1} lags"
+            yield Column(of, DIRECTION, TURN, frame, 2, unit, by=by, reference=reference[0])
 
 
 def _target(arm):
@@ -210,32 +220,11 @@ def term_names(arm, terms):
 
 
 def column_table(arm: Arm, terms: Terms) -> ColumnTable:
-    """What each column of the model is, in the order of `term_columns`.
-
-    Parameters
-    ----------
-    arm : Arm
-    terms : Terms
-
-    Returns
-    -------
-    ColumnTable
-        A cosine and a sine turn about its joint's axis for each harmonic, then the others.
-    """
-    joint, order = np.repeat(terms.harmonics.T, 2, axis=1)
-    others = other_columns(arm, terms)
-    fields = {name: [getattr(c, name) for c in others] for name in ColumnTable._fields}
-    waves = {
-        "kind": np.full(len(joint), TURN),
-        "frame": joint + _first_frame(arm),
-        "axis": np.full(len(joint), 2),
-        "unit": arm.joint_signs[joint] * ARCSEC,
-        "of": joint,
-        "order": order * np.resize([1, -1], len(order)),
-    }
+    """What each column is: a cosine and a sine turn for each harmonic, then the others."""
+    columns = [*_harmonics(arm, terms.harmonics), *other_columns(arm, terms)]
     return ColumnTable(
         *(
-            np.concatenate([waves[name], fields[name]]).astype(float if name == "unit" else int)
+            np.array([getattr(c, name) for c in columns], float if name == "unit" else int)
             for name in ColumnTable._fields
         )
     )
@@ -251,11 +240,11 @@ class GivenFactors(NamedTuple):
 
 def given_factors(arm: Arm, terms: Terms) -> GivenFactors:
     """Columns that an extra column of X multiplies, see `GivenFactors`."""
-    others = other_columns(arm, terms)
-    given = np.array([i for i, c in enumerate(others) if c.by >= 0], dtype=int)
-    by = np.array([others[i].by for i in given], dtype=int)
-    reference = np.array([terms.extra[i][1][0] for i in by], dtype=float)
-    return GivenFactors(given + 2 * len(terms.harmonics), by, reference)
+    others = enumerate(other_columns(arm, terms), start=2 * len(terms.harmonics))
+    given = [(i, c.by, c.reference) for i, c in others if c.by >= 0]
+    parts = zip(*given, strict=True) if given else [()] * 3
+    types = (int, int, float)
+    return GivenFactors(*(np.array(v, kind) for v, kind in zip(parts, types, strict=True)))
 
 
 class _Plan(NamedTuple):
@@ -341,14 +330,7 @@ class FactoredColumns(NamedTuple):
         return out
 
     def squares(self, root):
-        """Squared lengths of ``columns @ root``, (n, 3).
-
-        Parameters
-        ----------
-        root : ndarray of shape (n_columns, r)
-            Rows need not be full: zeros before the first and after the last column that any of a
-            run's rows has are not multiplied.
-        """
+        """Squared lengths (n, 3) of ``columns @ root`` for a root (n_columns, r)."""
         if not self.runs:
             dots = self.rest @ root
             return np.einsum("ncr,ncr->nc", dots, dots)
@@ -372,83 +354,35 @@ def _filled(rows):
 
 
 def factored_columns(arm, angles, terms, of_turns=False):
-    """Columns as :func:`term_columns` or :func:`turn_columns` gives them, not multiplied out.
-
-    Parameters
-    ----------
-    arm, angles, terms
-        As for :func:`term_columns`.
-    of_turns : bool, default=False
-        Whether the columns of the orientation are asked for.
-
-    Returns
-    -------
-    FactoredColumns
-    """
+    """Columns as `term_columns` gives them, not multiplied out."""
     return _factored(arm, angles, _plan_of(arm, terms), terms, of_turns, None)
 
 
-def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
-    """Columns of the model at some poses.
+def term_columns(arm: Arm, angles: np.ndarray, terms: Terms, of_turns: bool = False) -> np.ndarray:
+    """Columns (n, 3, n_columns) of the model, in mm per unit coefficient.
 
-    Parameters
-    ----------
-    arm : Arm
-    angles : ndarray of shape (n, n_joints + n_extra) or (n, n_joints + n_extra + 3)
-        In rad; then the extra columns that `terms` names; then the probe of each row in the last
-        frame, mm, where it is not the arm's.
-    terms : Terms
-
-    Returns
-    -------
-    ndarray of shape (n, 3, n_columns)
-        mm per unit coefficient.
+    The angles (n, n_joints + n_extra) are in rad; then come the extra columns that `terms` names;
+    then the probe of each row in the last frame, mm, where it is not the arm's. Of turns: rotation
+    vectors of the last link in the base frame, rad per unit coefficient.
     """
-    return _columns(arm, angles, terms, False)
-
-
-def turn_columns(arm, angles, terms):
-    """What the same coefficients do to the orientation of the last link.
-
-    Parameters
-    ----------
-    arm, angles, terms
-        As for :func:`term_columns`.
-
-    Returns
-    -------
-    ndarray of shape (n, 3, n_columns)
-        Rotation vectors in the base frame, rad per unit coefficient: the axis of each turn, and
-        nothing for a shift.
-    """
-    return _columns(arm, angles, terms, True)
-
-
-def observed_columns(arm: Arm, angles: np.ndarray, terms: Terms, turn_mm: float) -> Any:
-    """Columns of the residuals that a fit has: (n, 3, n_columns), or (n, 6, n_columns).
-
-    Parameters
-    ----------
-    arm, angles, terms
-        As for :func:`term_columns`.
-    turn_mm : float
-        Length in mm by which turns in rad are multiplied, so that their noise is that of a
-        coordinate; 0 where no orientations were measured.
-    """
-    columns = term_columns(arm, angles, terms)
-    if not turn_mm:
-        return columns
-    return np.concatenate([columns, turn_mm * turn_columns(arm, angles, terms)], axis=1)
-
-
-def _columns(arm, angles, terms, of_turns):
-    """Columns of points in mm, or of turns in rad."""
     plan = _plan_of(arm, terms)
     out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
     found = _factored(arm, angles, plan, terms, of_turns, out[:, :, plan.rest :])
     for start, end, vector, waves in found.runs:
         np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
     return out
+
+
+def observed_columns(arm: Arm, angles: np.ndarray, terms: Terms, turn_mm: float) -> Any:
+    """Columns of the residuals that a fit has: (n, 3, n_columns), or (n, 6, n_columns).
+
+    Turns in rad are multiplied by `turn_mm`, so that their noise is that of a coordinate; it is 0
+    where no orientations were measured.
+    """
+    columns = term_columns(arm, angles, terms)
+    if not turn_mm:
+        return columns
+    return np.concatenate([columns, turn_mm * term_columns(arm, angles, terms, True)], axis=1)
 
 
 def parts_of_rows(arm: Arm, terms: Terms, rows: np.ndarray) -> tuple[Any, Any, Any]:

@@ -26,19 +26,8 @@ _MANY = 0.1
 def fit_with_constants(rows, positions, terms, with_field, turns=None):
     """Fit the model and, where the evidence asks for them, constants of the positions.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of weights above 0.
-    positions : ndarray of shape (n,) or None
-        Position of each row, from 0; None: there are no constants.
-    terms, with_field, turns
-        As for `fit_linear_model`; with turns there are no constants.
-
-    Returns
-    -------
-    Fitted
-        Its rows are those given less their constants.
+    `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
+    those given less their constants.
     """
     fitted, known, rounds = fit_linear_model(rows, terms, with_field, turns), np.inf, 0
     if positions is None or rows.codes is not None or turns is not None:

@@ -29,13 +29,7 @@ _MOST_JOINTS = 10**6
 
 
 def parsed(name, n_joints):
-    """Kind of an extra column, and which joint (from 0) or axis (0 to 2) it is of; -1: of all.
-
-    Raises
-    ------
-    ValueError
-        If the name is none of those that are known, or names a joint that is not there.
-    """
+    """Kind of an extra column, and which joint (from 0) or axis (0 to 2) it is of; -1: of all."""
     words = name.split() if isinstance(name, str) else []
     kind, rest = (words[0], words[1:]) if words else ("", [])
     forms = _KINDS.get(kind, ())
@@ -63,19 +57,10 @@ def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
 
 
 def with_references(extra, values, weights):
-    """Names of the extra columns with what the training data say of them.
+    """Names of the extra columns with what the training data (n, n_extra) say of them.
 
-    Parameters
-    ----------
-    extra : tuple of str
-    values : ndarray of shape (n, n_extra)
-    weights : ndarray of shape (n,)
-
-    Returns
-    -------
-    tuple of (str, tuple of float)
-        The numbers are the weighted mean, from which the model counts, the least and the largest
-        value. Rows of weight 0 do not count.
+    Pairs of a name and numbers: the weighted mean, from which the model counts, the least and the
+    largest value.
     """
     used, found = weights > 0, []
     for name, column in zip(extra, values[used].T, strict=True):
@@ -98,11 +83,7 @@ def warn_of_constants(extra, values, weights):
 def check_values(extra, values):
     """Name values far beyond those of the fit.
 
-    Parameters
-    ----------
-    extra : tuple of (str, tuple of float)
-        As `with_references` has made it.
-    values : ndarray of shape (n, n_extra)
+    `extra` is as `with_references` has made it; `values` (n, n_extra).
     """
     for (name, known), column in zip(extra, values.T, strict=True):
         if len(known) == 3 and len(column):  # not so for the mean of many arms

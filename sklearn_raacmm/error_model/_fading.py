@@ -10,15 +10,12 @@ import numpy as np
 
 from sklearn_raacmm.utils import Finding, centred, say_findings
 
-# Factor of the standard deviation with a reference for every pose: Wiener's. What was left of 25
-# simulated errors at poses of real arms, learnt at new goals, in regions or in one octant, as a
-# geometric mean: 12 of them 0.076 with 1, 0.078 with 2; 13 others 0.144 and 0.160. None did harm.
+# Factor of the standard deviation with a reference for every pose: Wiener's. With 2 instead 25
+# simulated errors at poses of real arms leave 3 % and 11 % more.
 _OF_TRACKER = 1.0
 # In single-point tests: so many times the factor by which errors at positions left out have widened
-# the standard deviation; 1 where there are too few positions to leave some out, and at most 1, for
-# outliers widen it, too. Of no correction 0.3, 0.4 and 0.6 leave 0.793 each on Pandas, thinned to
-# 120 and 200 rows of four placements and more (``benchmarks/bench_few_poses.py``), and 0.576, 0.593
-# and 0.625 on 40 simulated tests of 3 to 12 positions, half of them in one corner.
+# the standard deviation; 1 where too few positions can be left out, and at most 1
+# (``benchmarks/bench_few_poses.py``).
 _OF_WIDENED, _MOST, _LEAST_POSITIONS = 0.3, 1.0, 4
 # predict warns where less than this share is left of more than half of the corrections.
 _WARN_SHARE = 0.1
@@ -28,18 +25,14 @@ _WARN_SHARE = 0.1
 class Fading:
     """Share of a correction that is left, by how little is known: of any model of residuals.
 
-    With s the doubt at a pose (see :meth:`LinearModel.predict_with_doubt`) the share is
-
-        size^2 / (size^2 + factor^2 s^2),
-
-    Wiener's factor for errors of the size of the residuals, known to this uncertainty. With the
-    length of the correction for their size it would not vanish far away, where both grow.
+    With s the doubt at a pose, mm, the share is ``size^2 / (size^2 + factor^2 s^2)``: Wiener's
+    factor for errors of the size of the residuals, known to this uncertainty. With the length of
+    the correction for their size it would not vanish far away, where both grow.
 
     Attributes
     ----------
     size_mm : float
         Root mean square length of the training residuals.
-
     factor : float
         Factor of the doubt; 0 for no fading.
     """
@@ -48,18 +41,7 @@ class Fading:
     factor: float
 
     def share(self, doubt: np.ndarray) -> np.ndarray:
-        """Share that is left of each correction.
-
-        Parameters
-        ----------
-        doubt : ndarray of shape (n,)
-            In mm.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            From 0 to 1.
-        """
+        """Share from 0 to 1 that is left of each correction, (n,), by its doubt (n,) in mm."""
         if not (self.factor > 0 and self.size_mm > 0):
             return np.ones(len(doubt))
         size = self.size_mm**2
@@ -67,23 +49,9 @@ class Fading:
 
 
 def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0):
-    """Fading of a correction of residuals of some size.
+    """Fading of a correction of residuals (n, 3) in mm.
 
-    Parameters
-    ----------
-    y : ndarray of shape (n, 3)
-        Training residuals, mm.
-    weights : ndarray of shape (n,)
-    codes : ndarray of shape (n,) or None
-        Position of each row, from 0, where positions have unknown offsets.
-    factor : float or "auto", default="auto"
-        Factor of the doubt.
-    widening : float, default=1
-        How much wider than the standard deviation errors at positions left out ask for.
-
-    Returns
-    -------
-    Fading
+    Errors at positions left out are `widening` times as large as the standard deviation says.
     """
     y = centred(y, codes, weights)
     if factor == "auto":

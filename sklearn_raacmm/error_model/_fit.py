@@ -28,14 +28,13 @@ from sklearn_raacmm.inference import (
 )
 from sklearn_raacmm.utils import TUKEY_CUT, centred, chunks, stage, tukey_weights
 
-# Rounds of robust weights at one choice, and choices with what the weights have become: lines that
-# were chosen while outliers counted fully are a worse beginning than none. Weights that change by
-# less than this have settled.
+# Rounds of robust weights at one choice, and choices with what they have become. Weights that
+# change by less than this have settled.
 _ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
-# Where less than this share of the poses is concerned, sums over them cost less than new ones: of
-# candidates that are asked for later both are needed (``benchmarks/bench_fit.py``).
+# Where less than this share of the poses is concerned, sums over them cost less than new ones
+# (``benchmarks/bench_fit.py``).
 _FEW_POSES = 0.4
 # Columns of the poses are kept between the rounds where they are at most so many numbers (80 MB).
 _KEPT_COLUMNS, _POSES = 10_000_000, 256
@@ -119,23 +118,11 @@ class Fitted(NamedTuple):
 
 @stage("linear error model")
 def fit_linear_model(rows, terms, with_field, turns=None) -> Any:
-    """Fit the model, with robust weights of the poses.
+    """Fit the model to rows of weights above 0, with robust weights of the poses: a `Fitted`.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of weights above 0.
-    terms : Terms
-        Its harmonics are those that are offered.
-    with_field : bool
-        Whether all low orders together may be a smooth function of each angle.
-    turns : ndarray of shape (n, 3), default=None
-        Residuals of the orientation, rotation vectors in rad: three more rows of each pose, which
-        are weighed by the noise that they show beside that of the points.
-
-    Returns
-    -------
-    Fitted
+    The harmonics of `terms` are those that are offered; `with_field` allows a smooth function of
+    each angle. `turns` (n, 3), in rad, are residuals of the orientation: three more rows of each
+    pose, weighed by the noise that they show beside that of the points.
     """
     if turns is None:
         return _worth_their_price(rows, terms, with_field)
@@ -254,19 +241,9 @@ def _expected_of(rows, terms):
 
 
 def model_of(rows, terms, state):
-    """The fitted value of a state: columns in the order harmonics by joint, other terms.
+    """`LinearModel` of a state: harmonics by joint, then the other columns.
 
-    Parameters
-    ----------
-    rows : Rows
-        That it was fitted to.
-    terms : Terms
-        Its harmonics are the candidates of the state.
-    state : State
-
-    Returns
-    -------
-    LinearModel
+    The harmonics of `terms` are the candidates of the state.
     """
     offered, terms = terms.harmonics, terms._replace(harmonics=terms.harmonics[state.pairs])
     n_waves = 2 * len(state.pairs)

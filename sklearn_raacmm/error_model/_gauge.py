@@ -32,12 +32,10 @@ _CHUNK = 512
 # Poses at which fields are compared with columns: three equations each, for some 200 columns.
 _POSES = 150
 # Share of a field that columns may leave for it to be one of theirs: bending about the second
-# joint's axis is one only nearly where that axis is not quite horizontal
-# (``tests/error_model/test_place_fields.py``).
+# joint's axis is one only nearly.
 _LEFT = 0.01
-# A combination of fields that moves the positions of a test by less than this share of what the one
-# that is shown best does is not taken out of standard deviations: few positions would make a large
-# multiple of it out of what imitates it there (``benchmarks/bench_few_poses.py``).
+# A combination of fields that moves the positions by less than this share of what the one that is
+# shown best does stays in the standard deviations (``benchmarks/bench_few_poses.py``).
 _LEAST_SHOWN = 0.05
 # Size of a column, relative to the largest, that moves nothing.
 _NOTHING = 1e-6
@@ -48,19 +46,7 @@ def without_motions(sums, arm, terms):
 
     Residuals of a single-point test are the deviations of the points themselves. A turn of the base
     turns them, and a scale multiplies them: an arm of no size would explain them all, and with many
-    rows and a wide prior the evidence prefers it. To first order in the errors neither can be seen,
-    so both are taken out.
-
-    Parameters
-    ----------
-    sums : Sums
-        Of positions with offsets.
-    arm : Arm
-    terms : Terms
-
-    Returns
-    -------
-    Sums
+    rows and a wide prior the evidence prefers it. To first order in the errors neither can be seen.
     """
     if not terms.kinematics:
         return sums
@@ -78,21 +64,11 @@ def without_motions(sums, arm, terms):
 
 
 def length_equations(arm, angles, weights, codes, terms, lengths):
-    """Known lengths between positions as rows of the linear model.
+    """Known lengths between positions as rows of the linear model, an `Extra`.
 
     The mean points of two positions, corrected, are a known length apart: the difference of their
-    corrections along the line between them is what the measured length is too long.
-
-    Parameters
-    ----------
-    arm, angles, weights, codes, terms
-        As for :func:`candidate_sums`.
-    lengths : list of (int, int, float, float)
-        Two positions, their known distance and its standard deviation, mm.
-
-    Returns
-    -------
-    Extra
+    corrections along the line between them is what the measured length is too long. `lengths` hold
+    two positions, their distance and its standard deviation, mm.
     """
     first, second, length, sd = (np.array(part) for part in zip(*lengths, strict=True))
     used, ends = np.unique([first, second], return_inverse=True)
@@ -133,32 +109,14 @@ def constrained(
 ) -> Any:
     """Model without what positions with offsets cannot show: the scale, and where the base stands.
 
-    Positions with offsets do not show a common scale of all lengths, and whatever the prior makes
-    of it would be an error in proportion to every length: the distances between positions are left
-    as the calibration has them, on the average (an inner constraint, as geodesists have it in free
-    networks).
+    Unless known lengths show the scale, distances between positions stay on the average as the
+    calibration has them (an inner constraint, as geodesists have it in free networks).
 
-    Along the fields that the positions do not show the posterior is the prior, and other columns
-    imitate them at the positions of the test. With M the mean columns over the positions and
-    F = M W those of the fields W, ``G = lstsq(F, M)`` is the field in every column, and
-    ``A - A W G`` are the columns without it: `gauge_free_half` is the root with these. Fields
-    that the positions hardly tell from others are left: with few positions G would explode.
-
-    Parameters
-    ----------
-    model : LinearModel
-    X : ndarray of shape (n, n_joints + n_extra)
-        Training poses.
-    weights : ndarray of shape (n,)
-    codes : ndarray of shape (n,) or None
-        Position of each row, from 0; None where positions have no offsets.
-    keep_scale : bool, default=True
-        Whether no known lengths show the scale.
-
-    Returns
-    -------
-    LinearModel
-        The same one where positions have no offsets or it has no columns of the kinematics.
+    Other columns imitate the fields of `place_fields` at the positions of the test. With M the mean
+    columns over the positions and F = M W those of the fields W, ``G = lstsq(F, M)`` is the field
+    in every column, and ``A - A W G`` are the columns without it: `gauge_free_half` is the root
+    with these. Fields that the positions hardly tell from others are left: with few positions G
+    would explode.
     """
     if codes is None:
         return model
@@ -187,15 +145,6 @@ def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
 
     What the posterior has beside `gauge_free_half`, without the motions of the base: the frame is
     the arm's own. What is left is how the arm gives way as a function of the place.
-
-    Parameters
-    ----------
-    model : LinearModel
-    X : ndarray of shape (n, n_joints + n_extra)
-
-    Returns
-    -------
-    ndarray of shape (n, 3)
     """
     variance = np.zeros((len(X), 3))
     if not model.offsets:
@@ -234,18 +183,9 @@ def place_fields(arm, terms):
 def _fields(points):
     """Three shifts, three turns, a scale, a stretch across z, and the base bent about x and y.
 
-    The torque of a weight at (x, y, z) is y about the x axis of the base, and -x about y. The
-    second joint's axis is horizontal and turns with the arm: to bend about it is the two together
-    with a stretch, for it lies above the base.
-
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-
-    Returns
-    -------
-    ndarray of shape (3 n, 10)
-        Each of length 1.
+    (3 n, 10) of length 1 each, at points (n, 3). The torque of a weight at (x, y, z) is y about the
+    x axis of the base, and -x about y. The second joint's axis is horizontal and turns with the
+    arm: to bend about it is the two together with a stretch, for it lies above the base.
     """
     x, y, z = points.T
     none = np.zeros_like(x)

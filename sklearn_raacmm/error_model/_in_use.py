@@ -13,9 +13,9 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._fading import warn_where_unknown
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
-from sklearn_raacmm.error_model._poses import check_poses
 from sklearn_raacmm.error_model._solve import angles_for
 from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, warn_user
 
@@ -95,18 +95,12 @@ class ModelInUseMixin:
         ----------
         X : array-like of shape (n_poses, n_joints + n_extra)
             As for `predict`.
-
         n_samples : int, default=1
             Number of draws.
-
         random_state : int, RandomState instance or None, default=None
             Draws the numbers.
-
-        with_noise : bool, default=False
-            Add the noise of a measured coordinate, independent from pose to pose.
-
-        with_unseen : bool, default=False
-            See `predict`.
+        with_noise, with_unseen : bool, default=False
+            See `predict`; the noise is independent from pose to pose.
 
         Returns
         -------
@@ -133,13 +127,12 @@ class ModelInUseMixin:
         return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
 
     def angles_for(self: Any, points: ArrayLike, start: ArrayLike) -> np.ndarray:
-        """Joint angles that bring the corrected probe to wanted points.
+        """Joint angles that bring the corrected probe to wanted points, by Newton's method.
 
         Parameters
         ----------
         points : array-like of shape (n, 3)
             In the arm's base frame, mm.
-
         start : array-like of shape (n, n_joints + n_extra) or (1, n_joints + n_extra)
             Poses to begin at, in the unit that the model takes, such as those of a program that
             knows nothing of the correction; then the extra columns. Of all the angles that reach a
@@ -160,11 +153,6 @@ class ModelInUseMixin:
         -----
         UserWarning
             If points are not reached: how many, the first of them, and how near the probe came.
-
-        Notes
-        -----
-        Newton's method: the shortest step that the Jacobian asks for, with the correction found
-        anew after each (the correction hardly changes from one step to the next).
 
         Examples
         --------
@@ -211,14 +199,15 @@ class ModelInUseMixin:
     ) -> Any:
         """Predict how far the last link is turned from where the arm shows it.
 
+        A model that was fitted to points only does not know of a turn that no point shows, such as
+        the zero angle of a last joint whose axis goes through the probe.
+
         Parameters
         ----------
         X : array-like of shape (n_samples, n_joints + n_extra)
             As for `predict`.
-
         return_std : bool, default=False
             Also return standard deviations.
-
         with_noise : bool, default=False
             Add the noise of a measured component to them, where orientations were in the fit.
 
@@ -228,15 +217,8 @@ class ModelInUseMixin:
             Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
             times the orientation that the arm shows is the corrected one. Faded as the correction
             of the points is, and 0 where that is.
-
         std : ndarray of shape (n_samples, 3)
             Standard deviations in rad, where asked for.
-
-        Notes
-        -----
-        A model that was fitted to points only knows of the orientation what the same causes do to
-        it. It does not know what no point shows, such as the zero angle of a last joint whose axis
-        goes through the probe.
         """
         check_flags(return_std=return_std, with_noise=with_noise)
         X, model = check_poses(self, X), self.linear_model_
@@ -258,7 +240,7 @@ class ModelInUseMixin:
         Parameters
         ----------
         X : array-like of shape (n_samples, n_joints + n_extra)
-            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
+            As for `predict`.
 
         Returns
         -------

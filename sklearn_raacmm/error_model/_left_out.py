@@ -24,19 +24,14 @@ from sklearn_raacmm.utils import centred, group_means, group_weights, stage
 # Blocks left out in turn, and the fewest positions that are worth leaving some out: of three the
 # rest is hardly the model that is judged.
 N_BLOCKS, LEAST_POSITIONS = 10, 4
-# Mean of the prior of log b (see `interval_scales`) in a single-point test; with a tracker it is 0.
-# What matters there are errors that a whole position has in common. Deviations from its mean do not
-# show them, and with 12 or 20 positions show little of b: over 128 simulated tests (typical,
-# gravity, eccentricity, soft; ``benchmarks/bench_guards.py --intervals`` has the cases) what they
-# showed had no correlation with what the true errors needed, which was 2.0 in the mean. With this
-# prior 94 % of all true errors lie inside, and 15 of the 128 tests hold less than 85 %; with 0 it
-# is 92 %, and 26. Where the model is complete the deviations are then 7 % too large.
+# Mean of the prior of log b (see `interval_scales`) in a single-point test; with a tracker 0.
+# Deviations from the means of positions show little of b: with this prior 94 % of all true errors
+# are inside, with 0 it is 92 % (``benchmarks/bench_guards.py --intervals``, 128 simulated tests).
 _USUAL_LOG_B = 0.7
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0
-# With fewer than four positions nothing can be left out, and noise and standard deviation are
-# multiplied by one and so much of the inverse of their number. Of errors at other placements 0.85
-# and 0.67 (of a single position) were inside 95 % without it, 0.98 and 0.94 with it
+# With fewer than four positions noise and standard deviation are multiplied by one and so much of
+# the inverse of their number: 0.98 and 0.94 inside 95 %, without it 0.85 and 0.67
 # (``benchmarks/bench_few_poses.py``).
 _PER_FEW_POSITIONS = 2.0
 # A gain of less than this share of the deviation is none.
@@ -57,10 +52,7 @@ class LeftOut(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """Whether a correction helps at positions that were left out of its fit.
-
-    Means over positions of the mean deviation of a position, mm.
-    """
+    """Whether a correction helps at positions that were left out; means over positions."""
 
     mean_before_mm: float  # without correction
     mean_after_mm: float  # with it
@@ -71,22 +63,11 @@ class Judgement(NamedTuple):
 
 @stage("models without one block each")
 def leave_out(fitted, terms, positions, weights):
-    """Errors at the rows of each block of neighbouring positions, by a model of the others.
+    """Errors at the rows of each block of neighbouring positions by a model of the others.
 
-    Parameters
-    ----------
-    fitted : Fitted
-    terms : Terms
-        Its harmonics are those that were offered to the fit.
-    positions : ndarray of shape (n,)
-        Position of each row, from 0.
-    weights : ndarray of shape (n,)
-        Of the rows as measured: outliers count, too, in the means of their positions.
-
-    Returns
-    -------
-    LeftOut or None
-        None where all positions are at one place, or all weight is in one block.
+    The harmonics of `terms` were offered to the fit, and `positions` (n,) count from 0. Outliers
+    keep their `weights` in the means of their positions. A `LeftOut`, or None where all positions
+    are at one place, or all weight is in one block.
     """
     model, state, rows = fitted.model, fitted.state, fitted.rows
     points = points_of_rows(rows.arm, terms, rows.X)
@@ -94,9 +75,8 @@ def leave_out(fitted, terms, positions, weights):
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
-    # High orders beside the chosen ones take most of the time: on 22 simulated sets (tracker,
-    # single-point, causes without columns, weak gears) the models without a block were the same to
-    # the last digit with all of them offered again.
+    # High orders beside the chosen ones take most of the time: on 22 simulated sets the models
+    # without a block were the same with all of them offered again.
     low = terms.harmonics[:, 1] <= HIGHEST_OF_FEW
     low[state.lines] = True
     if not low.any():  # only high ones are offered
@@ -153,26 +133,8 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
     """Model whose intervals are as wide as its errors at positions left out ask for.
 
     Errors in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the posterior standard deviation,
-    say what a and b are (see :func:`interval_scales`). Weak priors about a = b = 1 keep these
-    values where there is no evidence against them; in a single-point test, which shows little of b,
-    its prior is about 2. A single-point test of fewer than four positions has its factors by their
-    number alone.
-
-    Parameters
-    ----------
-    model : LinearModel
-    left_out : LeftOut or None
-    weights : ndarray of shape (n,)
-        Of the rows as measured: outliers count, too.
-    codes : ndarray of shape (n,) or None
-        Position of each row, where positions have offsets.
-    positions : ndarray of shape (n,)
-        Position of each row.
-
-    Returns
-    -------
-    LinearModel
-        The same one where a tracker gave too few positions to leave some out.
+    say what a and b are (see `interval_scales`), with weak priors. A single-point test of fewer
+    than four positions has them by their number alone; a tracker's model is then left as it is.
     """
     n_positions = len(np.unique(positions))
     if left_out is None or n_positions < LEAST_POSITIONS:
@@ -189,28 +151,11 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
 
 
 def judge(left_out, fading, y, weights, codes, positions):
-    """Whether the correction helps at positions that were left out of the fit.
+    """`Judgement` of a correction at positions that were left out of the fit.
 
-    It does if the mean deviation over positions falls by more than the standard error of that gain;
-    with fewer than four positions, if it falls at each of them.
-
-    Parameters
-    ----------
-    left_out : LeftOut
-    fading : Fading
-        Of the whole model.
-    y : ndarray of shape (n, 3)
-        Residuals, mm.
-    weights : ndarray of shape (n,)
-        Those that the robust weights have left: a slipped pose says nothing of the others.
-    codes : ndarray of shape (n,) or None
-        Position of each row, where positions have offsets.
-    positions : ndarray of shape (n,)
-        Position of each row.
-
-    Returns
-    -------
-    Judgement
+    It helps if the mean deviation over positions falls by more than the standard error of that
+    gain; with fewer than four positions, if it falls at each of them. Slipped poses have no
+    `weights` (n,).
     """
     kept = weights > 0
     after = y - fading.share(left_out.doubt)[:, None] * left_out.correction

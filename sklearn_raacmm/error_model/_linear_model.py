@@ -45,56 +45,41 @@ _HARMONIC_DTYPE = np.dtype(
 class LinearModel:
     """Posterior of a linear error model: ``columns(angles) @ coef`` is the correction in mm.
 
-    Estimators hold it, planners and exporters read it, and files keep it. It is made by
-    :func:`fit_linear_model` and does not change; ``dataclasses.replace`` makes another one.
+    Estimators hold it, planners and exporters read it, and files keep it. It does not change;
+    ``dataclasses.replace`` makes another one.
 
     Attributes
     ----------
     arm : Arm
         The calibrated arm.
-
     terms : Terms
         Which columns there are.
-
     coef : ndarray of shape (n_columns,)
         Posterior mean of the coefficients.
-
     half : ndarray of shape (n_columns, r)
         Root of their covariance, which is ``half @ half.T``.
-
     noise_variance : float
         Variance of a coordinate about the model, mm^2.
-
     prior_sd : dict
         Standard deviation before any data of the coefficients of each family.
-
     offsets : bool
         Whether each position had an unknown offset.
-
     n_determined : float
         Effective number of coefficients that the data determine.
-
     log_bayes_factor : ndarray of shape (n_harmonics,)
         By how much each harmonic of `terms` raises the log evidence, beside all others.
-
     gauge_free_half : ndarray of shape (n_columns, r)
-        As `half`, for the part of the correction that a single-point test can show. What is the
-        same at all poses that reach a point (a motion of the base, a common scale, a base that
-        bends under the load), and what imitates it at the positions of the test, is projected out.
-        Equal to `half` where positions have no offsets. Standard deviations of predictions are made
-        of it; those of lengths are made of `half`.
-
+        As `half`, for what a single-point test can show (see `constrained`): standard deviations of
+        predictions are made of it, those of lengths of `half`. The same where positions have no
+        offsets.
     fading_half : ndarray of shape (n_columns, r)
         Root of the covariance by which corrections fade: `gauge_free_half`, and after an update
         what the new poses leave of it.
-
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
-        positions that were left out (see :func:`with_honest_intervals`); 1 where that is not known.
-
+        positions that were left out; 1 where that is not known.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
-
     turn_mm : float
         The noise of a coordinate over that of a component of the orientation, mm per rad; 0 where
         no orientations were given.
@@ -158,39 +143,14 @@ class LinearModel:
         return self.noise_scale * self.noise_sd / self.turn_mm if self.turn_mm else float("nan")
 
     def columns(self, angles: np.ndarray) -> np.ndarray:
-        """Columns of the model at some poses.
-
-        Parameters
-        ----------
-        angles : ndarray of shape (n, n_joints + n_extra)
-            In rad; then the extra columns of `terms`.
-
-        Returns
-        -------
-        ndarray of shape (n, 3, n_columns)
-            mm per unit coefficient.
-        """
+        """Columns (n, 3, n_columns) of the model in mm per unit coefficient: see `term_columns`."""
         return term_columns(self.arm, angles, self.terms)
 
     def predict(self, angles: np.ndarray, return_std: bool = False) -> tuple[np.ndarray, Any]:
-        """Posterior of the correction at some poses.
+        """Posterior of the correction: mean (n, 3) and standard deviation (n, 3) or None, mm.
 
-        Parameters
-        ----------
-        angles : ndarray of shape (n, n_joints + n_extra)
-            In rad; then the extra columns of `terms`.
-
-        return_std : bool, default=False
-            Also return standard deviations.
-
-        Returns
-        -------
-        mean : ndarray of shape (n, 3)
-            In mm.
-
-        std : ndarray of shape (n, 3) or None
-            That of the posterior, mm, without noise, of what the test can show; None where it is
-            not asked for. :meth:`widened` makes intervals of it that hold.
+        The standard deviation is without noise, and of what the test can show: :meth:`widened`
+        makes intervals of it that hold.
         """
         mean, found = self._posterior(angles, [self._std_root] * return_std)
         return mean, found[0] if return_std else None
@@ -198,15 +158,7 @@ class LinearModel:
     def predict_with_doubt(
         self, angles: np.ndarray, return_std: bool = False, return_doubt: bool = True
     ) -> tuple[np.ndarray, Any, Any]:
-        """As `predict`, and what corrections fade by.
-
-        Returns
-        -------
-        mean : ndarray of shape (n, 3)
-        std : ndarray of shape (n, 3) or None
-        doubt : ndarray of shape (n,) or None
-            Length of the standard deviation by `fading_half`, mm.
-        """
+        """As `predict`, and what corrections fade by: the length (n,) by `fading_half` in mm."""
         if not return_doubt:
             return *self.predict(angles, return_std), None
         roots = [self._fading_root]
@@ -244,38 +196,14 @@ class LinearModel:
         return _triangle(self.fading_half, len(self.terms.harmonics))
 
     def widened(self, std: np.ndarray, with_noise: bool = False) -> np.ndarray:
-        """Standard deviations whose intervals hold at positions that were left out of the fit.
-
-        Parameters
-        ----------
-        std : ndarray
-            Of the posterior, mm.
-
-        with_noise : bool, default=False
-            Whether to add the noise of one measured coordinate.
-
-        Returns
-        -------
-        ndarray of the shape of `std`
-        """
+        """Standard deviations whose intervals hold at positions that were left out of the fit."""
         noise = self.noise_scale * self.noise_sd if with_noise else 0.0
         return np.hypot(self.std_scale * std, noise)
 
     def root_at(self, angles: np.ndarray, with_unseen: bool = False) -> np.ndarray:
-        """Root of the posterior covariance of the coordinates of some poses.
+        """Root (3 n, r) of the posterior covariance of the coordinates of some poses, mm.
 
-        Parameters
-        ----------
-        angles : ndarray of shape (n, n_joints + n_extra)
-            In rad; then the extra columns of `terms`.
-
-        with_unseen : bool, default=False
-            Whether to take `half` in place of `gauge_free_half`.
-
-        Returns
-        -------
-        ndarray of shape (3 n, r)
-            In mm, not widened.
+        Of `half` instead of `gauge_free_half` where the unseen is asked for; not widened.
         """
         half = self.half if with_unseen else self.gauge_free_half
         out = np.empty((len(angles), 3, half.shape[1]))
@@ -295,18 +223,7 @@ class LinearModel:
         return covariance
 
     def distance_std(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Posterior standard deviation of a corrected length between two poses each.
-
-        Parameters
-        ----------
-        first, second : ndarray of shape (n, n_joints)
-            Angles in rad at the two ends.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            In mm; 0 for lengths of zero.
-        """
+        """Posterior standard deviation (n,) in mm of a corrected length between two poses each."""
         n = self.arm.n_joints
         line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
         length = np.linalg.norm(line, axis=1, keepdims=True)

@@ -39,25 +39,10 @@ def check_same_table(old, new):
 
 
 def moved_model(linear, arm):
-    """The same causes, seen by another probe.
+    """The same causes, seen by another probe of the same table: a `LinearModel`.
 
     Coefficients are counted in units of the arm's reach, which the probe changes; growth by
     temperature is in proportion to each length.
-
-    Parameters
-    ----------
-    linear : LinearModel
-    arm : Arm
-        With the new probe, and the same table.
-
-    Returns
-    -------
-    LinearModel
-
-    Raises
-    ------
-    ValueError
-        If the arms differ in more than their probes.
     """
     check_same_table(linear.arm, arm)
     n_waves = 2 * len(linear.terms.harmonics)
@@ -95,16 +80,6 @@ def moved_fading(fading, old, new):
 
     A longer probe makes every standard deviation larger, and the errors with it: that is no reason
     to take the correction back. Those of the last joint grow as its lever does, others less.
-
-    Parameters
-    ----------
-    fading : Fading
-        Of a model of the arm `old`.
-    old, new : Arm
-
-    Returns
-    -------
-    Fading
     """
     ratio = max(lever_mm(new) / lever_mm(old), 1.0) if lever_mm(old) > 0 else 1.0
     return replace(fading, size_mm=ratio * fading.size_mm)

@@ -23,25 +23,11 @@ _LEAST_RATIO = 1e-4
 def angles_for(
     arm: Arm, correction: Callable, points: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Angles of poses whose corrected probe is at given points.
+    """Angles (n, n_joints) in rad of poses whose corrected probe is at given points (n, 3) in mm.
 
-    Parameters
-    ----------
-    arm : Arm
-    correction : callable
-        Takes angles (m, n_joints) in rad and the numbers of their rows; gives what is to be
-        subtracted from the arm's points, (m, 3) in mm.
-    points : ndarray of shape (n, 3)
-        In mm.
-    start : ndarray of shape (n, n_joints)
-        In rad.
-
-    Returns
-    -------
-    angles : ndarray of shape (n, n_joints)
-        In rad; NaN where a point was not reached.
-    missed : structured ndarray
-        `row` and distance `off_mm` of those.
+    `correction` takes angles (m, n_joints) in rad and the numbers of their rows; it gives what is
+    to be subtracted from the arm's points, (m, 3). A point that is not reached has NaN; the second
+    value returned is a structured array of `row` and distance `off_mm` of these.
     """
     low, high = limits_of(arm)
     angles = np.clip(start, low, high)

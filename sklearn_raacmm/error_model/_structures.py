@@ -17,13 +17,12 @@ from sklearn_raacmm.inference import Structures
 
 # What a harmonic costs per logarithm of its order.
 _PRICE_PER_LOG_ORDER = 2.0
-# Orders up to this may be there all together, small, and smaller the higher they are: a smooth
-# function of the joint's angle. Order at which the decay begins; price in nats: any from 8 to 64
-# leaves about the same (``benchmarks/bench_prices.py --field``).
+# Orders up to this may be there all together, smaller the higher they are: a smooth function of the
+# joint's angle. Order at which the decay begins; price in nats (``benchmarks/bench_prices.py
+# --field``).
 _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
-# Log evidence that a family of extra columns has to add, in nats: a user may name causes that are
-# none (``benchmarks/bench_extra.py``: noise as the extra column came to at most 5 in 30 fits, a
-# true cause that helped at positions left out to 22 or more).
+# Log evidence that a family of extra columns has to add, in nats: noise came to at most 5, a true
+# cause that helped to 22 or more (``benchmarks/bench_extra.py``).
 _PRICE_OF_EXTRA = 10.0
 # Prior standard deviation of a family that is not worth its price: its coefficients are nothing.
 IDLE_SD = 1e-6
@@ -32,33 +31,18 @@ IDLE_SD = 1e-6
 _LARGEST_VARIANCE = 3600.0**2
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6
-# Orders above this are offered where scattered angles see them: where a joint's angles, those
-# nearer to each other than 0.001 rad counted as one, are at least half as many as the poses.
-# Waves of fewer angles than orders are not the same there (``benchmarks/bench_few_poses.py``).
+# Orders above this are offered where a joint's angles, those nearer than 0.001 rad counted as one,
+# are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
 HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
 
 def offered_harmonics(angles, orders):
-    """Harmonics that a fit may take.
+    """Harmonics that a fit may take, (n_pairs, 2): joint from 0 and order, sorted.
 
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-        Of the training poses, in rad.
-    orders : int, array-like of int, or one array-like per joint
-        Highest order: a joint at m different angles is offered none above m, for on a grid the
-        waves of lower orders are the same there; but all above 72 where its angles are scattered.
-        Or the orders themselves, for all joints or for each.
-
-    Returns
-    -------
-    ndarray of shape (n_pairs, 2)
-        Joint from 0 and order, sorted.
-
-    Raises
-    ------
-    ValueError
-        If orders are not whole numbers of 1 or more, or a list has not one entry per joint.
+    `angles` (n, n_joints) of the poses are in rad. `orders` may be the highest order: a joint at m
+    different angles is offered none above m, for on a grid the waves of lower orders are the same
+    there; but all above 72 where its angles are scattered. Or the orders themselves, for all joints
+    or for each.
     """
     n_joints = angles.shape[1]
     if isinstance(orders, Integral):
@@ -100,25 +84,8 @@ def _named_orders(orders, n_joints):
 def structures_of(arm, terms, with_field, idle=frozenset()):
     """Families, lines and field of a model with some columns.
 
-    Parameters
-    ----------
-    arm : Arm
-    terms : Terms
-        Its harmonics are those that are offered.
-    with_field : bool
-        Whether there may be a field: not where the user has said which orders there are.
-    idle : set of int
-        Families of extra columns that have proved not to be worth their price.
-
-    Returns
-    -------
-    Structures
-        Its variances are in the order of `FAMILIES`.
-
-    Raises
-    ------
-    ValueError
-        If there are no columns.
+    Variances are in the order of `FAMILIES`. The harmonics of `terms` are those that are offered.
+    The families `idle` have proved not to be worth their price.
     """
     family, order = term_names(arm, terms)[1], terms.harmonics[:, 1]
     if not len(order) and not len(family):
@@ -136,19 +103,10 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
 
 
 def order_price(order: Any) -> Any:
-    """Price of a harmonic of order k in nats: ``2 log(k)``, for the odds fall with its square.
+    """Price in nats of harmonics of the orders k: ``2 log(k)``, for the odds fall with its square.
 
-    Every encoder is a little eccentric, so that order 1 is free; an order of 400 costs 12 nats. On
-    simulated arms factors from 1.5 to 2.5 and an order 2 that is free leave the same within 0.5 %,
-    and the same as the three rules that this one replaces (``benchmarks/bench_prices.py``).
-
-    Parameters
-    ----------
-    order : ndarray of shape (n_pairs,)
-
-    Returns
-    -------
-    ndarray of shape (n_pairs,)
+    Every encoder is a little eccentric, so that order 1 is free. On simulated arms factors from 1.5
+    to 2.5 leave the same within 0.5 % (``benchmarks/bench_prices.py``).
     """
     return _PRICE_PER_LOG_ORDER * np.log(order)
 
@@ -157,14 +115,6 @@ def smooth_shares(order: np.ndarray) -> np.ndarray:
     """Prior variance of each order as a part of the field, relative to that of order 0.
 
     ``(1 + (k / 16)^2)^-2``, the spectrum of functions that can be differentiated; 0 above order 48.
-
-    Parameters
-    ----------
-    order : ndarray of shape (n_pairs,)
-
-    Returns
-    -------
-    ndarray of shape (n_pairs,)
     """
     share = (1 + np.square(order / _DECAY_FROM)) ** -2.0
     return np.where(order <= _FIELD_ORDER, share, 0.0)
@@ -173,13 +123,7 @@ def smooth_shares(order: np.ndarray) -> np.ndarray:
 def least_of_the_idle(state, family, idle):
     """Family of extra columns that is least worth its price, or None where all are worth it.
 
-    Parameters
-    ----------
-    state : State
-    family : ndarray of shape (m,)
-        Family of each column that is always in.
-    idle : set of int
-        Families that have been put aside by now.
+    `family` is that of each column that is always in; `idle` have been put aside by now.
     """
     there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - idle
     gains = {f: state.gain_of(np.flatnonzero(family == f)) for f in there}

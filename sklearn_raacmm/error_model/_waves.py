@@ -41,43 +41,21 @@ _LARGEST_BATCH = 192
 _TINY = 1e-300
 # Orders and poses from which on the grid is faster: ``benchmarks/bench_fit.py`` with 96 columns.
 _MANY_ORDERS, _MANY_POSES = 128, 256
-# Points of the grid for each order up to the highest, points under the kernel, and how sharp the
-# kernel is beside the sharpest that the grid allows. With 1000 orders the error is that of the
-# phase of the highest one; 13 points under the kernel leave ten times as much
-# (``tests/error_model/test_wave_sums.py``).
+# Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
+# beside the sharpest that the grid allows (``tests/error_model/test_waves.py``).
 _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
 # Nodes of the integral that is the kernel's own transform: to the last digit with half of them.
 _NODES = 64
 
 
 def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0, known=0.0):
-    """Sum up what the choice of harmonics needs.
+    """Sum up what the choice of harmonics needs, as `Sums`.
 
-    Parameters
-    ----------
-    arm : Arm
-    angles : ndarray of shape (n, n_joints + n_extra)
-        In rad; then the extra columns.
-    y : ndarray of shape (n, 3) or (n, 6)
-        Residuals in mm; then those of the orientation in rad times `turn_mm`.
-    weights : ndarray of shape (n,)
-        Where positions have no offsets also changes of weights, which may be negative.
-    codes : ndarray of shape (n,) or None
-        Position of each row, from 0, where positions have offsets. Offsets are taken out exactly,
-        by the deviations from weighted means (Frisch-Waugh theorem).
-    offered : ndarray of shape (n_pairs, 2)
-        Joint from 0 and order of each candidate, sorted by joint.
-    terms : Terms
-        The columns that are always in; its harmonics are not used.
-    turn_mm : float, default=0
-        See :func:`observed_columns`.
-    known : float, default=0
-        Noise variance over that of the offsets: as rows of this weight would, it draws them to 0.
-
-    Returns
-    -------
-    Sums
-        The first column of a pair is the cosine.
+    `offered` (n_pairs, 2) are the candidates, joint from 0 and order, sorted by joint; the first
+    column of a pair is the cosine. `terms` are the columns that are always in. Offsets of the
+    positions `codes` are taken out exactly, by deviations from weighted means (Frisch-Waugh
+    theorem); `known`, the noise variance over that of the offsets, draws them to 0 as rows of this
+    weight would. Without offsets `weights` may be negative changes.
     """
     poses = _sorted_poses(angles, y, weights, codes, known)
     spans = _joint_spans(offered)
@@ -225,15 +203,7 @@ def _gram_rows(poses, turns, spans, pairs):
 
 
 class _WaveSums:
-    """Sums over poses of columns times ``exp(i k theta)``, for the orders k of one joint.
-
-    Parameters
-    ----------
-    orders : ndarray of shape (n_orders,)
-        Sorted.
-    n_poses : int
-        That there will be in all.
-    """
+    """Sums over poses of columns times ``exp(i k theta)``, for the sorted orders of one joint."""
 
     def __init__(self, orders, n_poses):
         self.orders = orders

@@ -37,21 +37,8 @@ class Function(NamedTuple):
 def sources(program, name, stem, dtype, card=None, notes=()):
     """Text of the C file and of the header.
 
-    Parameters
-    ----------
-    program : Program
-        With ``std`` among its outputs if there is to be a function for it.
-    name, stem : str
-        What the functions' names begin with, and the files' names.
-    dtype : {"double", "float"}
-    card : dict, str or None
-        Facts about the model; fields of a dict become macros, too.
-    notes : list of str
-        More facts.
-
-    Returns
-    -------
-    source, header : str
+    Names of functions begin with `name`, those of the files with `stem`. Fields of a `card` that is
+    a dict become macros, too; `notes` are more lines for the comment at the top.
     """
     about, tables = program.about, Tables(Numbers(dtype))
     functions = _functions(program, name, dtype)

@@ -401,14 +401,8 @@ def _packed(rows):
 def _chain(joint, order):
     """How powers of ``exp(i angle)`` follow from each other.
 
-    Returns
-    -------
-    firsts : list of int
-        Joints whose first power is taken from cosine and sine.
-    products : list of (int, int)
-        Where the two factors of each further one stand, as the first of two numbers; 1 is at 0.
-    place : ndarray
-        Which power each wave is, 0 where it has none.
+    Joints whose first power is taken from cosine and sine; where the two factors of each further
+    one stand, as the first of two numbers (1 is at 0); which power each wave is, 0 without one.
     """
     wanted = {(int(j), int(k)) for j, k in zip(joint, order, strict=True) if k}
     firsts = sorted({j for j, _ in wanted})

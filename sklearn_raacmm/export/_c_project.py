@@ -117,29 +117,10 @@ inline std::optional<Output> {short}(const Input &input) noexcept
 
 
 def project_files(rows, gap, name, path, dtype, corrects):
-    """Texts of the files that come with ``path``.
+    """Texts of the files that come with `path`, that of the C file: a dict of pathlib.Path to str.
 
-    Parameters
-    ----------
-    rows : dict of ndarray
-        Test rows and their answers, see `rows_to_test`.
-    gap : float
-        How far the same operations in Python are from these.
-    name : str
-    path : pathlib.Path
-        Of the C file.
-    dtype : {"double", "float"}
-    corrects : bool
-        Whether the functions are ``correct`` and ``point``, not ``predict``.
-
-    Returns
-    -------
-    dict of pathlib.Path to str
-
-    Raises
-    ------
-    ValueError
-        If a CMakeLists.txt is there that is not of this package.
+    `rows` are test rows and their answers, from which the same operations in Python are `gap` away.
+    ``corrects`` says whether the functions are ``correct`` and ``point``, not ``predict``.
     """
     cmake = path.with_name("CMakeLists.txt")
     if cmake.exists() and not cmake.read_text("utf-8", "replace").startswith(_MARK):

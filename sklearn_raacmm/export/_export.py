@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export import _onnx, _reader
+from sklearn_raacmm.export import _onnx
 from sklearn_raacmm.export._any_probe import AnyProbe
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files
 from sklearn_raacmm.export._c_text import check_name
-from sklearn_raacmm.export._json import ExportedModel, content_of, program_of_text, text_of
-from sklearn_raacmm.export._load_c import NAME, answers_in_c
+from sklearn_raacmm.export._json import ExportedModel, program_of_text, text_of
+from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
@@ -27,17 +27,12 @@ from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to
 from sklearn_raacmm.export._steps import check_fitted, check_std
 from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
 
-# Numbers of a JSON file that plain Python goes through for its proof: a second or so.
-_PLAIN_NUMBERS = 3_000_000
 
-
-def _check_card(card):
-    """Refuse what `describe` does not give, and is no text either."""
+def _check(std, card, dtype="double"):
+    """Refuse what cannot be one of these parameters."""
+    check_std(std)
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
-
-
-def _check_dtype(dtype):
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
         raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
 
@@ -77,15 +72,14 @@ def export_c(
     Parameters
     ----------
     model : estimator
-        Fitted. A pipeline, in either of the two forms of :class:`CylindricalResidualTarget`, of
-        :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler, MaxAbsScaler or
-        RobustScaler, and :class:`RBFNetRegressor`, LinearRegression or Ridge; one of these
-        regressors, :class:`ArmResidualRegressor` by itself; or a
+        Fitted: :class:`ArmResidualRegressor`, :class:`RBFNetRegressor`, LinearRegression or Ridge;
+        a pipeline of these, :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler,
+        MaxAbsScaler and RobustScaler, in either form of :class:`CylindricalResidualTarget`; or a
         search that has found one of all these.
 
     path : str or path-like
-        The C file, ending in ".c"; the header beside it ends in ".h". Both are written beside
-        their places and renamed when complete, so that a full disk leaves old files whole.
+        The C file, ending in ".c"; the header beside it ends in ".h". Both are renamed when
+        complete, so that a full disk leaves old files whole.
 
     name : str, default=None
         A C identifier that the functions' names begin with; None: the stem of `path`. With N
@@ -100,28 +94,22 @@ def export_c(
         - ``int <name>_correct_std(const double joint_angles[N], double correction_mm[3], double
           std_mm[3])``, if `std`;
         - ``double <name>_trust(const double joint_angles[N])``, of a model that fades: the share of
-          the correction that is left, of its stages the smallest;
+          the correction that is left;
         - ``const char *<name>_fingerprint(void)``.
 
-        The first four return 0; 1 where less than half of a stage is left; 2 where the result is
-        NaN. The header defines names for these numbers, and
-        ``<NAME>_VERSION``, ``_FINGERPRINT``, ``_N_INPUTS``, ``_N_OUTPUTS``, ``_TABLE_BYTES``,
-        ``_INPUT_UNIT``, ``_OUTPUT_UNIT``; with a card that has them ``_SERIAL_NUMBER``, ``_DATE``
-        and ``_DATA_FINGERPRINT``.
-
-        Joint angles are in the unit that `model` takes; extra columns, such as a temperature, come
-        after them, and a tool that was not in the fit gives NaN. A model without an arm, or without
-        three outputs, has ``<name>_predict`` and ``<name>_predict_n`` instead of the first three.
+        The first four return 0; 1 where less than half of the correction is left; 2 where the
+        result is NaN. Joint angles are in the unit that `model` takes; extra columns come after
+        them. A model without an arm, or without three outputs, has ``<name>_predict`` and
+        ``<name>_predict_n`` instead of the first three. The header explains each of them, and
+        defines macros: version, fingerprint, sizes, units, and what the card has.
 
     dtype : {"double", "float"}, default="double"
         Precision of everything, the functions' arguments included. In single precision a
         correction is good to about 1e-5 of its size, but a point 1 m away to 0.1 micrometre only.
 
     std : bool, default=False
-        Also write the standard deviation, by which the caller can tell poses that the model knows
-        from those it does not. Its tables grow with the square of the number of centres (or terms);
-        those of a correction that fades are there in any case. It is good to 1e-3 of itself, or the
-        file says how good it is.
+        Also write the standard deviation. Its tables grow with the square of the number of centres
+        (or terms); those of a correction that fades are there in any case.
 
     card : ModelCard or str, default=None
         Facts to repeat in the comment at the top, see :func:`describe`. Characters other than
@@ -130,14 +118,13 @@ def export_c(
     poses : array-like of shape (n, N) or "random", default=None
         Rows that the model was fitted on, or others that it will see; "random" takes random ones.
         With them come, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
-        ``predict`` gives (20 of these, 8 corners of their ranges, 4 with NaN or infinity);
-        ``CMakeLists.txt``, which builds, runs and installs; and ``<stem>.hpp``, for C++17.
+        ``predict`` gives; ``CMakeLists.txt``, which builds, runs and installs; and ``<stem>.hpp``,
+        for C++17.
 
     any_probe : bool, default=False
-        Whether the functions take the vector of the probe: three more numbers in mm after the
-        joint angles and the extra columns. They then give what ``model.with_arm`` of an arm with
-        this probe predicts. For an :class:`ArmResidualRegressor` without a second stage and without
-        temperatures.
+        Whether the functions take the vector of the probe: three more numbers in mm at the end of
+        a row. They then give what ``model.with_arm`` of an arm with this probe predicts. For an
+        :class:`ArmResidualRegressor` without a second stage and without temperatures.
 
     Returns
     -------
@@ -147,22 +134,21 @@ def export_c(
     Raises
     ------
     ValueError
-        If a step cannot be exported (the sentence names it), `name` is not a C identifier or a
-        word of C or C++, `path` does not end in ".c" or holds unusual characters, or a number of
-        the model is not finite in this precision; if a CMakeLists.txt of somebody else is there;
-        if the file, compiled, does not give what ``predict`` gives: the sentence has the numbers.
+        If a step cannot be exported, a parameter is none that C can have, a number of the model is
+        not finite in this precision, or a CMakeLists.txt of somebody else is there; if the file,
+        compiled, does not give what ``predict`` gives.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
     Notes
     -----
-    Where ``predict`` raises, on angles that are NaN or infinite or a pose without an azimuth, the
-    functions give NaN. Angles more than two turns away only warn in Python, and pass here.
+    Where ``predict`` raises, the functions give NaN. Angles more than two turns away only warn in
+    Python, and pass here.
 
     Where a compiler is at hand (the environment variable CC, or cc, gcc or clang), the file is
     compiled and compared with ``predict`` at 32 rows before it is written: 1e-9 of the largest
-    correction and 1e-3 of a standard deviation are promised, 2e-2 in single precision, of which the
-    header then says how far it is.
+    correction and 1e-3 of a standard deviation are promised, 2e-2 in single precision. The header
+    says so where it is worse, and how good single precision is.
 
     Examples
     --------
@@ -188,9 +174,7 @@ def export_c(
             f"{show(str(path))}."
         )
     name = check_name(path.stem if name is None else name)
-    _check_dtype(dtype)
-    check_std(std)
-    _check_card(card)
+    _check(std, card, dtype)
     check_flags(any_probe=any_probe)
     given = None if isinstance(poses, str) and poses == "random" else poses
     judge = model
@@ -212,7 +196,7 @@ def export_c(
 
 def _proved_in_c(model, program, rows, dtype):
     """What the header has to say of how far the C file is from ``predict``."""
-    found = answers_in_c(program, sources(program, NAME, NAME, dtype), dtype, rows["X"])
+    found = answers_in_c(program, dtype, rows["X"])
     if found is None:
         return []
     notes = proved("the C source", rows, found["y"], found.get("std"), dtype)
@@ -246,7 +230,7 @@ def to_json(
         Fitted, of a kind that :func:`export_c` writes.
 
     path : str or path-like, default=None
-        File to write, beside its place and renamed when complete. None only returns the text.
+        File to write, renamed when complete. None only returns the text.
 
     std : bool, default=False
         Also write the standard deviation.
@@ -262,7 +246,7 @@ def to_json(
     str
         JSON: the operations that the model is made of, their constants, and 32 test rows with what
         ``predict`` gives. All numbers are the shortest decimals that read back as the same float64.
-        The page "Deployment" describes the fields, and has a reader of plain Python.
+        The page "Numerics" describes the fields.
 
     Raises
     ------
@@ -284,35 +268,24 @@ def to_json(
     True
     """
     path = None if path is None else check_path("path", path)
-    check_std(std)
-    _check_card(card)
+    _check(std, card)
     program = program_of(model, std)
     rows = _rows_of(model, poses, std, program.n_inputs)
     if card is not None:
         program.about["card"] = str(card)
     text = text_of(program, dict_of_rows(rows))
-    program.about["accuracy"] = _proved_by_reader(content_of(text), rows)
-    if program.about["accuracy"]:
+    notes = _proved("the JSON text", program_of_text(text)[0], rows)
+    if notes:
+        program.about["accuracy"] = notes
         text = text_of(program, dict_of_rows(rows))
     if path is not None:
         write_whole({path: text})
     return text
 
 
-def _proved_by_reader(content, rows):
-    """What plain Python makes of a file, compared with ``predict``: sentences for the file."""
-    numbers = sum(np.size(array) for array in content["arrays"])
-    which = np.linspace(0, len(rows["X"]) - 1, max(2, min(32, _PLAIN_NUMBERS // numbers)))
-    rows = {key: array[which.round().astype(int)] for key, array in rows.items()}
-    found = {key: np.full(array.shape, np.nan) for key, array in rows.items() if key != "X"}
-    for i, row in enumerate(rows["X"].tolist()):
-        try:
-            answer = _reader.run(content, row)
-        except (ValueError, ZeroDivisionError, OverflowError):
-            continue
-        for key, array in found.items():
-            array[i] = answer[key]
-    return proved("the JSON text, read by plain Python,", rows, found["y"], found.get("std"))
+def _proved(what, program, rows):
+    found = run(program, rows["X"])
+    return proved(what, rows, found["y"], found.get("std"))
 
 
 def from_json(source: str | PathLike[str]) -> ExportedModel:
@@ -332,9 +305,8 @@ def from_json(source: str | PathLike[str]) -> ExportedModel:
     Raises
     ------
     ValueError
-        If the text is not such a model, of another version of the format, or damaged: a checksum
-        or the fingerprint is wrong, an operation is unknown, sizes do not agree, a number is
-        missing or not finite, or its own test rows do not come out.
+        If the text is not such a model, of another version of the format, or damaged, or if its
+        own test rows do not come out.
     OSError
         If the file cannot be read.
     """
@@ -347,8 +319,7 @@ def from_json(source: str | PathLike[str]) -> ExportedModel:
         except UnicodeDecodeError as error:
             raise ValueError(f"{source} is not valid JSON: {error}.") from None
     program, rows = program_of_text(text, where)
-    found = run(program, rows["X"])
-    proved(where, rows, found["y"], found.get("std"))
+    _proved(where, program, rows)
     return ExportedModel(program, rows)
 
 
@@ -406,7 +377,7 @@ def to_onnx(
         Fitted, of a kind that :func:`export_c` writes, or a chain whose other steps skl2onnx knows.
 
     path : str or path-like, default=None
-        File to write, beside its place and renamed when complete.
+        File to write, renamed when complete.
 
     dtype : {"double", "float"}, default="double"
         Type of input and output. The model itself computes in double precision.
@@ -421,8 +392,7 @@ def to_onnx(
         Facts to keep in the file's metadata, see :func:`describe`.
 
     poses : array-like of shape (n, n_inputs), default=None
-        Rows for the test rows in the metadata, as :func:`export_c` takes them; None takes random
-        ones.
+        Rows for the test rows, as :func:`export_c` takes them; None takes random ones.
 
     Returns
     -------
@@ -449,11 +419,9 @@ def to_onnx(
         session = onnxruntime.InferenceSession("arm.onnx")
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
-    _check_dtype(dtype)
-    check_std(std)
+    _check(std, card, dtype)
     if target_opset is not None and not isinstance(target_opset, int | dict):
         raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
-    _check_card(card)
     path = None if path is None else check_path("path", path)
     check_fitted(model)
     facts = {"sklearn_raacmm_version": __version__}

@@ -47,30 +47,27 @@ class CompiledModel:
     fingerprint : str
         As :func:`fingerprint` gives it.
 
-    n_features_in_ : int
-        Number of joint angles, or features, of a row.
-
-    n_outputs_ : int
-        Number of outputs.
+    n_features_in_, n_outputs_ : int
+        Numbers of a row of X, and of a prediction.
     """
 
     fingerprint: str
     n_features_in_: int
     n_outputs_: int
 
-    def __init__(self, text: Any, facts: Any, compiler: Any, folder: Any) -> None:
+    def __init__(
+        self, text: Any, facts: Any, compiler: Any, folder: Any, flags: Any = _FLAGS
+    ) -> None:
         self._state = text, facts, compiler, folder
-        self.fingerprint, self.n_features_in_, self.n_outputs_ = facts[:3]
-        self._verb, self._flat, self._has_point, self._has_std = facts[3:]
-        library = _library(text, compiler, folder)
-        names = [self._verb, *(["point"] if self._has_point else [])]
-        names += [f"{self._verb}_std"] if self._has_std else []
+        self.fingerprint, self.n_features_in_, self.n_outputs_, dtype, self._about = facts
+        self._verb = "correct" if self._about["corrects"] else "predict"
+        self._real = np.float64 if dtype == "double" else np.float32
+        library = _library(text, compiler, folder, flags)
+        names = (self._verb, "point", f"{self._verb}_std")
+        names = [name for name in names if hasattr(library, f"{NAME}_{name}")]
         self._functions = {name: getattr(library, f"{NAME}_{name}") for name in names}
-        for function in self._functions.values():
-            function.restype = ctypes.c_int
         self._many = getattr(library, f"{NAME}_{self._verb}_n")
         self._many.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
-        self._many.restype = ctypes.c_int
         self._local = threading.local()
 
     def __reduce__(self) -> Any:
@@ -101,104 +98,61 @@ class CompiledModel:
             If X has another number of columns.
         """
         X = X if isinstance(X, np.ndarray) else np.asarray(X)
-        out = self._rows(X) if X.ndim == 2 else self._row(X, self._verb)[1]
-        return out[..., 0] if self._flat else out
+        out = self._rows(X) if X.ndim == 2 else self._row(X, self._verb)[1][0]
+        return out[..., 0] if self._about["flat"] else out
 
     def correct(self, angles: ArrayLike) -> np.ndarray:
-        """Correction in mm, to be subtracted from the measured point; as :meth:`predict`.
-
-        Parameters
-        ----------
-        angles : array-like of shape (n_samples, n_joints) or (n_joints,)
-            Joint angles in the unit of the model.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, 3) or (3,)
-        """
-        if not self._has_point:
+        """Correction in mm of one pose or many, to be subtracted; as :meth:`predict`."""
+        if "point" not in self._functions:
             raise ValueError("The model has no arm and three outputs, so predict is all it has.")
         return self.predict(angles)
 
     def point(self, angles: ArrayLike) -> np.ndarray:
-        """Corrected centre of the probe in the base frame, mm.
-
-        Parameters
-        ----------
-        angles : array-like of shape (n_joints,)
-            Joint angles in the unit of the model.
-
-        Returns
-        -------
-        ndarray of shape (3,)
-        """
-        if not self._has_point:
+        """Corrected centre of the probe at one pose, base frame, mm, (3,)."""
+        if "point" not in self._functions:
             raise ValueError("The model has no arm and three outputs, so it has no point.")
-        return self._row(angles, "point")[1]
+        return self._row(angles, "point")[1][0]
 
     def status(self, angles: ArrayLike) -> int:
-        """What the C function returns for one row: 0 fine, 1 faded, 2 not finite.
-
-        Parameters
-        ----------
-        angles : array-like of shape (n_features,)
-
-        Returns
-        -------
-        int
-        """
+        """What the C function returns for one row: 0 fine, 1 faded, 2 not finite."""
         return self._row(angles, self._verb)[0]
 
     def predict_std(self, X: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Prediction and standard deviation of one row.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_features,)
-
-        Returns
-        -------
-        mean, std : ndarray of shape (n_outputs,)
-        """
-        if not self._has_std:
+        """Prediction and standard deviation of one row, (n_outputs,) each."""
+        if f"{self._verb}_std" not in self._functions:
             raise ValueError("The model was compiled without standard deviation: std=True.")
-        found: Any = self._row(X, f"{self._verb}_std", results=2)
-        return found[1], found[2]
+        mean, std = self._row(X, f"{self._verb}_std")[1]
+        return mean, std
 
-    def _row(self, row, name, results=1):
-        """Status and results of one row, through buffers that each thread has for itself."""
+    def _row(self, row: Any, name: str) -> Any:
+        """Status and results (2, n_outputs) of one row, through buffers of the thread's own."""
         try:
-            given, out, spread, calls = self._local.buffers
+            given, results, calls = self._local.buffers
         except AttributeError:
-            given, out, spread, calls = self._buffers()
+            given, results, calls = self._buffers()
         row = row if isinstance(row, np.ndarray) else np.asarray(row)
         if row.shape != given.shape:
             self._refuse(row)
         given[:] = row
-        status = calls[name]()
-        if results == 1:
-            return status, out.copy()
-        return status, out.copy(), spread.copy()
+        return calls[name](), results.copy()
 
     def _buffers(self):
         """Arrays of this thread, and the functions bound to them."""
-        given, out, spread = (
-            np.empty(n) for n in (self.n_features_in_, self.n_outputs_, self.n_outputs_)
-        )
-        places = [ctypes.c_void_p(array.ctypes.data) for array in (given, out, spread)]
-
+        given = np.empty(self.n_features_in_, dtype=self._real)
+        results = np.empty((2, self.n_outputs_), dtype=self._real)
+        places = [ctypes.c_void_p(array.ctypes.data) for array in (given, *results)]
         calls = {
             name: partial(function, *(places if name.endswith("_std") else places[:2]))
             for name, function in self._functions.items()
         }
-        self._local.buffers = given, out, spread, calls
+        self._local.buffers = given, results, calls
         return self._local.buffers
 
     def _rows(self, X):
-        X = np.ascontiguousarray(X, dtype=np.float64)
+        X = np.ascontiguousarray(X, dtype=self._real)
         if X.shape[1] != self.n_features_in_:
             self._refuse(X)
-        out = np.empty((len(X), self.n_outputs_))
+        out = np.empty((len(X), self.n_outputs_), dtype=self._real)
         self._many(X.ctypes.data, out.ctypes.data, len(X))
         return out
 
@@ -265,57 +219,30 @@ def load_c(
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
     check_std(std)
-    program = program_of(model, std)
-    text = sources(program, NAME, NAME, "double")
-    facts = (
-        fingerprint_of(program),
-        program.n_inputs,
-        program.n_outputs,
-        "correct" if program.about["corrects"] else "predict",
-        program.about["flat"],
-        program.about["corrects"],
-        std,
-    )
-    return CompiledModel(text, facts, compiler, cache_dir)
+    return _compiled(program_of(model, std), "double", compiler, cache_dir)
 
 
-def answers_in_c(program, text, dtype, X):
-    """What the C source of a program gives at some rows; None without a compiler.
+def _compiled(program, dtype, compiler, folder, flags=_FLAGS):
+    text = sources(program, NAME, NAME, dtype)
+    about = {key: program.about[key] for key in ("corrects", "flat")}
+    facts = fingerprint_of(program), program.n_inputs, program.n_outputs, dtype, about
+    return CompiledModel(text, facts, compiler, folder, flags)
 
-    Parameters
-    ----------
-    program : Program
-    text : tuple of str
-        Source and header, of the name `NAME`.
-    dtype : {"double", "float"}
-    X : ndarray of shape (n, n_inputs)
 
-    Returns
-    -------
-    dict of ndarray
-        y, point and std, as far as the program has them.
-    """
+def answers_in_c(program, dtype, X):
+    """What the C source of a program gives at rows X, as `run`; None without a compiler."""
     try:
         compiler = _find_compiler(None)
     except RuntimeError:
         return None
-    real = np.float64 if dtype == "double" else np.float32
-    X = np.ascontiguousarray(X, dtype=real)
-    verb = "correct" if program.about["corrects"] else "predict"
-    calls = {"y": verb, "point": "point", "std": f"{verb}_std"}
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as build:
-        library = ctypes.CDLL(str(_compile(text, compiler, Path(build), _FAST)))
-        found = {
-            name: np.empty((len(X), program.n_outputs), dtype=real)
-            for name in calls
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        model = _compiled(program, dtype, compiler, folder, _FAST)
+        calls = {"y": (model._verb, 0), "point": ("point", 0), "std": (f"{model._verb}_std", 1)}
+        return {
+            name: np.array([model._row(row, verb)[1][place] for row in X], dtype=float)
+            for name, (verb, place) in calls.items()
             if name in program.outputs
         }
-        for name, out in found.items():
-            function = getattr(library, f"{NAME}_{calls[name]}")
-            for i, row in enumerate(X):
-                results = (found["y"][i], out[i]) if name == "std" else (out[i],)
-                function(*(ctypes.c_void_p(array.ctypes.data) for array in (row, *results)))
-    return {name: out.astype(float) for name, out in found.items()}
 
 
 def _find_compiler(compiler):
@@ -329,10 +256,10 @@ def _find_compiler(compiler):
     return found
 
 
-def _library(text, compiler, folder):
+def _library(text, compiler, folder, flags):
     """The loaded library: from the folder of libraries, or compiled now."""
     compiler = _find_compiler(compiler)
-    parts = [*text, compiler, *_FLAGS, platform.platform(), platform.machine()]
+    parts = [*text, compiler, *flags, platform.platform(), platform.machine()]
     place = f"{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()}.so"
     given = folder is not None
     folder = check_path("cache_dir", folder) if given else _own_folder()
@@ -345,14 +272,14 @@ def _library(text, compiler, folder):
     if folder is not None and (folder / place).exists():
         return ctypes.CDLL(str(folder / place))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as build:
-        library = _compile(text, compiler, Path(build))
+        library = _compile(text, compiler, Path(build), flags)
         if folder is not None:
             write_whole({folder / place: library.read_bytes()})
             library = folder / place
         return ctypes.CDLL(str(library))
 
 
-def _compile(text, compiler, build, flags=_FLAGS):
+def _compile(text, compiler, build, flags):
     """Path of the library that a compiler makes of source and header."""
     source, header, library = (build / f"{NAME}.{end}" for end in ("c", "h", "so"))
     write_whole(dict(zip((source, header), text, strict=True)))

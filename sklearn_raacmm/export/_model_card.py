@@ -25,18 +25,15 @@ from sklearn_raacmm.export._program import fingerprint_of
 from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
+    CENTRED,
     centred,
     encode_groups,
-    group_means,
-    group_weights,
     refuse_disguised,
     safe_indexing,
+    share_of_means,
     show,
 )
 
-# A position's mean residuals count as taken off where they are this share of what chance would
-# leave of them: those of a single-point test are zero but for the digits of a file.
-_CENTRED = 0.3
 # Characters shown of a text that comes from outside, and of a finding.
 _LONGEST, _LONG = 200, 1000
 
@@ -88,17 +85,7 @@ def _short(value, digits=6, longest=None):
 def escaped(text, longest=_LONGEST):
     """Text on one line, without control characters, that neither Markdown nor HTML reads as code.
 
-    Parameters
-    ----------
-    text : object
-        Its ``str`` is taken.
-    longest : int, default=200
-        Characters that are shown.
-
-    Returns
-    -------
-    str
-        At most so many characters of it, then "...".
+    At most `longest` characters of it are shown, then "...".
     """
     # C: control, format (it may turn the direction of writing), surrogates; Zl, Zp: ends of line.
     line = "".join(
@@ -141,10 +128,9 @@ def describe(
         Label of the position of each row.
 
     n_folds : int, default=5
-        Where `groups` are given, the error after the correction is that at positions left out, a
-        copy of the model having been fitted on the others, in so many folds. 0, or without
-        `groups`, or of a model that :func:`update_correction` has changed: that at the rows given,
-        and the card says so.
+        With `groups`, the error after the correction is that at positions left out, in so many
+        folds. 0, or without `groups`, or of a model that :func:`update_correction` has changed:
+        that at the rows given, and the card says so.
 
     serial_number : str, default=None
         Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
@@ -157,9 +143,8 @@ def describe(
     ModelCard
         A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
         the single-point repeatability, the mean over positions. Where `y` are deviations from the
-        means of their positions, the means are taken off what is left, too: neither data nor
-        model say where they are. ``data_fingerprint`` is the SHA-256 of the rows given.
-        ``updates`` lists what :func:`update_correction` has recorded.
+        means of their positions, the means are taken off what is left, too. ``data_fingerprint``
+        is the SHA-256 of the rows given.
 
     Raises
     ------
@@ -310,9 +295,8 @@ def _error(model, X, y, codes, groups, n_folds):
         raise ValueError(
             f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
         )
-    n_positions = 0 if codes is None else int(codes.max()) + 1
     predicted = np.empty_like(y)
-    folds = min(n_folds, n_positions)
+    folds = 0 if codes is None else min(n_folds, int(codes.max()) + 1)
     if folds >= 2:
         takes_groups = has_fit_parameter(model, "groups")
         groups = np.asarray(groups)
@@ -327,7 +311,7 @@ def _error(model, X, y, codes, groups, n_folds):
             "these rows; if the model was fitted on them, this is better than it will be on others"
         )
     spatial = codes is not None and y.ndim == 2 and y.shape[1] == 3
-    relative = spatial and _is_centred(y, codes)
+    relative = spatial and share_of_means(y, codes, np.ones(len(y))) < CENTRED
     facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}
     for when, left in (("before", y), ("after", y - predicted)):
         # Residuals of a single-point test say nothing of a position's mean, nor can the model.
@@ -338,11 +322,3 @@ def _error(model, X, y, codes, groups, n_folds):
         if spatial:
             facts[f"mean_2S_{when}_mm"] = float(single_point_repeatability(left, codes))
     return facts
-
-
-def _is_centred(y, codes):
-    """Whether the positions' mean residuals are smaller than chance would leave them."""
-    counts = group_weights(codes)
-    scatter = np.square(centred(y, codes)).sum() / max(len(y) - len(counts), 1)
-    means = (counts[:, None] * np.square(group_means(y, codes))).sum() / len(counts)
-    return bool(means <= _CENTRED**2 * scatter)

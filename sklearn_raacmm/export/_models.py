@@ -100,29 +100,11 @@ class _Chain:
 
 
 def program_of(model, std=False, any_probe=False):
-    """The program of a fitted model.
+    """The program of a fitted model; ValueError names a step that cannot be exported.
 
-    Parameters
-    ----------
-    model : estimator
-        Fitted.
-    std : bool, default=False
-        Whether the standard deviation is among its outputs.
-    any_probe : bool, default=False
-        Whether the vector of the probe is its last three inputs.
-
-    Returns
-    -------
-    Program
-        Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
-        three numbers; ``trust``, the share of the correction that is left, where it fades; ``std``.
-
-    Raises
-    ------
-    ValueError
-        If a step cannot be exported: the sentence names it.
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
+    Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
+    three numbers; ``trust``, the share of the correction that is left, where it fades; ``std``, if
+    asked for. With `any_probe` its last three inputs are the vector of the probe in mm.
     """
     check_fitted(model)
     p = Builder(n_inputs(model) + 3 * any_probe)

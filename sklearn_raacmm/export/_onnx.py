@@ -8,11 +8,13 @@ has are converted by skl2onnx, to which this package's estimators are made known
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.export import _models, _steps
+from sklearn_raacmm.export._program import OPERATIONS
 from sklearn_raacmm.residuals import CylindricalResidualTarget
 
 # Operators as of this version, and of every later one; the version that is written by default, and
@@ -22,9 +24,11 @@ _NEEDS = (
     '{} is not installed: pip install skl2onnx onnxruntime, or pip install -e ".[onnx]" in the '
     "folder of sklearn_raacmm."
 )
-_SIMPLE = {
-    "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "max": "Max", "min": "Min",
-    "sqrt": "Sqrt", "sin": "Sin",
+_OPERATORS = {
+    "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "maximum": "Max",
+    "minimum": "Min", "matmul": "MatMul", "sqrt": "Sqrt", "sin": "Sin", "exp": "Exp",
+    "negative": "Neg", "less": "Less", "less_equal": "LessOrEqual",
+    "greater_equal": "GreaterOrEqual", "bitwise_and": "And",
 }  # fmt: skip
 
 
@@ -39,18 +43,13 @@ def _onnx():
 class Graph:
     """Nodes: ``graph("Mul", a, b)`` is the name of the product. Arrays become constants.
 
-    Parameters
-    ----------
-    node, tensor : callable
-        ``node(op, inputs, output, attributes)`` and ``tensor(name, array)`` put one into a model.
-    unique : callable
-        Makes a name that nothing has.
+    ``node(op, inputs, output, attributes)`` and ``tensor(name, array)`` put one into a model,
+    ``unique(name)`` makes a name that nothing has.
     """
 
     def __init__(self, node, tensor, unique):
         self._node, self._tensor, self._unique = node, tensor, unique
         self.proto = _onnx().TensorProto
-        self._x, self._rows = None, set()  # the input, and constants that are a single row
 
     def __call__(self, op, *inputs, into=None, **attributes):
         names = [v if isinstance(v, str) else self.constant(v) for v in inputs]
@@ -70,162 +69,76 @@ class Graph:
     def double(self, name):
         return self("Cast", name, to=self.proto.DOUBLE)
 
-    def row_sum(self, x, axis=1):
-        return self("ReduceSum", x, self.whole(axis), keepdims=1)
-
-    def cos(self, x):
-        """Cosine, by the sine of the half: older runtimes have no other in float64."""
-        half = self("Sin", self("Mul", x, 0.5))
-        return self("Sub", 1.0, self("Mul", self("Mul", half, half), 2.0))
-
-    def columns(self, x, index):
-        if np.all(np.diff(index) == 1):
-            return self("Slice", x, *(self.whole(v) for v in (index[0], index[-1] + 1, 1)))
-        return self("Gather", x, self.whole(*index), axis=1)
-
-    # -- a program
-
     def program(self, program, given):
         """Names of a program's outputs; `given` is that of its input, in float64."""
-        values, self._x = [given], given
+        values: Any = [_Traced(self, given, np.zeros((1, program.n_inputs)))]
         for op in program.ops[1:]:
             inputs = [values[i] for i in op.inputs]
-            if op.name == "constant":
-                values.append(self.constant(op.given["value"][None, :]))
-                self._rows.add(values[-1])
-            elif op.name in _SIMPLE:
-                values.append(self(_SIMPLE[op.name], *inputs))
-            else:
-                sizes = [program.ops[i].size for i in op.inputs]
-                values.append(getattr(self, f"_{op.name}")(op.given, sizes, *inputs))
-        return {name: values[i] for name, i in program.outputs.items()}
-
-    def _cos(self, given, sizes, x):
-        return self.cos(x)
-
-    def _less(self, given, sizes, a, b):
-        return self.double(self("Less", a, b))
-
-    def _elevation(self, given, sizes, height, reach):
-        """In float64 though runtimes know float32's arc tangent only."""
-        squares = self("Add", self("Mul", height, height), self("Mul", reach, reach))
-        length = self("Sqrt", squares)
-        sin, cos = self("Div", height, length), self("Div", reach, length)
-        half = self("Div", sin, self("Add", cos, 1.0))
-        rough = self("Atan", self("Cast", half, to=self.proto.FLOAT))
-        rough = self("Mul", self.double(rough), 2.0)
-        # The angle that is left is about 1e-7: its sine, and the cube's sixth below rounding.
-        left = self("Sub", self("Mul", sin, self.cos(rough)), self("Mul", cos, self("Sin", rough)))
-        return self("Add", rough, left)
-
-    def _take(self, given, sizes, x):
-        return self.columns(x, given["index"])
-
-    def _join(self, given, sizes, *parts):
-        if any(part in self._rows for part in parts):
-            nothing = self("Mul", self.columns(self._x, [0]), 0.0)
-            parts = [self("Add", p, nothing) if p in self._rows else p for p in parts]
-        return self("Concat", *parts, axis=1)
-
-    def _dots(self, given, sizes, rows, x):
-        if sizes[0] == sizes[1]:
-            return self.row_sum(self("Mul", rows, x))
-        rows = self("Reshape", rows, self.whole(-1, sizes[0] // sizes[1], sizes[1]))
-        product = self("MatMul", rows, self("Unsqueeze", x, self.whole(2)))
-        return self("Squeeze", product, self.whole(2))
-
-    def _affine(self, given, sizes, x):
-        y = self("MatMul", x, given["matrix"].T)
-        return self("Add", y, given["shift"][None, :])
-
-    def _finite(self, given, sizes, y, x):
-        return self("Add", y, self.row_sum(self("Mul", x, 0.0)))
-
-    def _within(self, given, sizes, y, x):
-        outside = self("Or", self("Less", x, given["low"]), self("Greater", x, given["high"]))
-        wrong = self("Greater", self.row_sum(self.double(outside)), 0.0)
-        return self("Where", wrong, np.nan, y)
-
-    def _frames(self, given, sizes, theta):
-        """Each frame's pose, (n, 4, 4), is the one before times a constant turn of its angle."""
-        parts = _pose_parts(**given)
-        n = len(parts[0])
-        theta = self("Reshape", theta, self.whole(-1, n, 1, 1))
-        cos, sin = self.cos(theta), self("Sin", theta)
-        steps = self("Add", self("Mul", cos, parts[0]), self("Mul", sin, parts[1]))
-        steps = self("Add", steps, parts[2])
-        pose, first = None, self.whole(1)
-        rows = [self("Add", self("Mul", self._one(steps, 0, first), 0.0), np.eye(4))]
-        rows = [self("Unsqueeze", rows[0], first)]
-        for i in range(n):
-            step = self._one(steps, i, first)
-            pose = step if pose is None else self("MatMul", pose, step)
-            rows.append(self("Unsqueeze", pose, first))
-        poses = self("Concat", *rows, axis=1)
-        poses = self("Slice", poses, self.whole(0), self.whole(3), self.whole(2))
-        poses = self("Transpose", poses, perm=[0, 1, 3, 2])
-        return self("Reshape", poses, self.whole(-1, 12 * (n + 1)))
-
-    def _one(self, steps, i, axis):
-        return self("Gather", steps, self.constant(i, np.int64), axis=1)
-
-    def _waves(self, given, sizes, angles):
-        joint, order = given["joint"], given["order"]
-        of_wave = np.flatnonzero(order)
-        pairs = np.stack([joint, np.abs(order)])[:, of_wave]
-        pairs, place = np.unique(pairs, axis=1, return_inverse=True)
-        which = np.zeros(len(order), dtype=int)
-        which[of_wave] = 1 + place.ravel() + (order[of_wave] < 0) * pairs.shape[1]
-        phase = self("Gather", angles, self.whole(*pairs[0]), axis=1)
-        phase = self("Mul", phase, pairs[1][None, :].astype(float))
-        ones = self("Add", self("Mul", self.columns(angles, [0]), 0.0), 1.0)
-        waves = self("Concat", ones, self.cos(phase), self("Sin", phase), axis=1)
-        return self("Gather", waves, self.whole(*which), axis=1)
-
-    def _radial(self, given, sizes, x):
-        centers = given["centers"]
-        z = self("Mul", self("Sub", x, given["shift"][None]), given["inverse_width"][None])
-        # |z|^2 + |c|^2 - 2 z.c, as predict has it.
-        s = self("MatMul", z, -2.0 * centers.T)
-        s = self("Add", s, np.square(centers).sum(axis=1)[None, :])
-        s = self("Max", self("Add", s, self.row_sum(self("Mul", z, z))), 0.0)
-        kernel = given["kernel"]
-        if kernel == "gaussian":
-            return self("Exp", self("Mul", s, -0.5))
-        if kernel in ("matern32", "matern52"):
-            d = self("Sqrt", self("Mul", s, 3.0 if kernel == "matern32" else 5.0))
-            factor = self("Add", d, 1.0)
-            if kernel == "matern52":
-                factor = self("Add", factor, self("Mul", s, 5 / 3))
-            return self("Mul", factor, self("Exp", self("Neg", d)))
-        if kernel == "rational_quadratic":
-            return self("Div", 1.0, self("Add", self("Mul", s, 0.5), 1.0))
-        return self("Div", 1.0, self("Sqrt", self("Add", s, 1.0)))
-
-    def _variances(self, given, shapes, vectors, sizes):
-        vectors = self("Reshape", vectors, self.whole(-1, 3, shapes[0] // 3))
-        columns = self("Gather", vectors, self.whole(*given["vector"]), axis=2)
-        columns = self("Mul", columns, self("Unsqueeze", sizes, self.whole(1)))
-        dots = self("MatMul", columns, given["root"])
-        squares = self.row_sum(self("Mul", dots, dots), 2)
-        return self("Squeeze", squares, self.whole(2))
+            values.append(OPERATIONS[op.name].compute(op.given, *inputs))
+        return {name: values[i].name for name, i in program.outputs.items()}
 
 
-def _pose_parts(table, convention):
-    """What the turns of all joints are made of: cosine, sine and the rest, (3, n, 4, 4)."""
-    turn = np.zeros((3, 4, 4))
-    turn[0, 0, 0] = turn[0, 1, 1] = turn[1, 1, 0] = turn[2, 2, 2] = turn[2, 3, 3] = 1.0
-    turn[1, 0, 1] = -1.0
-    parts = np.empty((3, len(table), 4, 4))
-    for i, (c, s, a, d) in enumerate(table):
-        rx = np.array([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]], dtype=float)
-        tx, tz = np.eye(4), np.eye(4)
-        tx[0, 3], tz[2, 3] = a, d
-        left, right = (np.eye(4), tz @ tx @ rx)
-        if convention == "modified":
-            left, right = rx @ tx, tz
-        parts[:, i] = left @ turn @ right
-    return parts
+class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
+    """Stands for an array while NumPy's functions of it are written as nodes.
+
+    `like` is an array of its shape, for one row. Constants stay arrays until they meet one.
+    """
+
+    def __init__(self, graph, name, like):
+        self.graph, self.name, self.like, self.shape = graph, name, like, like.shape
+
+    def _node(self, like, op, *inputs, **attributes):
+        names = [v.name if isinstance(v, _Traced) else v for v in inputs]
+        return _Traced(self.graph, self.graph(op, *names, **attributes), like)
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **_: Any) -> Any:
+        name = ufunc.__name__
+        if name in ("cos", "arctan2"):
+            return {"cos": _cosine, "arctan2": _elevation}[name](*inputs)
+        return self._node(ufunc(*map(_like, inputs)), _OPERATORS[name], *inputs)
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if function is np.where:
+            return self._node(np.where(*map(_like, args)), "Where", *args)
+        (parts,) = args  # of np.concatenate: a constant becomes as many rows as there are
+        nothing = next(0.0 * part[:, [0]] for part in parts if isinstance(part, _Traced))
+        parts = [part if isinstance(part, _Traced) else nothing + part for part in parts]
+        return self._node(np.concatenate([*map(_like, parts)], axis=1), "Concat", *parts, axis=1)
+
+    def __getitem__(self, place: tuple[slice, Any]) -> Any:
+        index, whole = np.asarray(place[1]), self.graph.whole
+        if np.all(np.diff(index) == 1):
+            bounds = (whole(v) for v in (index[0], index[-1] + 1, 1))
+            return self._node(self.like[:, index], "Slice", self, *bounds)
+        return self._node(self.like[:, index], "Gather", self, whole(*index), axis=1)
+
+    def reshape(self, *shape: int) -> Any:
+        return self._node(self.like.reshape(shape), "Reshape", self, self.graph.whole(*shape))
+
+    def sum(self, axis: int, keepdims: bool = False) -> Any:
+        like, axes = self.like.sum(axis=axis, keepdims=keepdims), self.graph.whole(axis)
+        return self._node(like, "ReduceSum", self, axes, keepdims=int(keepdims))
+
+
+def _like(value):
+    return value.like if isinstance(value, _Traced) else value
+
+
+def _cosine(x):
+    """By the sine of the half: older runtimes have no other in float64."""
+    half = np.sin(0.5 * x)
+    return 1.0 - half * half * 2.0
+
+
+def _elevation(height, reach):
+    """The arc tangent in float64, though runtimes know float32's only."""
+    length = np.sqrt(height * height + reach * reach)
+    sin, cos = height / length, reach / length
+    graph, half = sin.graph, sin / (cos + 1.0)
+    rough = graph("Atan", graph("Cast", half.name, to=graph.proto.FLOAT))
+    rough = 2.0 * _Traced(graph, graph.double(rough), half.like)
+    # The angle that is left is about 1e-7: its sine, and the cube's sixth below rounding.
+    return rough + (sin * np.cos(rough) - cos * np.sin(rough))
 
 
 # -- files ----------------------------------------------------------------------------------------
@@ -237,11 +150,7 @@ def converted(program, dtype, target_opset):
     helper, proto = onnx.helper, onnx.TensorProto
     opset = _version(target_opset)
     real = proto.DOUBLE if dtype == "double" else proto.FLOAT
-    nodes, tensors, names = [], [], {}
-
-    def unique(name):
-        names[name] = names.get(name, 0) + 1
-        return f"{name}_{names[name]}"
+    nodes, tensors = [], []
 
     def node(op, inputs, output, attributes):
         nodes.append(helper.make_node(op, inputs, [output], **attributes))
@@ -249,7 +158,7 @@ def converted(program, dtype, target_opset):
     def tensor(name, array):
         tensors.append(onnx.numpy_helper.from_array(np.array(array, order="C"), name))
 
-    graph = Graph(node, tensor, unique)
+    graph = Graph(node, tensor, _unique_names())
     found = graph.program(program, graph.double("X"))
     outputs = []
     for name in ("y", "std"):
@@ -264,6 +173,17 @@ def converted(program, dtype, target_opset):
         made, opset_imports=versions, producer_name="sklearn_raacmm",
         ir_version=helper.find_min_ir_version_for(versions),
     )  # fmt: skip
+
+
+def _unique_names():
+    """A function that makes of a name one that it has not given."""
+    names = Counter()
+
+    def unique(name):
+        names[name] += 1
+        return f"{name}_{names[name]}"
+
+    return unique
 
 
 def _version(target_opset):
@@ -356,20 +276,18 @@ def _refuse_infinity(made):
                 if text == name:
                     names[i] = f"{name}_raacmm"
     real = np.float64 if out.type.tensor_type.elem_type == TensorProto.DOUBLE else np.float32
-    for constant, value in (
-        ("raacmm_columns", np.array([1])),
-        ("raacmm_zero", np.zeros(1, dtype=real)),
-        ("raacmm_nan", np.full(1, np.nan, dtype=real)),
-    ):
-        made.initializer.append(numpy_helper.from_array(value, constant))
-    nodes: Any = (
-        ("IsInf", [given.name], "raacmm_infinite", {}),
-        ("Where", ["raacmm_infinite", "raacmm_nan", "raacmm_zero"], "raacmm_marks", {}),
-        ("ReduceSum", ["raacmm_marks", "raacmm_columns"], "raacmm_refusal", {"keepdims": 1}),
-        ("Add", [f"{name}_raacmm", "raacmm_refusal"], name, {}),
-    )
-    for op, inputs, output, attributes in nodes:
+
+    def node(op, inputs, output, attributes):
         made.node.append(helper.make_node(op, inputs, [output], output, **attributes))
+
+    def tensor(name, array):
+        made.initializer.append(numpy_helper.from_array(array, name))
+
+    graph = Graph(node, tensor, _unique_names())
+    nan, zero = (graph.constant([value], real) for value in (np.nan, 0.0))
+    marks = graph("Where", graph("IsInf", given.name), nan, zero)
+    refusal = graph("ReduceSum", marks, graph.whole(1), keepdims=1)
+    graph("Add", f"{name}_raacmm", refusal, into=name)
 
 
 def _graph_of(scope, container):

@@ -17,7 +17,7 @@ import numpy as np
 from sklearn_raacmm.utils import chunks, show
 
 # Numbers that a value of many rows may hold at a time while a program runs.
-_CHUNK = 2**22
+_CHUNK = 2**20
 
 
 class Op(NamedTuple):
@@ -158,7 +158,8 @@ def run(program, X):
             values = {0: X[rows]}
             for number, op in enumerate(program.ops[1:], start=1):
                 inputs = [values[i] for i in op.inputs]
-                values[number] = OPERATIONS[op.name].compute(op.given, *inputs)
+                found_here = OPERATIONS[op.name].compute(op.given, *inputs)
+                values[number] = np.broadcast_to(found_here, (len(X[rows]), op.size))
                 for i in set(op.inputs):
                     if last[i] == number:
                         del values[i]
@@ -199,59 +200,71 @@ class Operation(NamedTuple):
     compute: Callable
 
 
-def _joined(given, *values):
-    n = max(map(len, values))
-    return np.hstack([np.broadcast_to(v, (n, v.shape[1])) for v in values])
+# They are written for arrays of NumPy and for what `_onnx` makes of them: arithmetic, `where`,
+# `concatenate`, `reshape`, `sum` and columns by their numbers.
 
 
 def _dots(given, rows, x):
     """Dot products of every run of a row's numbers with x."""
-    return np.einsum("nij,nj->ni", rows.reshape(len(rows), -1, x.shape[1]), x)
+    n = x.shape[1]
+    if rows.shape[1] == n:
+        return (rows * x).sum(axis=1, keepdims=True)
+    return (rows.reshape(-1, rows.shape[1] // n, n) * x.reshape(-1, 1, n)).sum(axis=2)
 
 
 def _finite(given, y, x):
-    return np.where(np.isfinite(x).all(axis=1, keepdims=True), y, np.nan)
+    return y + (0.0 * x).sum(axis=1, keepdims=True)
 
 
 def _within(given, y, x):
     inside = (x >= given["low"]) & (x <= given["high"])
-    return np.where(inside.all(axis=1, keepdims=True), y, np.nan)
+    return y + np.where(inside, 0.0, np.nan).sum(axis=1, keepdims=True)
 
 
 def _frames(given, theta):
     """x, y and z axis and origin of the base and of every frame: Denavit and Hartenberg's table."""
-    n, k = theta.shape
-    frames = np.zeros((n, k + 1, 4, 3))
-    frames[:, 0, :3] = np.eye(3)
-    ca, sa, a, d = given["table"].T
-    if len(ca) != k:
-        raise ValueError(f"{len(ca)} rows of a table for {k} angles")
+    cosines, sines, rest = _steps(**given)
+    k = len(rest)
+    if k != theta.shape[1]:
+        raise ValueError(f"{k} rows of a table for {theta.shape[1]} angles")
+    theta = theta.reshape(-1, k, 1, 1)
+    steps = (np.cos(theta) * cosines + np.sin(theta) * sines + rest).reshape(-1, 16 * k)
+    pose, found = None, [0.0 * steps[:, np.arange(16)] + np.eye(4).ravel()]
     for i in range(k):
-        x, y, z, origin = np.moveaxis(frames[:, i], 1, 0)
-        c, s = np.cos(theta[:, i, None]), np.sin(theta[:, i, None])
-        if given["convention"] == "standard":
-            x, y = c * x + s * y, c * y - s * x
-            axes = x, ca[i] * y + sa[i] * z, ca[i] * z - sa[i] * y, origin + d[i] * z + a[i] * x
-        else:
-            y, z = ca[i] * y + sa[i] * z, ca[i] * z - sa[i] * y
-            axes = c * x + s * y, c * y - s * x, z, origin + a[i] * x + d[i] * z
-        frames[:, i + 1] = np.stack(axes, axis=1)
-    return frames.reshape(n, -1)
+        step = steps[:, 16 * i + np.arange(16)].reshape(-1, 4, 4)
+        pose = step if pose is None else pose @ step
+        found.append(pose.reshape(-1, 16))
+    axes = np.arange(12).reshape(3, 4).T.ravel()  # the columns of a matrix of 4 by 4
+    return np.concatenate(found, axis=1)[:, np.add.outer(16 * np.arange(k + 1), axes).ravel()]
+
+
+def _steps(table, convention):
+    """From each frame to the next: factors of the angles' cosines and sines, and the rest."""
+    turn = np.zeros((3, 4, 4))
+    turn[0, 0, 0] = turn[0, 1, 1] = turn[1, 1, 0] = turn[2, 2, 2] = turn[2, 3, 3] = 1.0
+    turn[1, 0, 1] = -1.0
+    twist, along = (np.tile(np.eye(4), (len(table), 1, 1)) for _ in range(2))
+    c, s, twist[:, 0, 3], along[:, 2, 3] = table.T
+    twist[:, 1:3, 1:3] = np.stack([c, -s, s, c], axis=1).reshape(-1, 2, 2)
+    turn = turn[:, None]
+    return turn @ along @ twist if convention == "standard" else twist @ turn @ along
 
 
 def _waves(given, angles):
     """Cosine of a multiple of an angle, sine where the order is negative, 1 where it is 0."""
-    order = given["order"]
-    phase = angles[:, given["joint"]] * np.abs(order)
-    return np.where(order < 0, np.sin(phase), np.cos(phase))
+    joint, order = given["joint"], given["order"]
+    (of, multiple), place = np.unique([joint, np.abs(order)], axis=1, return_inverse=True)
+    phase = angles[:, of] * multiple.astype(float)
+    both = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+    return both[:, place.ravel() + len(of) * (order < 0)]
 
 
 _RADIAL = {
     "gaussian": lambda s: np.exp(-0.5 * s),
-    "matern32": lambda s: (1 + np.sqrt(3 * s)) * np.exp(-np.sqrt(3 * s)),
-    "matern52": lambda s: (1 + np.sqrt(5 * s) + 5 / 3 * s) * np.exp(-np.sqrt(5 * s)),
-    "rational_quadratic": lambda s: 1 / (1 + 0.5 * s),
-    "inverse_multiquadric": lambda s: 1 / np.sqrt(1 + s),
+    "matern32": lambda s: (1.0 + np.sqrt(3.0 * s)) * np.exp(-np.sqrt(3.0 * s)),
+    "matern52": lambda s: (1.0 + np.sqrt(5.0 * s) + 5 / 3 * s) * np.exp(-np.sqrt(5.0 * s)),
+    "rational_quadratic": lambda s: 1.0 / (1.0 + 0.5 * s),
+    "inverse_multiquadric": lambda s: 1.0 / np.sqrt(1.0 + s),
 }
 
 
@@ -261,9 +274,9 @@ def _radial(given, x):
     The rows of `centers` are scaled already; x is not: shift and inverse widths do that.
     """
     z, centers = (x - given["shift"]) * given["inverse_width"], given["centers"]
-    s = np.zeros((len(z), len(centers)))
-    for of_x, of_centers in zip(z.T, centers.T, strict=True):
-        s += np.square(of_x[:, None] - of_centers)
+    # |z|^2 + |c|^2 - 2 z.c, as predict has it.
+    s = z @ (-2.0 * centers.T) + np.square(centers).sum(axis=1)
+    s = np.maximum(s + (z * z).sum(axis=1, keepdims=True), 0.0)
     return _RADIAL[given["kernel"]](s)
 
 
@@ -272,11 +285,10 @@ def _variances(given, vectors, sizes):
 
     Column c is its size times one of the vectors. Those of x come first: (3, number of vectors).
     """
-    found = []
-    for of_coordinate in np.split(vectors, 3, axis=1):
-        columns = sizes * of_coordinate[:, given["vector"]]
-        found.append(np.square(columns @ given["root"]).sum(axis=1))
-    return np.stack(found, axis=1)
+    vector, n = given["vector"], vectors.shape[1] // 3
+    columns = vectors[:, np.add.outer(n * np.arange(3), vector).ravel()].reshape(-1, 3, len(vector))
+    dots = (columns * sizes.reshape(-1, 1, len(vector))) @ given["root"]
+    return (dots * dots).sum(axis=2)
 
 
 def _of(function):
@@ -291,14 +303,14 @@ OPERATIONS = {
     "div": _of(np.divide),
     "max": _of(np.maximum),
     "min": _of(np.minimum),
-    "less": _of(lambda a, b: (a < b).astype(float)),
+    "less": _of(lambda a, b: np.where(a < b, 1.0, 0.0)),
     "sqrt": _of(np.sqrt),
     "sin": _of(np.sin),
     "cos": _of(np.cos),
     # Of a point in the right half plane: its height, then its distance from the axis.
     "elevation": _of(np.arctan2),
     "take": Operation(("index",), lambda given, x: x[:, given["index"]]),
-    "join": Operation((), _joined),
+    "join": _of(lambda *values: np.concatenate(values, axis=1)),
     "dots": Operation((), _dots),
     "affine": Operation(("matrix", "shift"), lambda g, x: x @ g["matrix"].T + g["shift"]),
     "finite": Operation((), _finite),

@@ -27,17 +27,8 @@ _NOTHING = 1e-9
 def rows_to_test(model, poses=None, std=False):
     """32 rows with what ``predict`` gives: given ones, corners of their ranges, NaN and infinity.
 
-    Parameters
-    ----------
-    model : estimator
-    poses : ndarray of shape (n, n_inputs), optional
-        Rows to take some of; None: random ones, see `typical_rows`.
-    std : bool, default=False
-
-    Returns
-    -------
-    dict of ndarray
-        X (32, n_inputs), y (32, n_outputs) and, with `std`, std; NaN where predict refuses.
+    `poses` (n, n_inputs) are rows to take some of; None: random ones, see `typical_rows`. The dict
+    has X, y and, with `std`, std: one row each; NaN where predict refuses.
     """
     if poses is None:
         poses = typical_rows(model, 200)
@@ -93,25 +84,8 @@ def rows_of_dict(content):
 def proved(what, rows, y, std=None, dtype="double"):
     """How far a file is from ``predict`` at some rows, or ValueError if that is too far.
 
-    Parameters
-    ----------
-    what : str
-        The file, for the message.
-    rows : dict
-        As `rows_to_test` makes it.
-    y, std : ndarray of shape (n, n_outputs)
-        What the file gives.
-    dtype : {"double", "float"}
-
-    Returns
-    -------
-    list of str
-        What the file has to say where it is worse than promised.
-
-    Raises
-    ------
-    ValueError
-        With the numbers.
+    `what` names the file, `rows` are those of `rows_to_test`, y and std what the file gives. The
+    list has what the file must say where it is worse than promised.
     """
     expected = rows["y"]
     refused = np.isnan(expected)

@@ -34,18 +34,9 @@ class Step(NamedTuple):
 
 
 def leaves(model, path=None):
-    """Steps in the order in which data pass; a wrapper comes before what it wraps.
+    """Steps in the order in which data pass, as `Step`; a wrapper comes before what it wraps.
 
-    Parameters
-    ----------
-    model : estimator
-        Fitted.
-    path : str, optional
-        What to call it in a message.
-
-    Yields
-    ------
-    Step
+    `path` is what a message calls it.
     """
     path = type(model).__name__ if path is None else path
     if isinstance(model, Pipeline):
@@ -97,13 +88,7 @@ def _azimuth_arm(path, azimuth):
 
 
 def arm_of(model) -> tuple[Any, Any]:
-    """Arm and angle unit of a chain, (None, None) where it has none.
-
-    Raises
-    ------
-    ValueError
-        If two steps disagree.
-    """
+    """Arm and angle unit of a chain, (None, None) without one; ValueError if steps disagree."""
     found = []
     for path, step in leaves(model):
         if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
@@ -163,18 +148,7 @@ def n_inputs(model):
 
 
 def typical_rows(model, n, seed=0):
-    """Rows such as a fitted model may see: random angles, or features between its centres.
-
-    Parameters
-    ----------
-    model : estimator
-    n : int
-    seed : int, default=0
-
-    Returns
-    -------
-    ndarray of shape (n, n_inputs)
-    """
+    """Rows (n, n_inputs) that a fitted model may see: angles, or features between centres."""
     rng = np.random.default_rng(seed)
     arm, unit = arm_of(model)
     size = n_inputs(model)

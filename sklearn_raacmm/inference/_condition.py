@@ -67,45 +67,18 @@ def condition(
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
-    With A the columns and B those that are nearly free,
-    ``y - A mean = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each
-    part, ``b ~ N(0, free_sd^2)`` and e of one variance. The taus and that variance have the highest
-    marginal likelihood times log-normal priors (MacKay, Neural Comput. 4, 1992). Rows that stay far
-    from this posterior are weighed down (Tukey's biweight), and it is found again: rows far from
-    the prior alone show the change.
-
-    Parameters
-    ----------
-    prior : Prior
-    columns : ndarray of shape (n, c, p)
-        Each row has c coordinates.
-    free : ndarray of shape (n, c, q)
-    y : ndarray of shape (n, c)
-    weights : ndarray of shape (n,)
-        Rows of weight 0 say nothing.
-
-    Returns
-    -------
-    Posterior
-
-    Examples
-    --------
-    One coefficient that was 1 +- 0.1, and may have changed by some tenths of 2:
-
-    >>> import numpy as np
-    >>> from sklearn_raacmm.inference import Prior, condition
-    >>> x = np.linspace(-1, 1, 30).reshape(30, 1, 1)
-    >>> prior = Prior(np.ones(1), 0.1 * np.eye(1), np.array(["slope"]), np.full(1, 2.0),
-    ...     free_sd=5.0, noise_variance=1e-4, log_noise=(0.0, 4.0))
-    >>> after = condition(prior, x, np.ones((30, 1, 1)), 1.8 * x[:, 0] + 3, np.ones(30))
-    >>> after.mean.round(2).tolist()  # and the constant, which was free
-    [1.8, 3.0]
+    With A the `columns` (n, c, p) and B the `free` ones (n, c, q), each row of c coordinates, ``y -
+    A mean = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each part,
+    ``b ~ N(0, free_sd^2)`` and e of one variance over the `weights` (n,). The taus and that
+    variance have the highest marginal likelihood times log-normal priors (MacKay, Neural Comput. 4,
+    1992). Rows that stay far from this posterior are weighed down (Tukey's biweight), and it is
+    found again: rows far from the prior alone show the change.
     """
     p, y = len(prior.mean), y - columns @ prior.mean
     factor, logs, rounds = np.ones(len(y)), None, 0
     while True:
-        rows = _Rows.of(columns, free, y, weights * factor)
-        evidence = _Evidence(prior, rows)
+        A, summed, n_data = _rows_of(columns, free, y, weights * factor)
+        evidence = _Evidence(prior, A, summed, n_data)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
         noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
@@ -113,15 +86,15 @@ def condition(
         sd = np.array([tau[name] for name in prior.part.tolist()]) * prior.size
         sd = np.r_[sd, np.full(free.shape[2], prior.free_sd)]
         dual = evidence.solved(logs)[1]
-        mean = np.square(sd) * (rows.A.T @ dual)
-        mean[:p] += prior.half @ (prior.half.T @ (rows.A[:, :p].T @ dual))
+        mean = np.square(sd) * (A.T @ dual)
+        mean[:p] += prior.half @ (prior.half.T @ (A[:, :p].T @ dual))
         # Few rows are followed closely: what is left of them is less than the noise.
         left = y - columns @ mean[:p] - free @ mean[p:]
         before, factor = factor, tukey_weights(left, weights, least_scale=noise_sd)
         rounds += 1
         if rounds == _ROUNDS or np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
-    half = narrowed(_prior_root(prior.half, sd), rows.A / noise_sd)
+    half = narrowed(_prior_root(prior.half, sd), A / noise_sd)
     spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
     spread = spread.reshape(*y.shape, -1)
     left_out = _left_out(left, spread, weights * before, noise_sd)
@@ -130,27 +103,10 @@ def condition(
 
 
 def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Root of the covariance of coefficients after rows have been measured.
+    """Root (p, k) of the covariance of coefficients after rows have been measured.
 
-    What is measured does not enter, only where: with ``I + F' A' A F = L L'`` it is ``F L^-T``.
-
-    Parameters
-    ----------
-    half : ndarray of shape (p, k)
-        F, the root before.
-    rows : ndarray of shape (m, p)
-        A, in units of their noise.
-
-    Returns
-    -------
-    ndarray of shape (p, k)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_raacmm.inference import narrowed
-    >>> narrowed(np.eye(1), np.ones((3, 1))).tolist()  # 1 / sqrt(1 + 3)
-    [[0.5]]
+    What is measured does not enter, only where: with the root F before (p, k), the rows A (m, p) in
+    units of their noise and ``I + F' A' A F = L L'`` it is ``F L^-T``.
     """
     seen = rows @ half
     precision = seen.T @ seen
@@ -160,21 +116,11 @@ def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float) -> float:
-    """Log density of y under ``N(0, seen seen' + noise_sd^2)``, without constants.
+    """Log density of y (n,) under ``N(0, seen seen' + noise_sd^2)``, without constants.
 
-    Parameters
-    ----------
-    y : ndarray of shape (n,)
-    seen : ndarray of shape (n, k)
-        The k columns are fewer than the rows, as a rule: determinant and inverse are those of
-        ``noise_sd^2 I + seen' seen``.
-    noise_sd : float
-    n_data : float
-        Rows that count, less those that centring has used up.
-
-    Returns
-    -------
-    float
+    The columns (n, k) are fewer than the rows, as a rule: determinant and inverse are those of
+    ``noise_sd^2 I + seen' seen``. `n_data` are the rows that count, less those that centring used
+    up.
     """
     y, seen = y / noise_sd, seen / noise_sd
     value, axes = np.linalg.eigh(seen.T @ seen)
@@ -184,24 +130,20 @@ def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float)
     return float(-0.5 * (fit + np.log(value).sum()) - n_data * np.log(noise_sd))
 
 
-class _Rows(NamedTuple):
-    """Weighted rows of coordinates, no more than columns: columns and free ones side by side."""
+def _rows_of(columns, free, y, weights):
+    """Weighted rows of coordinates, no more than columns, and how many coordinates they sum up.
 
-    A: np.ndarray  # (m, p + q)
-    y: np.ndarray  # (m,)
-    n_data: int  # coordinates that y sums up
-
-    @classmethod
-    def of(cls, columns, free, y, weights):
-        kept = weights > 0
-        root = np.sqrt(weights[kept])[:, None]
-        A = np.concatenate([columns[kept], free[kept]], axis=2) * root[:, :, None]
-        A, y = A.reshape(-1, A.shape[2]), (y[kept] * root).ravel()
-        n_data = len(y)
-        if n_data > A.shape[1] + 1:
-            R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
-            A, y = R[:, :-1], R[:, -1]
-        return cls(A, y, n_data)
+    A (m, p + q) has columns and free ones side by side, y is (m,).
+    """
+    kept = weights > 0
+    root = np.sqrt(weights[kept])[:, None]
+    A = np.concatenate([columns[kept], free[kept]], axis=2) * root[:, :, None]
+    A, y = A.reshape(-1, A.shape[2]), (y[kept] * root).ravel()
+    n_data = len(y)
+    if n_data > A.shape[1] + 1:
+        R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
+        A, y = R[:, :-1], R[:, -1]
+    return A, y, n_data
 
 
 class _Evidence:
@@ -212,20 +154,20 @@ class _Evidence:
     (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen and Williams, 2006, eq. 5.9).
     """
 
-    def __init__(self, prior, rows):
-        self.y, (m, p) = rows.y, (len(rows.y), len(prior.mean))
+    def __init__(self, prior, A, y, n_data):
+        self.y, m, p = y, len(y), len(prior.mean)
         self.names = sorted(set(prior.part.tolist()))
-        A = rows.A[:, :p]
+        A, free = A[:, :p], A[:, p:]
         members = [prior.part == name for name in self.names]
         self.roots = [A[:, part] * prior.size[part] for part in members]
         self.noise_variance = prior.noise_variance
-        held = np.hstack([A @ prior.half, prior.free_sd * rows.A[:, p:]])
+        held = np.hstack([A @ prior.half, prior.free_sd * free])
         # Only elements on and below the diagonal, of which the latter stand for two.
         self.lower = np.tril_indices(m)
         self.times = np.where(self.lower[0] == self.lower[1], 1.0, 2.0)
         sums = [H @ H.T for H in self.roots] + [prior.noise_variance * np.eye(m), held @ held.T]
         self.sums = np.stack([one[self.lower] for one in sums])
-        self.n_rest = rows.n_data - m  # coordinates that hold noise alone, which y has summed up
+        self.n_rest = n_data - m  # coordinates that hold noise alone, which y has summed up
         n = len(self.names)
         self.middle = np.r_[np.full(n, np.log(_TAU)), 0.0]
         self.sd = np.r_[np.full(n, _TAU_LOG_SD), _NOISE_LOG_SD]
@@ -262,8 +204,8 @@ class _Evidence:
         """Where it is lowest, from a start or from the middle of the priors.
 
         The search goes in units of the curvature at its start: the mean of what is observed and
-        what is expected, ``2 exp(4 t) (K a)' C^-1 (K a)``, needs no inverse (Gilmour, Thompson and
-        Cullis, Biometrics 51, 1995).
+        expected, ``2 exp(4 t) (K a)' C^-1 (K a)`` (Gilmour, Thompson and Cullis, Biometrics 51,
+        1995).
         """
         if start is None:
             start = self.middle + np.eye(len(self.middle))[-1] * _FIRST_LOG_NOISE

@@ -27,23 +27,11 @@ def interval_scales(
 ) -> tuple[float, float]:
     """Factors of noise and standard deviation at which intervals of 95 % hold.
 
-    Errors in units of ``sqrt(a noise^2 + b std^2)`` are a Student variable: a, b and its degrees of
-    freedom have the highest posterior. Both deviations are then multiplied so that 1.96 of them
-    hold 95 %.
-
-    Parameters
-    ----------
-    errors, noise, std : ndarray of shape (n, q)
-        Errors, and what the noise and the model say of them.
-    weights : ndarray of shape (n,)
-    worth : float
-        Independent errors per coordinate: those of one position resemble each other.
-    usual_log_b : float
-        Mean of the prior of the logarithm of b; that of log a is 0.
-
-    Returns
-    -------
-    noise_scale, std_scale : float
+    Errors (n, q) in units of ``sqrt(a noise^2 + b std^2)`` are a Student variable: a, b and its
+    degrees of freedom have the highest posterior. Both deviations (n, q) are then multiplied so
+    that 1.96 of them hold 95 %. `worth` are independent errors per coordinate: those of one
+    position resemble each other. `usual_log_b` is the mean of the prior of log b; that of log a is
+    0.
     """
     # Rows of no deviation at all, of positions of one pose, say nothing.
     used = np.square(noise) + np.square(std) > 0

@@ -138,18 +138,7 @@ class State(NamedTuple):
 
 
 def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
-    """Sums times numbers, added up: over more poses, over fewer, or at other weights.
-
-    Parameters
-    ----------
-    parts : sequence of Sums
-        Of the same columns.
-    signs : sequence of float
-
-    Returns
-    -------
-    Sums
-    """
+    """Sums of the same columns times numbers, added up: over more or fewer poses, or weighted."""
     whole: list[Any] = [
         sum(sign * value for sign, value in zip(signs, values, strict=True))
         for values in zip(*(part[:-1] for part in parts), strict=True)
@@ -191,14 +180,8 @@ def columns_of(pairs: ArrayLike) -> np.ndarray:
 class GramRows:
     """Rows of the candidates' Gram matrix, summed up when first asked for and kept.
 
-    Parameters
-    ----------
-    sum_up : callable
-        From an array of pairs (k,) to their rows (2 k, n_columns).
-    n_columns : int
-    terms : list of (float, GramRows), default=None
-        The rows and their factors that `sum_up` adds up, where it does: who combines them again
-        need not go through this sum.
+    `sum_up` makes of pairs (k,) their rows (2 k, n_columns). `terms` are the rows and their factors
+    that it adds up, where it does: who combines them again need not go through this sum.
     """
 
     def __init__(
@@ -240,14 +223,7 @@ class GramRows:
 
 
 class Problem:
-    """Sums, known structures and other observations: what a posterior is found from.
-
-    Parameters
-    ----------
-    sums : Sums
-    structures : Structures
-    extra : Extra, default=None
-    """
+    """Sums, known structures and other observations: what a posterior is found from."""
 
     def __init__(self, sums: Sums, structures: Structures, extra: Extra | None = None) -> None:
         self.sums: Sums = _without_rounding(sums)
@@ -395,20 +371,8 @@ def evidence_variance(
 ) -> Any:
     """Variance of highest evidence by MacKay's fixed point, with a guess that few data keep.
 
-    Parameters
-    ----------
-    squares : float or ndarray
-        Sum of squares of what has this variance.
-    determined : float or ndarray
-        How many of them the data determine.
-    guess : float, default=0
-        Variance that is expected.
-    counts : float, default=0
-        How many determined ones the guess is worth.
-
-    Returns
-    -------
-    float or ndarray
+    `squares` is the sum of squares of what has this variance, `determined` how many of them the
+    data determine, `counts` how many the `guess` is worth.
     """
     return (squares + counts * guess) / (determined + counts)
 

@@ -41,16 +41,8 @@ _LEAST_PROMISE, _FIELD_SIZES = 0.6, 10.0 ** np.arange(-4.0, 0.5, 0.5)
 def search(problem: Problem, state: State | None = None) -> State:
     """Lines that are worth their price, and their variances.
 
-    Parameters
-    ----------
-    problem : Problem
-    state : State, default=None
-        Of nearly the same data: its variances are where the search begins, and if the field is in,
-        it stays; its lines then are where the choice begins, too. None: from nothing.
-
-    Returns
-    -------
-    State
+    A state of nearly the same data says where the search begins: at its variances, and if the field
+    is in, it stays; its lines then are where the choice begins, too.
     """
     if state is None:
         best = problem.nothing()
@@ -73,37 +65,14 @@ def search(problem: Problem, state: State | None = None) -> State:
 
 
 def search_at(problem: Problem, state: State) -> State:
-    """Lines that are worth their price at the variances of a state, beside its field; no more.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-        Of a fit to more data.
-
-    Returns
-    -------
-    State
-    """
+    """Lines worth their price at the variances of a state of more data, beside its field."""
     start = state.with_field, state.variance, state.noise_variance
     lines = _extended(problem, state._replace(lines=state.lines[:0]))
     return _pruned(problem, problem.state(lines, *start))
 
 
 def beside_field(problem: Problem, state: State) -> State | None:
-    """The choice beside the field, where the data speak for it.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-        Of lines alone.
-
-    Returns
-    -------
-    State or None
-        None where the field is not worth its price.
-    """
+    """The choice beside the field, where the data speak for it against a state of lines alone."""
     structures = problem.structures
     if structures.share is None:
         return None

@@ -21,27 +21,8 @@ _LEAST_SHARE = 0.3
 class Whitened:
     """Rows divided by a root of their covariance, without what nuisances do to them.
 
-    Parameters
-    ----------
-    root : ndarray of shape (m, m)
-        Lower root of the covariance.
-    nuisance : ndarray of shape (m, k)
-        Columns whose coefficients may be anything.
-
-    Attributes
-    ----------
-    freedom : int
-        Rows less the nuisances that they show.
-
-    Examples
-    --------
-    Two numbers of which only the difference says something:
-
-    >>> import numpy as np
-    >>> from sklearn_raacmm.inference import Whitened
-    >>> whiten = Whitened(2 * np.eye(2), np.ones((2, 1)))
-    >>> whiten(np.array([8.0, 4.0])).round(12).tolist(), whiten.freedom
-    ([1.0, -1.0], 1)
+    `root` (m, m) is the lower one, `nuisance` (m, k) are columns whose coefficients may be
+    anything; `freedom` are the rows less the nuisances that they show.
     """
 
     def __init__(self, root: np.ndarray, nuisance: np.ndarray) -> None:
@@ -69,27 +50,15 @@ def score_tests(
     residual: np.ndarray,
     known_from: float = np.inf,
 ) -> np.ndarray:
-    """Test the size of all residuals, and for each cause whether it is there.
+    """Test the size of all residuals (m,), and for each cause whether it is there.
 
-    What of a cause is not taken up by the nuisances spans some directions. If the covariance is
-    right, the squares of the residuals along these are a chi-squared variable (C. R. Rao, Proc.
-    Camb. Phil. Soc. 44, 1948). Where its size was found from few independent errors, their mean is
-    a variable of Fisher's distribution F.
+    What of a cause, columns (m, k), is not taken up by the nuisances spans some directions. If the
+    covariance is right, the squares of the residuals along these are a chi-squared variable (C. R.
+    Rao, Proc. Camb. Phil. Soc. 44, 1948). Where its size was found from few independent errors,
+    `known_from`, their mean is a variable of Fisher's distribution F.
 
-    Parameters
-    ----------
-    causes : dict of str to ndarray of shape (m, k)
-        What each cause does to the rows.
-    whiten : Whitened
-    residual : ndarray of shape (m,)
-    known_from : float, default=inf
-        From how many independent errors the size of the covariance was found.
-
-    Returns
-    -------
-    tests : structured ndarray
-        `cause`, `statistic`, `freedom` and `p_value`: of "noise", all residuals, first, then of
-        each cause that the rows show.
+    Returns a structured array of `cause`, `statistic`, `freedom` and `p_value`: of "noise", all
+    residuals, first, then of each cause that the rows show.
     """
     left = whiten(residual)
     rows = [("noise", left @ left, whiten.freedom)]
@@ -118,16 +87,8 @@ def explained(columns: np.ndarray, whiten: Whitened, residual: np.ndarray) -> np
 def best_cause(tests: np.ndarray) -> str:
     """The cause that explains most for its numbers (BIC), or "noise" if it leaves too much.
 
-    Where the best cause leaves residuals no better than before it is not the cause.
-
-    Parameters
-    ----------
-    tests : structured ndarray
-        Of :func:`score_tests`.
-
-    Returns
-    -------
-    str
+    The tests are those of `score_tests`. Where the best cause leaves residuals no better than
+    before it is not the cause.
     """
     whole, causes = tests[0], tests[1:]
     if not len(causes):

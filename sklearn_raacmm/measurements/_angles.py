@@ -17,19 +17,7 @@ _LEAST, _LARGE_MM = 10, 0.02
 
 
 def coarse_angles(angles: np.ndarray, reach: float) -> Iterator[Finding]:
-    """All angles are multiples of a coarse step.
-
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-    reach : float
-        Of the arm, mm.
-
-    Yields
-    ------
-    Finding
-    """
+    """All angles (n, n_joints), in rad, are multiples of a coarse step; `reach` in mm."""
     degrees = np.rad2deg(angles)
     if not any(len(np.unique(column)) >= _LEAST for column in degrees.T[:, : 10 * _LEAST]):
         return

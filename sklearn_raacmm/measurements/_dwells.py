@@ -10,9 +10,7 @@ import numpy as np
 from sklearn_raacmm.utils import Finding, group_means
 
 # A row joins the run while every joint is within this of the run's running mean, in rad, and runs
-# of so many rows are one pose. With 20 and 100 samples a pose and 5e-6 to 1e-4 rad of jitter what
-# is learnt is that of one row a pose; of 20 143 rows of real series none are merged
-# (``benchmarks/bench_gate.py dwells``).
+# of so many rows are one pose (``benchmarks/bench_gate.py dwells``; of 20 143 real rows none).
 _STILL_RAD, _LEAST = 1e-3, 3
 # No encoder has such digits: rows that are closer are copies.
 _COPY_RAD = 1e-12
@@ -66,20 +64,10 @@ class Dwells(NamedTuple):
 def find_dwells(
     angles: np.ndarray, codes: np.ndarray | None = None, copies_count: bool = False
 ) -> Dwells:
-    """Find the rows that are one pose.
+    """Find the rows that are one pose, by angles (n, n_joints) in rad, in their order.
 
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-        In rad, in the order in which they were taken.
-    codes : ndarray of shape (n,), default=None
-        Rows of different labels are different poses.
-    copies_count : bool, default=False
-        Runs of equal rows stay as they are: a row that is repeated has the weight of its repeats.
-
-    Returns
-    -------
-    Dwells
+    Rows of different `codes` (n,) are different poses. Where copies count, runs of equal rows stay:
+    a row that is repeated has the weight of its repeats.
     """
     n = len(angles)
     codes = np.zeros(n, dtype=int) if codes is None else codes
@@ -118,18 +106,7 @@ def find_poses(
 ) -> Dwells:
     """Find the rows that are one pose, copies of rows among them.
 
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-    codes : ndarray of shape (n,), default=None
-        Rows of different labels are different poses.
-    points : ndarray of shape (n, 3), default=None
-        Measured points: rows of which are no copies if these differ.
-
-    Returns
-    -------
-    Dwells
+    As `find_dwells`; rows are no copies if their measured points (n, 3) differ.
     """
     dwells = find_dwells(angles, codes)
     columns = [dwells.mean_angles(angles)]

@@ -15,15 +15,13 @@ from sklearn_raacmm.utils import Finding, chunks, encode_groups
 # Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
 # beyond ten a slow change of the residuals counts as much as a step.
 _WINDOWS, _LEAST = (3, 5, 10), 3
-# Squared size of a step over its variance from which on it is one, 5.5 standard deviations of a
-# coordinate with ten poses on either side. The largest of 12 000 poses of a UR10 whose reference
-# cannot have moved is 112; the two sockets of a Panda that did move have 889 and 521.
+# Squared size of a step over its variance from which on it is one. The largest of 12 000 poses of a
+# UR10 is 112; two sockets of a Panda that did move have 889 and 521.
 _LIMIT = 150.0
-# Ratios that are looked at, their quantile that is compared (a moved one of four positions does not
-# change it much), and what it is of independent normal errors.
+# Ratios that are looked at, their quantile that is compared, and what it is of independent normal
+# errors.
 _TRIED, _QUANTILE, _USUAL = 200, 0.7, 4.8
-# Orders of the rows that are tried, and how many of them may look as orderly as the one given:
-# of rows that were shuffled the order means nothing.
+# Orders of the rows that are tried, and how many of them may look as orderly as the one given.
 _ORDERS, _AS_ORDERLY = 1999, 4
 # Rows beside the step whose order is tried: the table of their distances stays small.
 _BESIDE = 100
@@ -33,8 +31,7 @@ _SAME_POSE = 0.01
 _MEDIAN_SQUARE = 2.366
 # Distances of poses are told apart in so many classes, of at least so many pairs each.
 _CLASSES, _PAIRS = 10, 50
-# Standard deviations of a coordinate beyond which a pose that differs from its neighbours in the
-# order of the test is left out: more than in the fit, for among the neighbours there may be a step.
+# Standard deviations beyond which a pose that differs from its neighbours in the order is left out.
 _OUTLIER = 8.0
 # No arm measures with less noise, in mm: rounding is no step.
 _LEAST_NOISE_MM = 1e-3
@@ -55,7 +52,7 @@ class Step(NamedTuple):
 def find_steps(
     left: np.ndarray, angles: np.ndarray, codes: np.ndarray, noise_variance: float = 0.0
 ) -> list[Step]:
-    r"""Steps of residuals in the order of the rows, position by position.
+    r"""Steps of residuals (n, 3) in mm in the order of the rows, position by position.
 
     What a model leaves at two poses of one position differs the more, the farther the poses are
     apart, but it does not jump between two rows while poses as far apart elsewhere agree. With A
@@ -65,29 +62,9 @@ def find_steps(
 
     .. math:: 2 \bar\gamma(A, B) - \bar\gamma(A, A) - \bar\gamma(B, B)
 
-    in every coordinate. Positions are divided at the largest ratio, then their parts.
-
-    Parameters
-    ----------
-    left : ndarray of shape (n, 3)
-        What the model leaves of the residuals, mm; a constant of each position plays no part.
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-    codes : ndarray of shape (n,)
-        Position of each row, from 0; the rows of a position in the order in which they were taken.
-    noise_variance : float, default=0
-        Of a coordinate, mm^2: no two poses are expected to agree more closely.
-
-    Returns
-    -------
-    list of Step
-        In the order of positions and rows.
-
-    Notes
-    -----
-    Rows of the same pose in a row are one. A pose that differs from the median of the five about
-    it is an outlier, not a step. Where the order of the rows means nothing, as after shuffling,
-    neighbours in it differ as much as others do; nothing is then found.
+    in every coordinate, with at least the noise variance in :math:`\gamma`. Positions are divided
+    at the largest ratio, then their parts. Outliers are no steps; in rows that were shuffled
+    neighbours differ as much as others do, and nothing is found.
     """
     poses = _Poses.of(left, angles, codes)
     poses = poses.at(np.bincount(poses.codes)[poses.codes] >= 2 * _LEAST)
@@ -120,20 +97,8 @@ def moved_positions(
 ) -> Iterator[Finding]:
     """Positions that have moved during the test, in one finding.
 
-    Parameters
-    ----------
-    left, angles, noise_variance
-        As for `find_steps`, of all rows.
-    weights : ndarray of shape (n,)
-        Rows without weight do not count.
-    groups : array-like of shape (n,)
-        Label of the position of each row.
-    numbers : ndarray of shape (n,), default=None
-        What the rows are called; None: from 0.
-
-    Yields
-    ------
-    Finding
+    As `find_steps`, of all rows; those without weight do not count. `numbers` (n,) are what the
+    rows are called; None: from 0.
     """
     labels, codes = encode_groups(groups)
     rows = np.flatnonzero(weights > 0)

@@ -15,7 +15,7 @@ from sklearn_raacmm.utils import Finding, centred
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad.
 _STANDS_STILL = 1e-5
 # Share of the variance of the row number that angles may tell where time is to be learnt: of two
-# robots whose time helped it was -0.15 and -0.04, of one that it harmed 0.69. A choice between.
+# robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 MOST_TOLD = 0.2
 _TREES, _FOLDS = 100, 5
 # Chance that a run without drift is said to drift.
@@ -48,8 +48,6 @@ def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.nd
     >>> from sklearn_raacmm import directions_of
     >>> directions_of([[0.1, 0.0], [0.3, 0.0], [0.3, -0.2]]).tolist()
     [[0.0, 0.0], [1.0, 0.0], [1.0, -1.0]]
-    >>> directions_of([[0.1, 0.0]], previous=[0.3, 0.0]).tolist()
-    [[-1.0, 0.0]]
     """
     angles = np.asarray(angles, dtype=float)
     angles = check_angles(angles, angles.shape[1] if angles.ndim == 2 else 0, "rad")
@@ -67,18 +65,10 @@ def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.nd
 
 
 def order_told_by(angles: np.ndarray, codes: np.ndarray) -> float:
-    """Share of the variance of the row number that the angles tell at positions left out.
+    """Share of the variance of the row number that angles (n, n_joints) tell at positions left out.
 
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-    codes : ndarray of shape (n,)
-        Position of each row, from 0.
-
-    Returns
-    -------
-    float
-        At most 1; about 0 or less where the run mixes its poses.
+    At most 1; about 0 or less where the run mixes its poses. `codes` (n,) are the positions, from
+    0.
     """
     number = np.arange(len(angles), dtype=float)
     trees = ExtraTreesRegressor(_TREES, min_samples_leaf=3, random_state=0)
@@ -89,25 +79,11 @@ def order_told_by(angles: np.ndarray, codes: np.ndarray) -> float:
 
 
 def drift_of(arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray | None) -> Finding:
-    """What drifted during a run, from the first to the last row, of what a model leaves.
+    """What drifted during a run, from the first to the last row, of what a model leaves (n, 3), mm.
 
     Zero angles, the scale and, with a reference for every pose, the base move in proportion to the
-    number of the row: least squares, and Fisher's F of the fit.
-
-    Parameters
-    ----------
-    arm : Arm
-    angles : ndarray of shape (n, n_joints)
-        In rad, in the order of measurement.
-    left : ndarray of shape (n, 3)
-        In mm.
-    codes : ndarray of shape (n,) or None
-        Position of each row, where positions have offsets.
-
-    Returns
-    -------
-    Finding
-        A note, with the root mean square over the poses.
+    number of the row: least squares, and Fisher's F of the fit. `codes` (n,) are the positions
+    where these have offsets. The finding is a note, with the root mean square over the poses.
     """
     n = len(angles)
     run = np.linspace(-0.5, 0.5, n)[:, None, None]

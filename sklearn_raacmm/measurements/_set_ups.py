@@ -10,9 +10,9 @@ import numpy as np
 
 from sklearn_raacmm.utils import Finding
 
-# A set-up of its own behind a row has to take away this share of the squares, beside what chance
-# does (``benchmarks/bench_gate.py set-ups``; ordered parts of the real UR10 show up to 0.41), with
-# this many rows on either side.
+# Share of the squares that a set-up of its own behind a row has to take away, beside what chance
+# does (``benchmarks/bench_gate.py set-ups``; parts of the real UR10 show up to 0.41), and rows
+# beside.
 _SHARE, _LEAST_ROWS = 0.5, 8
 # No move is smaller: rounding is none.
 _LEAST_MM = 0.005
@@ -36,25 +36,10 @@ def moved_set_up(
     the new set-up the squares fall by :math:`g' S^{-1} g`, :math:`g = E'r` and
     :math:`S = E'E - E'C H^{-1} C'E`.
 
-    Parameters
-    ----------
-    left : ndarray of shape (n, 3)
-        What calibration leaves of measured points, mm, in the order in which they were taken.
-    columns : ndarray of shape (n, 3, p)
-        Their derivatives by what was fitted.
-    ridge : ndarray of shape (p,)
-        What the priors add to the diagonal of the normal matrix.
-    points : ndarray of shape (n, 3)
-        Of the arm, mm.
-    turns : ndarray of shape (n, 3, 3)
-        Orientation of the last link: a tool moves along with it.
-    weights : ndarray of shape (n,)
-    numbers : ndarray of shape (n,), default=None
-        What the rows are called; None: from 0.
-
-    Yields
-    ------
-    Finding
+    `left` (n, 3) is what calibration leaves of measured points, mm, `columns` (n, 3, p) their
+    derivatives by what was fitted, `ridge` (p,) what the priors add to the normal matrix. `points`
+    (n, 3) are the arm's, mm, `turns` (n, 3, 3) the orientations of the last link, with which a tool
+    moves. `numbers` (n,) are what the rows are called; None: from 0.
     """
     n = len(left)
     if n < 3 * _LEAST_ROWS:

@@ -16,17 +16,15 @@ _SHARE_OF_SPREAD = 0.05
 # Median residual, as a share of the arm's reach, that is no residual; where the arm is not known,
 # that of an arm of two metres, mm.
 _SHARE_OF_REACH, _LARGEST_MM = 0.05, 100.0
-# A motion of the base is worth a word where it leaves no more than this part of the residuals,
-# and they are larger than this share of the reach (or so many mm): small motions do no harm.
+# A motion of the base is worth a word where it leaves no more than this part of the residuals, and
+# they are larger than this share of the reach (or so many mm).
 _LEFT, _STRIKING_SHARE, _STRIKING_MM = 0.1, 1e-3, 1.0
 # With fewer rows, a motion (six numbers) explains anything; so do factors and tables.
 _LEAST_ROWS, _ROWS_OF_FACTORS, _COORDINATES_OF_TABLES = 4, 10, 3
 # What may be left, as a share, where targets are a factor times the deviations of the arm's points,
-# and how far the factor may be from 1. Of positions whose points deviate by more than this share of
-# the reach, the probe was not held in one seat.
+# and how far the factor may be from 1. Positions that deviate by more of the reach had no seat.
 _LEFT_OF_FACTOR, _FACTOR, _ONE_SEAT = 0.05, 0.05, 0.01
-# A table explains what is left by less than this share, and is larger than this, mm: a calibrated
-# arm leaves nothing that its table explains.
+# A table explains what is left by less than this share, and is larger than this, mm.
 _LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.5
 _WIDE = 0.1  # spread of the points, as a share of the reach
 # What a table and a probe are off by as a rule.
@@ -252,16 +250,9 @@ CHECKS = (
 
 
 def check_targets(targets: Targets) -> list[Finding]:
-    """Findings on the targets of a model.
+    """Findings on the targets of a model: of the first kind that there is.
 
-    Parameters
-    ----------
-    targets : Targets
-
-    Returns
-    -------
-    list of Finding
-        The first kind that there is: the others would say the same in other words.
+    The others would say the same in other words.
     """
     used, points = targets.used()
     for check in CHECKS:

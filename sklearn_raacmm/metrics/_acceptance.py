@@ -1,5 +1,8 @@
 """Measures of acceptance tests with gauges and spheres; public in `sklearn_raacmm.metrics`."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from typing import Any
 
 import numpy as np
@@ -51,8 +54,7 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     """
     points = check_points(points, n_coordinates=3)
     labels, position = check_groups(groups, len(points))
-    ends = _ends(labels, pairs)
-    means = group_means(points, position)
+    ends, means = _ends(labels, pairs), group_means(points, position)
     return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
 
 
@@ -76,19 +78,13 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     Raises
     ------
     ValueError
-        If a pair names a face without points, if the points of two faces do not determine a
-        plane, or shapes do not fit.
-
-    See Also
-    --------
-    gauge_lengths : Lengths from cone to cone.
+        As :func:`gauge_lengths`; or if the points of two faces do not determine a plane.
 
     Notes
     -----
     Both faces get planes with one common normal, by least squares of the distances along it: the
     right singular vector of the least singular value of the points less the mean of their face.
-    Plane to plane, errors across the normal do not count, and those along it are averaged over a
-    face. From cone to cone, the error of the length depends on two places alone.
+    Errors across the normal do not count.
 
     Examples
     --------
@@ -100,8 +96,7 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     """
     points = check_points(points, n_coordinates=3)
     labels, position = check_groups(groups, len(points))
-    means = group_means(points, position)
-    lengths = []
+    means, lengths = group_means(points, position), []
     for first, second in _ends(labels, pairs):
         rows = np.isin(position, (first, second))
         flat = points[rows] - means[position[rows]]
@@ -125,7 +120,7 @@ def _ends(labels, pairs):
     unknown = [label for label in pairs.ravel().tolist() if label not in index]
     if unknown:
         raise ValueError(f"pairs names the group {unknown[0]!r}, which has no points.")
-    return np.array([[index[a], index[b]] for a, b in pairs.tolist()], dtype=int).reshape(-1, 2)
+    return np.array([index[label] for label in pairs.ravel().tolist()], dtype=int).reshape(-1, 2)
 
 
 def length_error(
@@ -227,7 +222,7 @@ def probing_form_error(points: ArrayLike) -> float:
     Parameters
     ----------
     points : array-like of shape (n_points, 3)
-        Points probed on one sphere, mm. At least four, not in one plane.
+        As in :func:`probing_size_error`.
 
     Returns
     -------

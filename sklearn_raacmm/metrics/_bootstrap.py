@@ -33,13 +33,7 @@ def repeatability_interval(
 
     Parameters
     ----------
-    points : array-like of shape (n_points, n_coordinates) or (n_points,)
-        Measured or corrected points, mm.
-    groups : array-like of shape (n_points,), default=None
-        Label of the position of each point. None: all are of one position.
-    statistic : {"2s", "max", "mean"}, default="2s"
-        As in :func:`single_point_repeatability`.
-    aggregate : {"mean", "max", None}, default="mean"
+    points, groups, statistic, aggregate
         As in :func:`single_point_repeatability`.
     probability : float, default=0.95
         Probability of the interval, between 0 and 1.
@@ -57,8 +51,7 @@ def repeatability_interval(
     Raises
     ------
     ValueError
-        If points are not finite, if a position holds a single point, if the lengths of points
-        and groups differ, or for an option out of range.
+        As :func:`single_point_repeatability`, or for an option out of range.
 
     Notes
     -----
@@ -75,7 +68,6 @@ def repeatability_interval(
     >>> bool(low < single_point_repeatability(test.points, test.groups) < high)
     True
     """
-    check_option("statistic", statistic, ("2s", "max", "mean"))
     check_option("aggregate", aggregate, ("mean", "max", None))
     check_whole_number("n_resamples", n_resamples, 2)
     if not (isinstance(probability, Real) and 0 < probability < 1):

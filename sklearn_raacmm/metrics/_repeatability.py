@@ -1,9 +1,7 @@
-"""Measures that an articulated arm is judged by, and scorers for model selection.
+"""Repeatability at positions, what a correction leaves of it, and scorers for model selection."""
 
-Lengths go in and come out in mm. The measures follow the tests they are named after, as secondary
-sources describe them ("after"): the standards themselves were not at hand, and a number from
-this module is no statement of conformance to any of them.
-"""
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
 
 from typing import Any
 
@@ -18,8 +16,13 @@ from sklearn_raacmm.utils import (
     check_option,
     check_points,
     deviations_by_group,
+    group_sums,
     refuse_disguised,
 )
+
+# Of deviations (n, q) about the means of positions: one row for each position.
+_DISTANCES = ("2s", "max", "mean")
+_AXES = ("half_range", "2s")
 
 
 def single_point_repeatability(
@@ -31,10 +34,6 @@ def single_point_repeatability(
 ) -> Any:
     r"""Single-point articulation repeatability: how far points of one place lie apart.
 
-    With :math:`\delta_i = |p_i - \bar p|` the distance of point i from the mean of the n points
-    of its position, "2s" is :math:`2\sqrt{\sum\delta_i^2 / (n - 1)}` and "max" is
-    :math:`\max_i \delta_i`.
-
     Parameters
     ----------
     points : array-like of shape (n_points, n_coordinates) or (n_points,)
@@ -42,8 +41,8 @@ def single_point_repeatability(
     groups : array-like of shape (n_points,), default=None
         Label of the position (the seat, the cone) of each point. None: all are of one position.
     statistic : {"2s", "max", "mean"}, default="2s"
-        "2s" does not depend on the number of points; "max" grows with it; "mean" is the mean
-        of the distances.
+        Of the distances :math:`\delta_i` from the mean of the n points of a position: "2s" is
+        :math:`2\sqrt{\sum\delta_i^2 / (n - 1)}`; "max" grows with n.
     aggregate : {"mean", "max", None}, default="mean"
         How the positions are summarised. None gives one value per position, in the order of
         ``np.unique(groups)``.
@@ -56,13 +55,13 @@ def single_point_repeatability(
     Raises
     ------
     ValueError
-        If points are not finite, if a position holds a single point, if the lengths of points
-        and groups differ, or for an unknown option.
+        If points are not finite, a position holds a single point, the lengths of points and
+        groups differ, or an option is unknown.
 
     Notes
     -----
     Equation 15 of Gao et al. (2020), doi 10.1177/1729881420925638 (a reconstruction), after the
-    single-point articulation performance test of ASME B89.4.22-2004, which states both numbers.
+    single-point test of ASME B89.4.22-2004, which states "2s" and "max".
 
     Examples
     --------
@@ -73,11 +72,12 @@ def single_point_repeatability(
     >>> round(single_point_repeatability(points, [1, 1, 2, 2]), 3)
     0.424
     """
-    check_option("statistic", statistic, ("2s", "max", "mean"))
+    check_option("statistic", statistic, _DISTANCES)
     check_option("aggregate", aggregate, ("mean", "max", None))
     deviations, position, counts, _ = deviations_by_group(points, groups)
-    distances = np.linalg.norm(deviations, axis=1)
-    return _aggregate(_distance_statistic(distances, position, counts, statistic), aggregate)
+    distances = np.linalg.norm(deviations, axis=1, keepdims=True)
+    values = _of_positions(distances, position, counts, statistic)[:, 0]
+    return values if aggregate is None else float(getattr(np, aggregate)(values))
 
 
 def axis_repeatability(
@@ -93,14 +93,11 @@ def axis_repeatability(
     ----------
     points : array-like of shape (n_points, n_coordinates)
         Measured or corrected points, mm.
-    groups : array-like of shape (n_points,), default=None
-        Label of the position of each point. None: all are of one position.
+    groups, aggregate
+        As in :func:`single_point_repeatability`.
     statistic : {"half_range", "2s"}, default="half_range"
         "half_range" is (max - min) / 2, the plus-or-minus figure of makers' certificates; "2s"
         is twice the standard deviation with n - 1.
-    aggregate : {"mean", "max", None}, default="mean"
-        How the positions are summarised. None gives one row per position, in the order of
-        ``np.unique(groups)``.
 
     Returns
     -------
@@ -118,10 +115,11 @@ def axis_repeatability(
     >>> axis_repeatability([[0.0, 1, 0], [0.2, 1, 0], [0.1, 1, 0.6]])
     array([0.1, 0. , 0.3])
     """
-    check_option("statistic", statistic, ("half_range", "2s"))
+    check_option("statistic", statistic, _AXES)
     check_option("aggregate", aggregate, ("mean", "max", None))
     deviations, position, counts, _ = deviations_by_group(points, groups)
-    return _aggregate(_axis_statistic(deviations, position, counts, statistic), aggregate)
+    values = _of_positions(deviations, position, counts, statistic)
+    return values if aggregate is None else getattr(np, aggregate)(values, axis=0)
 
 
 def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> Any:
@@ -132,15 +130,14 @@ def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> 
     points : array-like of shape (n_points, 3)
         Measured or corrected points, mm.
     groups : array-like of shape (n_points,), default=None
-        Label of the position of each point. None: all are of one position.
+        As in :func:`single_point_repeatability`.
 
     Returns
     -------
     report : :class:`~sklearn.utils.Bunch`
         Arrays of shape (n_positions,), ready for ``pandas.DataFrame(report)``: ``position``,
-        ``n_points``, and in mm ``repeatability_2s``, ``deviation_max``, ``deviation_mean`` (see
-        :func:`single_point_repeatability`), ``half_range_x`` to ``_z`` and ``axis_2s_x`` to
-        ``_z`` (see :func:`axis_repeatability`).
+        ``n_points``, and in mm ``repeatability_2s``, ``deviation_max``, ``deviation_mean``,
+        ``half_range_x`` to ``_z`` and ``axis_2s_x`` to ``_z``.
 
     Raises
     ------
@@ -157,16 +154,14 @@ def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> 
     deviations, position, counts, labels = deviations_by_group(points, groups)
     if deviations.shape[1] != 3:
         raise ValueError(f"points have {deviations.shape[1]} coordinates; x, y and z are needed.")
-    distances = np.linalg.norm(deviations, axis=1)
+    distances = np.linalg.norm(deviations, axis=1, keepdims=True)
     columns = {"position": labels, "n_points": counts}
-    for name, statistic in (
-        ("repeatability_2s", "2s"),
-        ("deviation_max", "max"),
-        ("deviation_mean", "mean"),
+    for statistic, name in zip(
+        _DISTANCES, ("repeatability_2s", "deviation_max", "deviation_mean"), strict=True
     ):
-        columns[name] = _distance_statistic(distances, position, counts, statistic)
-    for name, statistic in (("half_range", "half_range"), ("axis_2s", "2s")):
-        values = _axis_statistic(deviations, position, counts, statistic)
+        columns[name] = _of_positions(distances, position, counts, statistic)[:, 0]
+    for statistic, name in zip(_AXES, ("half_range", "axis_2s"), strict=True):
+        values = _of_positions(deviations, position, counts, statistic)
         columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
     return Bunch(**columns)
 
@@ -183,7 +178,7 @@ def within_position_scatter(
 
     A cone-hole test shows residuals only up to one unknown constant per position. This measure
     does not see that constant, so it does not punish a model for knowing better than the mean of
-    the poses that happened to be taken, as R2 or the mean squared error of centred residuals do.
+    the poses that happened to be taken, as R2 of centred residuals does.
 
     Parameters
     ----------
@@ -191,12 +186,8 @@ def within_position_scatter(
         Residuals (or points), mm.
     y_pred : array-like of the shape of y_true
         The model's predictions, mm.
-    groups : array-like of shape (n_points,), default=None
-        Label of the position of each point. None: all are of one position.
-    statistic : {"2s", "max", "mean"}, default="2s"
-        See :func:`single_point_repeatability`.
-    aggregate : {"mean", "max", None}, default="mean"
-        See :func:`single_point_repeatability`.
+    groups, statistic, aggregate
+        As in :func:`single_point_repeatability`.
 
     Returns
     -------
@@ -237,12 +228,8 @@ def within_position_r2_score(
 
     Parameters
     ----------
-    y_true : array-like of shape (n_points, n_coordinates) or (n_points,)
-        Residuals (or points), mm.
-    y_pred : array-like of the shape of y_true
-        The model's predictions, mm.
-    groups : array-like of shape (n_points,), default=None
-        Label of the position of each point. None: all are of one position.
+    y_true, y_pred, groups
+        As in :func:`within_position_scatter`.
 
     Returns
     -------
@@ -284,7 +271,7 @@ def repeatability_scorer(
     groups : array-like of shape (n_samples,), default=None
         Only with X: the label of the position of each row of X.
     statistic : {"2s", "max", "mean"}, default="2s"
-        See :func:`single_point_repeatability`.
+        As in :func:`single_point_repeatability`.
     aggregate : {"mean", "max"}, default="mean"
         How the positions of a test fold are summarised.
 
@@ -306,31 +293,21 @@ def repeatability_scorer(
 
     Examples
     --------
-    With metadata routing on, groups go to the splitter and to the scorer:
+    With metadata routing off (scikit-learn's default), the scorer is told beforehand:
 
     >>> import numpy as np
-    >>> import sklearn
     >>> from sklearn.linear_model import Ridge
-    >>> from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
+    >>> from sklearn.model_selection import GroupKFold, cross_val_score
     >>> from sklearn_raacmm.metrics import repeatability_scorer
     >>> rng = np.random.default_rng(0)
     >>> X, groups = rng.uniform(-1, 1, (60, 2)), np.repeat(np.arange(6), 10)
     >>> y = X @ [[0.1, 0, 0], [0, 0.2, 0]] + 0.001 * rng.normal(size=(60, 3))
-    >>> with sklearn.config_context(enable_metadata_routing=True):
-    ...     search = GridSearchCV(
-    ...         Ridge(), {"alpha": [0.1, 100]}, scoring=repeatability_scorer(), cv=GroupKFold(3)
-    ...     ).fit(X, y, groups=groups)
-    >>> search.best_params_
-    {'alpha': 0.1}
-
-    With metadata routing off (scikit-learn's default), the scorer is told beforehand:
-
     >>> scoring = repeatability_scorer(X, groups)
     >>> scores = cross_val_score(Ridge(), X, y, groups=groups, cv=GroupKFold(3), scoring=scoring)
     >>> bool(-0.02 < scores.min() < scores.max() < 0)
     True
     """
-    check_option("statistic", statistic, ("2s", "max", "mean"))
+    check_option("statistic", statistic, _DISTANCES)
     check_option("aggregate", aggregate, ("mean", "max"))
     if (X is None) != (groups is None):
         raise ValueError("Give X and groups together (metadata routing off), or neither (on).")
@@ -409,30 +386,13 @@ def _difference(y_true, y_pred):
     return y_true - y_pred
 
 
-def _distance_statistic(distances, position, counts, statistic):
+def _of_positions(values, position, counts, statistic):
+    """Statistic of values (n, q) about their position's mean, or of distances from it."""
     if statistic == "2s":
-        return 2 * np.sqrt(np.bincount(position, distances**2) / (counts - 1))
+        return 2 * np.sqrt(group_sums(values**2, position) / (counts[:, None] - 1))
     if statistic == "mean":
-        return np.bincount(position, distances) / counts
-    largest = np.zeros(len(counts))
-    np.maximum.at(largest, position, distances)
-    return largest
-
-
-def _axis_statistic(deviations, position, counts, statistic):
-    shape = (len(counts), deviations.shape[1])
-    if statistic == "2s":
-        squares = np.zeros(shape)
-        np.add.at(squares, position, deviations**2)
-        return 2 * np.sqrt(squares / (counts[:, None] - 1))
-    low, high = np.zeros(shape), np.zeros(shape)  # the mean lies between: 0 is within the range
-    np.minimum.at(low, position, deviations)
-    np.maximum.at(high, position, deviations)
-    return (high - low) / 2
-
-
-def _aggregate(values, aggregate) -> Any:
-    if aggregate is None:
-        return values
-    summary = getattr(np, aggregate)(values, axis=0)
-    return float(summary) if summary.ndim == 0 else summary
+        return group_sums(values, position) / counts[:, None]
+    low, high = np.zeros((2, len(counts), values.shape[1]))  # 0, the mean, lies between
+    np.minimum.at(low, position, values)
+    np.maximum.at(high, position, values)
+    return high if statistic == "max" else (high - low) / 2

@@ -8,11 +8,9 @@ from scipy.optimize import least_squares
 
 
 def fit_sphere(points):
-    """Least-squares (Gaussian) sphere through points of shape (n, 3).
+    """Least-squares (Gaussian) sphere through points (n, 3): centre, radius, distances (n,).
 
-    Returns the centre (3,), the radius, and the distance of each point from the centre (n,).
-    Raises ValueError with fewer than four points, or with points in one plane, which many
-    spheres fit equally well.
+    Fewer than four points, or points in one plane, are refused: many spheres fit equally well.
     """
     if len(points) < 4:
         raise ValueError(f"A sphere is fitted to at least 4 points, got {len(points)}.")
@@ -40,20 +38,17 @@ def fit_sphere(points):
         lengths = np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-300)
         return np.column_stack([offsets / lengths, -np.ones(len(points))])
 
-    x = least_squares(
-        residuals, start, jac=jacobian, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
-    ).x
+    ends: dict = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+    x = least_squares(residuals, start, jac=jacobian, method="lm", **ends).x
     return x[:3] + mean, x[3], np.linalg.norm(centred - x[:3], axis=1)
 
 
 def minimum_enclosing_sphere(points):
-    """Smallest sphere that holds all points of shape (n, n_dims).
+    """Centre and radius of the smallest sphere that holds all points (n, n_dims).
 
     At most n_dims + 1 points, the support, determine it. A point found outside joins the
     support, the smallest sphere of these few is found among the circumspheres of all their
     subsets, and its radius has grown: so no support comes twice, and the search ends.
-
-    Returns the centre (n_dims,) and the radius.
     """
     origin = points.mean(axis=0)
     points = points - origin

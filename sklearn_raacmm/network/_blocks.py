@@ -1,19 +1,18 @@
 """Rows that are read block by block: too many to be sorted, or in the memory of other machines.
 
-One pass tells what the numerics need beforehand: weighted moments of features and targets, and a
-sample of distinct rows. The sample is drawn by a hash of the rows' content, so that it depends
+A first pass draws a sample of distinct rows, by a hash of the rows' content, so that it depends
 neither on their order nor on how they are split into blocks nor on repeats. Everything else is a
-sum over blocks, like that of rows in memory.
+sum over blocks, or a triangular factor of them, like that of rows in memory.
 """
 
 from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 from sklearn.utils import check_array
 
-from sklearn_raacmm.network._linear import independent_features, ridge_rows, tail_coefficients
+from sklearn_raacmm.network._least_squares import stack_triangles, triangle_of_all
 from sklearn_raacmm.network._rows import (
     Block,
     Merged,
@@ -21,7 +20,6 @@ from sklearn_raacmm.network._rows import (
     block_rows,
     merge,
     prepare,
-    view_of,
 )
 from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge
 
@@ -29,17 +27,11 @@ from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge
 CHUNK_ROWS = 2**16
 # Results that are combined in one task.
 _FAN_IN = 8
+_UNKNOWN = np.empty((0, 0))
 
 
 class ArrayChunks:
-    """Blocks of rows of arrays, in memory or mapped from a file.
-
-    Parameters
-    ----------
-    X, Y, weights : ndarray of shape (n, d), (n, q), (n,)
-    start : int
-        Number of the first row.
-    """
+    """Blocks of rows of arrays, in memory or mapped from a file; `start` numbers the first row."""
 
     def __init__(self, X, Y, weights, start=0):
         self.X, self.Y, self.weights, self.start = X, Y, weights, start
@@ -56,13 +48,7 @@ class ArrayChunks:
 
 
 class DaskChunks:
-    """Chunks of dask arrays, each worked on where it is.
-
-    Parameters
-    ----------
-    X, Y, weights : dask.array.Array of shape (n, d), (n, q), (n,)
-        With the same chunks of rows.
-    """
+    """Chunks of dask arrays with the same chunks of rows, each worked on where it is."""
 
     def __init__(self, X, Y, weights):
         self.rows = X.chunks[0]
@@ -117,14 +103,7 @@ def is_dask(X):
 
 
 def dask_chunks(X, y, sample_weight):
-    """Chunks of a dask array, and of targets and weights that may be arrays in memory.
-
-    Raises
-    ------
-    ValueError
-        If X is not of two dimensions, its chunks are of unknown size, or another number of targets
-        or weights is given.
-    """
+    """Chunks of a dask array, and of targets and weights that may be arrays in memory."""
     import dask.array as da
 
     if X.ndim != 2 or X.shape[1] == 0 or not np.all(np.isfinite(X.shape)):
@@ -145,13 +124,10 @@ def dask_chunks(X, y, sample_weight):
 
 
 class _Summary(NamedTuple):
-    """What one pass over the rows tells, with features and targets side by side."""
+    """What a first pass over the rows tells."""
 
     n_rows: int  # of positive weight
     weight: float
-    mean: np.ndarray  # (d + q,)
-    scatter: np.ndarray  # (d + q, d + q) weighted sum of products about the mean
-    largest: np.ndarray  # (d + q,) absolute value
     sample: Merged  # of rows with the smallest hashes
     complete: bool  # whether the sample holds all rows
 
@@ -176,173 +152,56 @@ def _cut(sample, seed, size):
 
 
 def _summarise(X, Y, weights, start, seed, size):
-    kept = np.flatnonzero(weights > 0)
-    X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]
-    V = np.hstack([X, Y])
-    total = weights.sum()
-    mean = weights @ V / total if len(V) else np.zeros(V.shape[1])
-    about = V - mean
-    scatter = (weights[:, None] * about).T @ about
-    largest = np.abs(V).max(axis=0, initial=0.0)
-    # Of the many rows most need not be sorted.
-    few = np.arange(len(X))
-    if len(X) > 4 * size:
-        h = _hash(X, seed)
-        few = np.flatnonzero(h <= np.partition(h, 2 * size)[2 * size])
-    sample = merge(X[few], Y[few], weights[few])
-    if len(few) < len(X) and len(sample.X) < size:
-        few = np.arange(len(X))  # many repeats
-        sample = merge(X, Y, weights)
-    sample = sample._replace(first=start + kept[few[sample.first]])
-    sample, complete = _cut(sample, seed, size)
-    complete = complete and len(few) == len(X)
-    return _Summary(len(X), total, mean, scatter, largest, sample, complete)
+    sample = merge(X, Y, weights)
+    sample, complete = _cut(sample._replace(first=start + sample.first), seed, size)
+    return _Summary(np.count_nonzero(weights > 0), weights.sum(), sample, complete)
 
 
 def _join(one, other, seed, size):
-    """Summary of two blocks (Chan, Golub, LeVeque 1983)."""
-    weight = one.weight + other.weight
-    share = other.weight / weight if weight else 0.0
-    step = other.mean - one.mean
-    scatter = one.scatter + other.scatter + one.weight * share * np.outer(step, step)
     parts = zip(one.sample[:6], other.sample[:6], strict=True)
     both = Merged(*(np.concatenate(pair) for pair in parts))
     joined = merge(both.X, both.Y, both.weights, both.within, both.observed)
-    joined = joined._replace(first=both.first[joined.first])
-    sample, complete = _cut(joined, seed, size)
-    return _Summary(
-        one.n_rows + other.n_rows,
-        weight,
-        one.mean + share * step,
-        scatter,
-        np.maximum(one.largest, other.largest),
-        sample,
-        complete and one.complete and other.complete,
-    )
+    sample, complete = _cut(joined._replace(first=both.first[joined.first]), seed, size)
+    complete = complete and one.complete and other.complete
+    return _Summary(one.n_rows + other.n_rows, one.weight + other.weight, sample, complete)
 
 
-class _Tail(NamedTuple):
-    """Polynomial of any rows, and the targets that a problem has."""
-
-    used: np.ndarray | None  # features of the linear part; None for no polynomial at all
-    center: np.ndarray
-    scale: np.ndarray
-    root: np.ndarray  # (p, p) triangular factor of the polynomial on all rows
-    unit: float  # of weights
-    outputs: np.ndarray
-
-    def block(self, X, Y, weights):
-        kept = weights > 0
-        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
-        Y = Y[kept][:, self.outputs]
-        if self.used is None:
-            tail = np.empty((len(X), 0))
-        else:
-            linear = (X[:, self.used] - self.center[self.used]) / self.scale[self.used]
-            tail = root * np.column_stack([np.ones(len(X)), linear])
-        basis = tail
-        if tail.size:
-            basis = solve_triangular(self.root, tail.T, trans="T", check_finite=False).T
-        return Block(X, root, tail, basis, root * Y, None)
-
-
-def _on_block(X, Y, weights, start, function, tail):
-    return function(tail.block(X, Y, weights))
-
-
-class ChunkedProblem(NamedTuple):
-    """Rows that are not held. Its fields are those of `Problem`, if not said otherwise."""
+class _Elsewhere(NamedTuple):
+    """Rows of a problem that are not held, and are not merged where they are repeated."""
 
     sample: Problem  # distinct rows, a part of all
-    n_rows: int  # more than the sample has
-    unit: float
-    n_total: float
-    tail_map: np.ndarray
-    projection: np.ndarray
-    spread: np.ndarray
-    tail_ridge: float
-    basis_rows: np.ndarray
-    tail_dof: float
     chunks: ArrayChunks | DaskChunks
-    tail: _Tail
-    summary: _Summary
-
-    # Groups with constants are for rows in memory.
-    codes: None = None
-    ratio: float = 0.0
-
-    def view(self):
-        """The targets as a selection wants to see them."""
-        return view_of(self)
-
-    @property
-    def tail_rows(self):
-        """The ridge as further rows of the polynomial."""
-        return ridge_rows(self.n_tail, self.tail_ridge)
-
-    @property
-    def X(self):  # noqa: N802
-        """Rows of the sample, of which some may become centres."""
-        return self.sample.X
-
-    @property
-    def first(self):
-        return self.sample.first
-
-    @property
-    def within(self):
-        """Nothing: repeated rows are not merged."""
-        return np.zeros(len(self.spread))
-
-    @property
-    def n_tail(self):
-        return len(self.tail_map)
+    n_rows: int
+    unit: float  # of weights
+    outputs: np.ndarray  # the targets that the problem has
+    root: np.ndarray  # (p, p) triangular factor of the polynomial on all rows; empty until known
 
     def of_outputs(self, outputs):
-        """The same rows with some of the outputs."""
-        return self._replace(
-            sample=self.sample.of_outputs(outputs),
-            projection=self.projection[:, outputs],
-            spread=self.spread[outputs],
-            tail=self.tail._replace(outputs=self.tail.outputs[outputs]),
-        )
+        return self._replace(sample=self.sample.of_outputs(outputs), outputs=self.outputs[outputs])
 
-    def with_tail(self, degree, ridged, ratio=None):
-        """The same rows with another polynomial; see `Problem.with_tail`."""
+    def with_tail(self, degree, ridged):
         sample = self.sample.with_tail(degree, ridged)
-        return _problem_of(self.chunks, self.summary, sample, degree, self.tail.outputs)
+        return _of_all_rows(self._replace(sample=sample, root=_UNKNOWN))
 
     def reduce(self, function, combine, width):
         """As `Problem.reduce`."""
-        return self.chunks.reduce(
-            partial(_on_block, function=function, tail=self.tail), combine, width
-        )
+        return self.chunks.reduce(partial(self._on_block, function), combine, width)
+
+    def _on_block(self, function, X, Y, weights, start):
+        kept = weights > 0
+        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
+        tail = root * self.sample.polynomial.columns(X)
+        basis = tail
+        if tail.size and self.root.size:
+            basis = solve_triangular(self.root, tail.T, trans="T", check_finite=False).T
+        return function(Block(X, root, tail, basis, root * Y[kept][:, self.outputs], None))
 
 
 def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
     """Set up a problem by one pass over the rows.
 
-    Parameters
-    ----------
-    chunks : ArrayChunks or DaskChunks
-    n_features : int
-    degree : {-1, 0, 1}
-    size : int
-        Distinct rows to hold.
-    seed : int
-        Of the sample.
-    ridged : bool
-        Whether the linear part of the polynomial has a ridge: that of the sample.
-
-    Returns
-    -------
-    ChunkedProblem or Problem
-        The latter where the sample holds all rows.
-
-    Raises
-    ------
-    ValueError
-        If every weight is 0.
+    `size` distinct rows are held, drawn by a hash with a seed. If `ridged`, the linear part of the
+    polynomial has a ridge: that of the sample.
     """
     options = {"seed": np.uint64(seed), "size": size}
     width = 4 * n_features
@@ -352,52 +211,31 @@ def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
     sample = prepare(summary.sample, degree, ridged)
     if summary.complete:
         return sample
-    outputs = np.arange(len(summary.mean) - n_features)
-    return _problem_of(chunks, summary, sample, degree, outputs)
+    n, outputs = summary.n_rows, np.arange(len(sample.spread))
+    return _of_all_rows(_Elsewhere(sample, chunks, n, summary.weight / n, outputs, _UNKNOWN))
 
 
-def _problem_of(chunks, summary, sample, degree, outputs):
-    """The problem of some outputs, of which a sample has its polynomial already."""
-    d, weight, unit = sample.X.shape[1], summary.n_rows, summary.weight / summary.n_rows
-    at = np.append(np.arange(d), d + outputs)
-    mean, largest = summary.mean[at], summary.largest[at]
-    scatter = summary.scatter[np.ix_(at, at)] / unit
-    center, scale = mean[:d], np.sqrt(scatter.diagonal()[:d] / weight)
-    tail_map, used, root = np.empty((0, d + 1)), None, np.empty((0, 0))
-    projection = np.empty((0, len(outputs)))
-    total = scatter.diagonal()[d:] + weight * mean[d:] ** 2
-    if degree >= 0:
-        used = np.empty(0, dtype=int)
-        if degree == 1:
-            used = independent_features(sample.X, center, scale, largest[:d])
-        tail_map = tail_coefficients(d, used, center, scale)
-        root = np.zeros((1 + len(used),) * 2)
-        root[0, 0] = np.sqrt(weight)
-        correlation = scatter[np.ix_(used, used)] / np.outer(scale[used], scale[used])
-        correlation[np.diag_indices(len(used))] += sample.tail_ridge
-        root[1:, 1:] = cholesky(correlation) if len(used) else correlation
-        along = scatter[used, d:] / scale[used, None]
-        if len(used):
-            along = solve_triangular(root[1:, 1:], along, trans="T")
-        projection = np.vstack([np.sqrt(weight) * mean[None, d:], along])
-        total = scatter.diagonal()[d:] - np.square(along).sum(axis=0)
-    spread = np.sqrt(np.maximum(total, 0.0) / weight)
+def _of_all_rows(rows):
+    """The problem of all rows, of which a sample has its polynomial already."""
+    sample, p, q = rows.sample, rows.sample.n_tail, len(rows.outputs)
+    R = triangle_of_all(rows, _tail_and_targets, p + q)
+    if sample.tail_ridge:
+        R = stack_triangles(R, np.pad(sample.tail_rows, ((0, 0), (0, q))))
+    basis_rows = solve_triangular(R[:p, :p], sample.tail_rows.T, trans="T").T if p else R[:0, :p]
+    spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / rows.n_rows)
     # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * largest[d:]] = 0.0
-    basis_rows = ridge_rows(len(root), sample.tail_ridge)
-    basis_rows = solve_triangular(root, basis_rows.T, trans="T").T if len(root) else basis_rows
-    return ChunkedProblem(
-        sample,
-        summary.n_rows,
-        unit,
-        weight,
-        tail_map,
-        projection,
-        spread,
-        sample.tail_ridge,
-        basis_rows,
-        len(root) - np.square(basis_rows).sum(),
-        chunks,
-        _Tail(used, center, scale, root, unit, outputs),
-        summary,
+    spread[spread <= 1e-13 * np.sqrt(np.square(R[:, p:]).sum(axis=0) / rows.n_rows)] = 0.0
+    return sample._replace(
+        unit=rows.unit,
+        n_total=rows.n_rows,
+        within=np.zeros(q),
+        projection=R[:p, p:],
+        spread=spread,
+        basis_rows=basis_rows,
+        tail_dof=p - np.square(basis_rows).sum(),
+        elsewhere=rows._replace(root=R[:p, :p]),
     )
+
+
+def _tail_and_targets(block):
+    return np.hstack([block.tail, block.targets])

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_raacmm.network._candidates import MAX_RANK, Features, candidate_groups
+from sklearn_raacmm.network._candidates import Features, candidates_of
 from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._least_squares import (
     beside_centers,
@@ -40,10 +40,14 @@ MOST_ROWS = 10_000
 TOLERANCE = 0.02
 # Centres tried where their number is not given.
 MAX_CENTERS = 2000
-# Rank of the candidates' factor per centre that may be tried: the centres are to be chosen from
-# more dimensions than they take up. Mean part of the prior variance outside of it that is passed
-# over in silence.
-RANK_PER_CENTER, UNSEEN = 1.5, 0.01
+# Rank at which the candidates' factor is cut: 240 MB for 10 000 rows, and a step costs as much
+# memory traffic; or per centre that may be tried, to be chosen from more dimensions than centres
+# take up. Mean part of the prior variance outside of it that is passed over in silence.
+MAX_RANK, RANK_PER_CENTER, UNSEEN = 3000, 1.5, 0.01
+# The same where the number of centres is given: in centres, and at the least, of all rows and of a
+# sample, where every row is multiplied by the factor's square. With 2.5 the residual was up to 4 %
+# larger than with an exact factor, with 3.5 up to 2 % (three draws of candidates).
+RANK_PER_GIVEN, LEAST_RANK, LEAST_RANK_OF_SAMPLE = 3.5, 1000, 256
 # Effective parameters of the process, per row, from which on all rows become centres. On 21 random
 # functions of 2 to 8 features (1000 and 3000 rows) a network needed 1.0 to 1.7 centres for each.
 # Above a quarter its fit, without the search of the widths, took 4 to 35 times as long as that of
@@ -56,8 +60,6 @@ CENTERS_PER_PARAMETER = 1.5
 FIRST_SAMPLE, LARGEST_SAMPLE = 500, 2000
 # Parameters of the process below which its function is none.
 NO_FUNCTION = 0.5
-# Ratio of ridges up to which outputs see the candidates alike.
-ALIKE = 4.0
 # Degrees of freedom at the least by which the sum of squares is divided. With 1 instead 85 % of new
 # observations, not 91 %, were inside the 95 % intervals of 10 rows of 20 features (the worst of
 # seven simulated functions). Of two observations, which leave one degree: 95 % of Student's
@@ -80,34 +82,14 @@ class Fitted(NamedTuple):
 def fit_network(problem, outputs, functions, alpha, n_found, n_centers, max_centers, rng):
     """Choose the centres, or take all rows, and fit the weights.
 
-    Parameters
-    ----------
-    problem : Problem or ChunkedProblem
-    outputs : ndarray of shape (q,)
-        Which of the targets' columns the problem's are.
-    functions : RadialFunctions
-    alpha : ndarray of shape (q,)
-        Ridge of every output, in units of an observation.
-    n_found : float
-        Parameters of each output that the data have decided on beside the variances.
-    n_centers : int, float or None
-        Number of centres, or share of the variance that they may leave; None: as many as are needed
-        to be about as good as the process.
-    max_centers : int or None
-        Most of them; None: the default, or all rows.
-    rng : numpy.random.RandomState
-        Draws the candidates.
+    `outputs` (q,) are the targets' columns that the problem has, `alpha` (q,) their ridges in units
+    of an observation, `n_found` the parameters of each that the data have decided on beside the
+    variances. `n_centers` is their number, or the share of the variance that they may leave, or
+    None for as many as make the network about as good as the process; `max_centers` None is the
+    default, or all rows. `rng` draws the candidates.
 
-    Returns
-    -------
-    Fitted
-
-    Warns
-    -----
-    UserWarning
-        If more centres are asked for than there are candidates: all are taken then.
-    ConvergenceWarning
-        If a limit that the user has not set decided on the number of centres.
+    It warns of more centres than candidates, and (ConvergenceWarning) of a limit that the user has
+    not set and that decided on their number.
     """
     if n_centers is None and max_centers is None and takes_all_rows(problem, alpha, functions):
         sample = problem.sample
@@ -150,14 +132,10 @@ def takes_all_rows(problem, alpha, functions):
 def share_of_parameters(problem, alpha, functions, n, enough=0.0):
     """Effective number of parameters of a process of n of a problem's rows, over their number.
 
-    It falls with every row that comes in. So a sample whose share is small decides already. Where
-    it is large in a sample of 2000 rows, the last doubling is continued as a power of the number:
-    with 6000 rows of three rough functions 6 to 14 % too many.
-
-    Returns
-    -------
-    float
-        An upper bound where it is not above `enough`.
+    It falls with every row that comes in. So a sample whose share is not above `enough` decides
+    already: then it is an upper bound. Where it is large in a sample of 2000 rows, the last
+    doubling is continued as a power of the number: with 6000 rows of three rough functions 6 to 14
+    % too many.
     """
     kernel, shift, length_scale = functions
     Z, weights = (problem.X - shift) / length_scale, np.square(problem.root[:, 0])
@@ -177,15 +155,7 @@ def share_of_parameters(problem, alpha, functions, n, enough=0.0):
 
 
 def choose_centers(problem, alpha, functions, n_centers, max_centers, rng):
-    """Choose centres in order of how much they lower the objective.
-
-    Returns
-    -------
-    indices : ndarray of shape (k,)
-        Among the problem's rows.
-    stop_reason : str
-        Why there are no more.
-    """
+    """Indices of centres in order of how much they lower the objective, and why it ended."""
     n = len(problem.X)
     rows = np.arange(n) if n <= MOST_ROWS else np.sort(rng.permutation(n)[:MOST_ROWS])
     asked = n_centers if isinstance(n_centers, int) else None
@@ -199,14 +169,17 @@ def choose_centers(problem, alpha, functions, n_centers, max_centers, rng):
     if not len(view.outputs):
         # Nothing varies: no centre is needed, and any is as good as another.
         return (rows[:most], "n_centers") if asked else (rows[:0], "criterion")
-    members, alphas = alike(alpha[view.outputs])
-    rank = max(MAX_RANK, int(RANK_PER_CENTER * most))
-    candidates = candidate_groups(
-        problem, view, rows, functions, members, alphas, most if asked else None, max_rank=rank
-    )
+    if asked:
+        least = LEAST_RANK if len(rows) == problem.n_rows else LEAST_RANK_OF_SAMPLE
+        rank = max(least, int(RANK_PER_GIVEN * asked))
+    else:
+        rank = max(MAX_RANK, int(RANK_PER_CENTER * most))
+    # Outputs that share centres see the candidates alike: as the one that needs most of them.
+    ridge = float(alpha[view.outputs].min())
+    candidates = candidates_of(problem, view, rows, functions, ridge, rank, asked)
     units, goal, enough = 1.0, None, None
     if isinstance(n_centers, float):
-        total = view.total[np.concatenate(members)] + view.within[np.concatenate(members)]
+        total = view.total + view.within
         floor = n_centers * len(total) * problem.n_total
 
         def few_are_left(summed):
@@ -214,13 +187,13 @@ def choose_centers(problem, alpha, functions, n_centers, max_centers, rng):
 
         enough = few_are_left
     elif asked is None:
-        units, goal = posterior_goal(problem, view, candidates, members)
+        units, goal = posterior_goal(problem, view, candidates)
 
         def all_are_reached(summed):
             return np.all(summed >= goal)
 
         enough = all_are_reached
-    found = forward_selection(candidates.groups, most, units=units, enough=enough)
+    found = forward_selection(*candidates[:3], most, units=units, enough=enough)
     if goal is not None:
         _warn_of_limits(found, candidates, max_centers, goal)
     indices = found.indices
@@ -235,23 +208,19 @@ def choose_centers(problem, alpha, functions, n_centers, max_centers, rng):
     return rows[indices], reasons[found.stop]
 
 
-def posterior_goal(problem, view, candidates, members):
-    """Noise of every output, the unit of its gains, and the reduction that is enough.
+def posterior_goal(problem, view, candidates):
+    """Noise (q,) of every output, the unit of its gains, and the reduction (q,) that is enough.
 
     Centres are enough as soon as what further ones could still gain, summed over all samples, is
     below `TOLERANCE` times the noise variance times the effective number of parameters of the
-    network that has all candidates: leaving them out then costs about this share of the error that
-    noise causes anyway.
+    network that has all candidates: leaving them out then costs about this share of the error of
+    the noise.
     """
-    noises, goal = [], []
-    groups = zip(candidates.groups, members, candidates.degrees_of_freedom, strict=True)
-    for group, of, degrees in groups:
-        explained = np.square(group.target).sum(axis=0)
-        left = view.total[of] + view.within[of] - explained
-        noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
-        noises.append(noise)
-        goal.append(explained - TOLERANCE * degrees * noise if degrees > NO_FUNCTION else 0 * noise)
-    return np.concatenate(noises), np.concatenate(goal)
+    explained = np.square(candidates.target).sum(axis=0)
+    degrees = candidates.degrees_of_freedom
+    left = view.total + view.within - explained
+    noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
+    return noise, explained - TOLERANCE * degrees * noise if degrees > NO_FUNCTION else 0 * noise
 
 
 def _warn_of_limits(found, candidates, max_centers, goal):
@@ -267,44 +236,18 @@ def _warn_of_limits(found, candidates, max_centers, goal):
                 ConvergenceWarning,
             )
     if candidates.unseen > UNSEEN:
+        rank = candidates.coordinates.shape[1]
         warn_user(
             f"The widths are narrow for so many rows: {100 * candidates.unseen:.2g} % of the prior "
-            f"variance at the candidates lies outside the {candidates.groups[0].rank} dimensions "
+            f"variance at the candidates lies outside the {rank} dimensions "
             "from which centres are chosen. A larger max_centers raises their number, to "
             f"{RANK_PER_CENTER:g} times as many.",
             ConvergenceWarning,
         )
 
 
-def alike(alphas):
-    """Outputs whose ridges are alike, to select for together, and the ridge of each group.
-
-    Returns
-    -------
-    members : list of ndarray
-        Indices, together all of them in order of their ridge.
-    shared : list of float
-        Geometric mean of the members' ridges.
-    """
-    order = np.argsort(alphas, kind="stable")
-    members, shared = [], []
-    for i in order:
-        if members and alphas[i] <= ALIKE * alphas[members[-1][0]]:
-            members[-1].append(i)
-        else:
-            members.append([i])
-    for of in members:
-        shared.append(float(np.exp(np.mean(np.log(alphas[of])))) if alphas[of[0]] > 0 else 0.0)
-    return [np.array(of) for of in members], shared
-
-
 def fit_path(problem, order, alpha, functions):
-    """Fit the networks with the first 0, 1, ... of some rows, in order of selection, as centres.
-
-    Returns
-    -------
-    NestedFits
-    """
+    """Fits with the first 0, 1, ... of some rows, in order of selection, as centres."""
     kernel, shift, length_scale = functions
     Z = (problem.X[order] - shift) / length_scale
     columns, p = Features(Z, shift, length_scale, kernel), problem.n_tail
@@ -319,23 +262,10 @@ def fit_path(problem, order, alpha, functions):
 
 
 def variances(problem, alpha, objective, n_found, plain=None):
-    """Variances of the noise and of the signal, by the likelihood.
+    """Variances (q,) of the noise and of the signal, by the likelihood.
 
-    Parameters
-    ----------
-    problem : Problem
-    alpha : ndarray of shape (q,)
-        Ridge of every output, in units of an observation.
-    objective : ndarray of shape (q,)
-        Sum of squares with the penalty.
-    n_found : float
-        Parameters of each output that the data have decided on beside the variances.
-    plain : ndarray of shape (q,), optional
-        Variance of the noise where there is no ridge.
-
-    Returns
-    -------
-    noise, signal : ndarray of shape (q,)
+    `objective` (q,) is the sum of squares with the penalty; `plain` (q,) the variance of the noise
+    where there is no ridge.
     """
     # Without a ridge the residual, and the targets' own variance.
     ridged = alpha > 0
@@ -352,12 +282,7 @@ def variances(problem, alpha, objective, n_found, plain=None):
 
 
 def network_of(problem, outputs, path, centers, alpha, functions, n_found=0.0):
-    """The network of the first centres, rows of the problem, of a path.
-
-    Returns
-    -------
-    Network
-    """
+    """The network of the first centres, rows of the problem, of a path."""
     p, k = problem.n_tail, len(centers)
     solution = path.coefficients(k)
     plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
@@ -382,12 +307,7 @@ def network_of(problem, outputs, path, centers, alpha, functions, n_found=0.0):
 
 
 def process_of(problem, outputs, alpha, functions, n_found=0.0):
-    """The network with a centre at every row: the process itself.
-
-    Returns
-    -------
-    Network
-    """
+    """The network with a centre at every row: the process itself."""
     kernel, shift, length_scale = functions
     Z, weights = (problem.X - shift) / length_scale, np.square(problem.root[:, 0])
     constants = problem.codes, problem.ratio

@@ -40,10 +40,6 @@ def _distance(s, factor):
     return d
 
 
-def _matern32(s):
-    return _matern32_with_slope(s)[0]
-
-
 def _matern32_with_slope(s):
     d = _distance(s, _SQRT3)
     decay = np.exp(np.negative(d, out=s), out=s)
@@ -51,15 +47,6 @@ def _matern32_with_slope(s):
     d *= decay
     decay *= -1.5
     return d, decay
-
-
-def _matern52(s):
-    d = _distance(s, _SQRT5)
-    s *= 5 / 3
-    s += d
-    s += 1
-    s *= np.exp(np.negative(d, out=d), out=d)
-    return s
 
 
 def _matern52_with_slope(s):
@@ -75,37 +62,33 @@ def _matern52_with_slope(s):
     return s, once
 
 
-def _rational_quadratic(s):
-    return 1 / (1 + 0.5 * s)
-
-
 def _rational_quadratic_with_slope(s):
-    K = _rational_quadratic(s)
+    K = 1 / (1 + 0.5 * s)
     return K, -0.5 * K * K
 
 
-def _inverse_multiquadric(s):
-    return 1 / np.sqrt(1 + s)
-
-
 def _inverse_multiquadric_with_slope(s):
-    K = _inverse_multiquadric(s)
+    K = 1 / np.sqrt(1 + s)
     return K, -0.5 * K**3
 
 
 class Kernel(NamedTuple):
-    """A radial function of the scaled squared distance, 1 at distance 0."""
+    """A radial function of the scaled squared distance, 1 at distance 0; may overwrite it."""
 
-    function: Callable  # may overwrite its argument
-    with_slope: Callable  # the same, and its derivative with respect to the squared distance
+    with_slope: Callable  # values, and their derivative with respect to the squared distance
+    alone: Callable | None = None  # values, where the derivative takes much longer
+
+    def function(self, s: np.ndarray) -> np.ndarray:
+        """Values alone."""
+        return self.with_slope(s)[0] if self.alone is None else self.alone(s)
 
 
 KERNELS = {
-    "gaussian": Kernel(_gaussian, _gaussian_with_slope),
-    "matern32": Kernel(_matern32, _matern32_with_slope),
-    "matern52": Kernel(_matern52, _matern52_with_slope),
-    "rational_quadratic": Kernel(_rational_quadratic, _rational_quadratic_with_slope),
-    "inverse_multiquadric": Kernel(_inverse_multiquadric, _inverse_multiquadric_with_slope),
+    "gaussian": Kernel(_gaussian_with_slope, _gaussian),
+    "matern32": Kernel(_matern32_with_slope),
+    "matern52": Kernel(_matern52_with_slope),
+    "rational_quadratic": Kernel(_rational_quadratic_with_slope),
+    "inverse_multiquadric": Kernel(_inverse_multiquadric_with_slope),
 }
 
 
@@ -160,42 +143,18 @@ class LowRankFactor(NamedTuple):
         return self.residual <= self.tol
 
 
-def pivoted_cholesky(
-    Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, all_or_nothing=False, block_size=96
-):
+def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_size=96):
     """Low-rank factor of a positive definite kernel matrix by blocked, diagonally pivoted Cholesky.
 
-    Each round looks at the `block_size` rows that the factor explains least, takes those of them
-    that the others do not explain, and updates with matrix products instead of vectors: several
-    times as fast as one pivot at a time, at nearly the same rank [1]_.
+    Each round looks at the `block_size` rows of Z (n, d) that the factor explains least, takes
+    those of them that the others do not explain, and updates with matrix products: several times as
+    fast as one pivot at a time, at nearly the same rank (Harbrecht, Peters, Schneider, Appl. Numer.
+    Math. 62, 2012).
 
-    Parameters
-    ----------
-    Z : ndarray of shape (n, d)
-        Rows divided by the length scales.
-    kernel : str
-        Name of a positive definite kernel, whose diagonal is 1.
-    tol : float
-        Stop when no diagonal entry of the remainder is above it, or `rounding` if that is more. As
-        the remainder is positive semidefinite this bounds every entry of the kernel matrix's error.
-    max_rank : int, optional
-        Stop at this rank. Default n.
-    resolve : int, optional
-        Tighten the tolerance to a small part of what this many pivots leave, so that this many
-        columns can be told apart.
-    all_or_nothing : bool
-        Stop as soon as the tolerance is out of reach: an incomplete factor is of no use.
-    block_size : int
-        Rows looked at in a round.
-
-    Returns
-    -------
-    LowRankFactor
-
-    References
-    ----------
-    .. [1] H. Harbrecht, M. Peters, R. Schneider, "On the low-rank approximation by the pivoted
-       Cholesky decomposition", Applied Numerical Mathematics 62 (2012).
+    It stops at `max_rank`, or where no diagonal entry of the remainder is above `tol`, or
+    `rounding` if that is more: the remainder is positive semidefinite, so that this bounds all of
+    its entries. With `resolve` the tolerance is a small part of what this many pivots leave, so
+    that this many columns can be told apart.
     """
     n = len(Z)
     max_rank = n if max_rank is None else min(n, max_rank)
@@ -242,12 +201,6 @@ def pivoted_cholesky(
         diagonal -= np.einsum("ij,ij->j", new, new)
         diagonal[pivots[:need]] = 0.0
         rank = need
-        # On a logarithmic scale the remainder falls ever more slowly: a straight line from the
-        # start through the present point is the best that can be hoped for.
-        if all_or_nothing and rank >= 256:
-            most = tol if resolve is None else aim
-            if rank * np.log(most) < max_rank * np.log(max(diagonal.max(), most)):
-                break
     residual = float(max(diagonal.max(), 0.0))
     return LowRankFactor(factor[:rank].T, pivots[:rank].copy(), residual, tol)
 
@@ -262,10 +215,7 @@ def largest(values, size):
 
 
 def _pivots_in_block(S, threshold, most):
-    """Pivoted Cholesky of the small matrix S while pivots exceed the threshold, by LAPACK.
-
-    Returns the chosen indices, at most `most`, and their lower triangular root.
-    """
+    """At most `most` pivots of a small matrix above a threshold, and their lower root (LAPACK)."""
     factor, pivots, rank, _ = lapack.dpstrf(S, tol=threshold, lower=1)
     rank = min(rank, most)
     return pivots[:rank] - 1, np.tril(factor[:rank, :rank])
@@ -274,9 +224,8 @@ def _pivots_in_block(S, threshold, most):
 def psd_root(K):
     """A matrix U with ``U.T @ U = K`` for positive semidefinite K, singular or not.
 
-    What is below rounding is raised to it: a penalty that is zero in some direction would let
-    coefficients grow without limit there. Where all is far above it a Cholesky factor does, at a
-    fortieth of the price.
+    What is below rounding is raised to it: where a penalty is zero coefficients grow without limit.
+    Where all is far above it a Cholesky factor does, at a fortieth of the price.
     """
     root, failed = lapack.dpotrf(K, lower=0, clean=1)
     if not failed and np.square(root.diagonal()).min(initial=np.inf) > _SOUND_PIVOT:

@@ -4,12 +4,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import blas, lapack, qr, solve_triangular
+from scipy.linalg import lapack, qr, solve_triangular
 
 # Columns that a triangular factorisation works on together; 16 and 64 were slower by a tenth.
 _PANEL = 32
-# Columns that are divided by a triangle together; 48 and 96 took as long.
-_COLUMNS = 64
 
 
 class NestedFits(NamedTuple):
@@ -42,8 +40,8 @@ def triangular_factor(rows):
 def _stacked(upper, lower, n_triangular):
     """R of the square triangle `upper` with rows below it, the last of which form a triangle.
 
-    LAPACK's routine for such a stack keeps what it works on in the cache: twice as fast as the
-    plain one for blocks of a few thousand rows, and nothing is spent on zeros. Overwrites both.
+    LAPACK's routine for it keeps what it works on in the cache: twice as fast as the plain one for
+    blocks of a few thousand rows. Overwrites both.
     """
     block = min(_PANEL, len(upper))
     return lapack.dtpqrt(n_triangular, block, upper, lower, overwrite_a=1, overwrite_b=1)[0]
@@ -73,46 +71,14 @@ def _triangle_of_block(columns, block):
     return triangular_factor(columns(block))
 
 
-def divide(rows, root):
-    """Rows times the inverse of an upper triangular root, in place; rows in Fortran order.
-
-    By blocks of columns, for nearly all of it to be products: a third faster than LAPACK's own.
-    """
-    if not len(rows):  # a block of which no row counts
-        return rows
-    for start in range(0, len(root), _COLUMNS):
-        part = slice(start, start + _COLUMNS)
-        if start:
-            blas.dgemm(
-                -1.0, rows[:, :start], root[:start, part], beta=1.0, c=rows[:, part], overwrite_c=1
-            )
-        blas.dtrsm(1.0, root[part, part], rows[:, part], side=1, overwrite_b=1)
-    return rows
-
-
 def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None):
     """Solve every nested subset, with no use of the running figures of the selection.
 
-    Parameters
-    ----------
-    R : ndarray of shape (<= p + k + n_outputs, p + k + n_outputs)
-        Triangular factor of the polynomial tail, the members in order, and the targets; all times
-        root weight. A ridge of the tail is among the rows. Everything depends on these through it
-        only.
-    n_tail : int
-        Number p of columns of the tail.
-    penalty_root : ndarray of shape (m, k)
-        ``penalty_root.T @ penalty_root`` is the penalty's matrix.
-    alphas : ndarray of shape (n_outputs,)
-        Factor of the penalty.
-    within : ndarray of shape (n_outputs,)
-        Sum of squares that no model can explain, because repeated rows were merged.
-    tail_dof : float, optional
-        Effective number of the tail's columns, fewer than p where they have a ridge.
-
-    Returns
-    -------
-    NestedFits
+    R (<= p + k + q, p + k + q) is the triangular factor of the p = `n_tail` columns of the tail,
+    the k members in order and the q targets, all times root weight; a ridge of the tail is among
+    its rows. The penalty's matrix is ``penalty_root.T @ penalty_root`` (k, k) times `alphas` (q,).
+    `within` (q,) is what merging repeated rows took out, `tail_dof` the effective number of the
+    tail's columns.
     """
     q, p, k = len(alphas), n_tail, penalty_root.shape[1]
     columns, targets = R[: p + k, : p + k], R[:, p + k :]
@@ -146,13 +112,7 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None)
 
 
 def penalise(rows, n_tail, penalty_root, alpha):
-    """QR of the rows' triangle with the penalty of all but the tail's columns below it.
-
-    Returns
-    -------
-    Q : ndarray of shape (len(rows) + m, p + k)
-    R : ndarray of shape (p + k, p + k)
-    """
+    """Q and R (p + k, p + k) of the rows' triangle with the penalty of its members below it."""
     penalty = np.sqrt(alpha) * penalty_root if alpha > 0 else penalty_root[:0]
     stacked = np.zeros((len(rows) + len(penalty), rows.shape[1]))
     stacked[: len(rows)], stacked[len(rows) :, n_tail:] = rows, penalty

@@ -129,20 +129,10 @@ def covariance(data, kernel, log_width, ratio=0.0):
 
 
 def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Negative log marginal likelihood of the process.
+    """Negative log marginal likelihood of the process, with its gradient.
 
-    Parameters
-    ----------
-    data : Data
-    kernel : str
-    log_width : ndarray of shape (d,)
-    log_alpha : ndarray of shape (q,)
-    ratio : float, default=0.0
-        Variance of groups' constants over that of the noise.
-
-    Returns
-    -------
-    Likelihood
+    The logarithms are of widths (d,) and ridges (q,); `ratio` is the variance of groups' constants
+    over that of the noise.
     """
     n, n_total, within = len(data.X), data.n_total, data.within
     if ratio and len(log_alpha) > 1:
@@ -205,15 +195,10 @@ def _of_each_output(data, kernel, log_width, log_alpha, ratio):
 
 
 def inverses(K, Y, alphas):
-    """Solve with every K + alpha_i I.
+    """Solve with every K + alpha_i I, K (n, n) and Y (n, q).
 
-    Returns
-    -------
-    solved : ndarray of shape (n, q)
-    log_det, trace : ndarray of shape (q,)
-        Of the matrix, and of its inverse.
-    half : ndarray of shape (n, n), Fortran order
-        The sum of the inverses is the sum of this and its transpose.
+    Returns the solutions (n, q); of each matrix the log determinant and the trace of the inverse,
+    (q,); and a matrix (n, n) in Fortran's order that with its transpose is the sum of the inverses.
     """
     n, q = Y.shape
     if alphas.min() < LEAST_RIDGE or q >= MANY_OUTPUTS:
@@ -248,17 +233,7 @@ class LeaveOneOut(NamedTuple):
 
 
 def leave_one_out(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Leave-one-out predictions in closed form (section 5.4.2 of the reference).
-
-    Parameters
-    ----------
-    data, kernel, log_width, log_alpha, ratio
-        As for `exact_likelihood`.
-
-    Returns
-    -------
-    LeaveOneOut
-    """
+    """Leave-one-out predictions in closed form (section 5.4.2 of the reference)."""
     return left_out(data, covariance(data, kernel, log_width, ratio)[0], np.exp(log_alpha), ratio)
 
 

@@ -14,47 +14,45 @@ RIDGES = 2.0 ** np.arange(-40, 41)
 SILENT, DOUBT = 0.05, 1.0
 
 
-def independent_features(X, center, scale, largest):
-    """Features that vary and are not combinations of others, which add nothing to the span."""
-    used = np.flatnonzero(scale > 1e-13 * largest)
-    R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
-    size = np.abs(R.diagonal())
-    return np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
+class Polynomial(NamedTuple):
+    """Columns of a polynomial: 1 and features, centred and scaled to be well conditioned."""
+
+    used: np.ndarray | None  # features of the linear part; None for no polynomial at all
+    center: np.ndarray  # (d,)
+    scale: np.ndarray  # (d,)
+
+    def columns(self, X):
+        """Its p columns at rows (n, d)."""
+        if self.used is None:
+            return np.empty((len(X), 0))
+        linear = (X[:, self.used] - self.center[self.used]) / self.scale[self.used]
+        return np.column_stack([np.ones(len(X)), linear])
+
+    @property
+    def coefficients(self):
+        """From coefficients of its columns to those of (1, x), (p, 1 + d)."""
+        d = len(self.center)
+        if self.used is None:
+            return np.empty((0, d + 1))
+        linear = np.eye(d)[self.used] / self.scale[self.used, None]
+        return np.vstack([np.eye(1, d + 1), np.column_stack([-linear @ self.center, linear])])
 
 
-def tail_coefficients(d, used, center, scale):
-    """From coefficients of (1, (x - center) / scale) to those of (1, x), (1 + used, d + 1)."""
-    tail_map = np.zeros((1 + len(used), d + 1))
-    tail_map[0, 0] = 1.0
-    tail_map[1:, 0] = -center[used] / scale[used]
-    tail_map[np.arange(1, 1 + len(used)), 1 + used] = 1 / scale[used]
-    return tail_map
+def polynomial_of(X, weights, degree, ridged=False):
+    """Polynomial of rows, without features that do not vary or are combinations of others.
 
-
-def tail_columns(X, weights, degree, ridged=False):
-    """Columns of the polynomial, in features centred and scaled so that they are well conditioned.
-
-    With fewer rows than features some are combinations of others by chance: `ridged` keeps them,
-    because a ridge tells them apart.
-
-    Returns
-    -------
-    columns : ndarray of shape (n, p)
-    tail_map : ndarray of shape (p, d + 1)
-        Their coefficients to those of (1, x).
+    With fewer rows than features some are so by chance: `ridged` keeps them, because a ridge tells
+    them apart.
     """
-    n, d = X.shape
-    if degree < 0:
-        return np.empty((n, 0)), np.empty((0, d + 1))
     center, used = np.average(X, axis=0, weights=weights), np.empty(0, dtype=int)
     scale = np.sqrt(np.average(np.square(X - center), axis=0, weights=weights))
-    largest = np.abs(X).max(axis=0)
-    if degree and ridged and n <= d:
-        used = np.flatnonzero(scale > 1e-13 * largest)
-    elif degree:
-        used = independent_features(X, center, scale, largest)
-    columns = np.column_stack([np.ones(n), (X[:, used] - center[used]) / scale[used]])
-    return columns, tail_coefficients(d, used, center, scale)
+    if degree == 1:
+        used = np.flatnonzero(scale > 1e-13 * np.abs(X).max(axis=0))
+        if not (ridged and X.shape[0] <= X.shape[1]):
+            R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
+            size = np.abs(R.diagonal())
+            used = np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
+    return Polynomial(None if degree < 0 else used, center, scale)
 
 
 def ridge_rows(n_tail, ridge):
@@ -82,30 +80,13 @@ def linear_evidence(columns, targets, within, n_free, n_total):
     """Ridge of a linear model, the same for all features and outputs, by its likelihood.
 
     The coefficients of an output have independent normal priors of one variance, the noise variance
-    over the ridge; the noise variance is at its optimum for every output [1]_, and has the prior
-    that it has beside radial functions.
+    over the ridge; the noise variance is at its optimum for every output (MacKay, Neural Comput. 4,
+    1992), and has the prior that it has beside radial functions.
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n, d)
-        Features, centred, in units of their spread, times the root of the weights.
-    targets : ndarray of shape (n, q)
-        About their mean, times the root of the weights.
-    within : ndarray of shape (q,)
-        Sum of squares that merging repeated rows took out of them.
-    n_free : float
-        Number of observations by which the ridge is found, less one where the mean was taken out:
-        as many features as rows would otherwise have no ridge, whatever the noise.
-    n_total : float
-        Number of observations.
-
-    Returns
-    -------
-    LinearEvidence
-
-    References
-    ----------
-    .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447.
+    Columns (n, d) are centred, in units of their spread, and like the targets (n, q) times the root
+    of the weights; `within` (q,) is what merging repeated rows took out. The ridge is found by
+    `n_free` of `n_total` observations, less one where the mean was taken out: as many features as
+    rows would otherwise have no ridge, whatever the noise.
     """
     nothing = LinearEvidence(0.0, np.inf, np.inf)
     if not columns.size:

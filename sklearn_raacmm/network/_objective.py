@@ -12,7 +12,7 @@ slope whose square is far above :math:`\kappa^2 / n`, its error from n observati
 however steep it is; one that cannot be told from 0 costs nothing.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -36,10 +36,6 @@ GIVEN_TO = 0.05
 # was given up (0.66 of the deviation was left, now 0.51); noise in 5, 20 and 50 features and weak
 # signals in 20 are told apart as before (benchmarks/bench_noise.py, two or three draws each).
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 0.3
-# Parameters up to which their curvatures are looked at, on the rows of the first stage: each costs
-# an evaluation there, a fifteenth of one on 1000 rows. The step of the difference, a logarithm; and
-# the least curvature, as a share of the largest.
-CURVATURES, CURVATURE_STEP, LEAST_CURVATURE = 30, 0.05, 1e-3
 
 
 class Task(NamedTuple):
@@ -114,20 +110,7 @@ class End(NamedTuple):
 
 
 def objective(task, theta, data, kernel, kappa=KAPPA):
-    """Negative log likelihood with the penalty, in nats, and its gradient.
-
-    Parameters
-    ----------
-    task : Task
-    theta : ndarray of shape (n_parameters,)
-    data : Data
-    kernel : str
-    kappa : float, default=KAPPA
-
-    Returns
-    -------
-    float, ndarray of shape (n_parameters,)
-    """
+    """Negative log likelihood with the penalty, in nats, and its gradient by theta."""
     log_width, log_alpha, ratio = task.unpack(theta)
     try:
         found = exact_likelihood(data, kernel, log_width, log_alpha, ratio)
@@ -177,54 +160,22 @@ def used_share(end, data):
     return slope / (slope + KAPPA**2 / data.n_total)
 
 
-def step_units(end, data):
-    """Unit of a step along each parameter: the root of the objective's curvature, inverted.
-
-    Found on a few rows. In these units a search on more rows takes a half to three quarters of
-    the evaluations.
-    """
-    task, theta, n = end.task, end.theta, len(end.theta)
-    if not 0 < n <= CURVATURES:
-        return np.ones(n)
-    here = objective(task, theta, data, end.kernel)[1]
-    up = theta + CURVATURE_STEP < task.bounds[:, 1]
-    steps = np.where(up, CURVATURE_STEP, -CURVATURE_STEP)
-    there = [objective(task, theta + row, data, end.kernel)[1] for row in np.diag(steps)]
-    curvature = np.abs((np.reshape(there, (n, n)) - here).diagonal() / steps)
-    if not 0 < curvature.max() < np.inf:
-        return np.ones(n)
-    # Relative to the steepest: the search itself finds the scale of all.
-    return np.sqrt(1 / np.maximum(curvature / curvature.max(), LEAST_CURVATURE))
-
-
-def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, units: Any = 1.0, nats=None):
-    """Search from a start, with steps in some units, to about so many nats.
-
-    Returns
-    -------
-    End
-        Never worse than the start.
-    """
+def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, nats=None):
+    """Search from a start to about so many nats; never worse than it."""
     unit = data.n_total * data.Y.shape[1]
     # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
     # cost of a step allows.
     nats = nats or np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
-    values = []
 
-    def scaled(steps):
-        value, gradient = objective(task, steps * units, data, kernel, kappa)
-        values.append(value)
-        return value / unit, gradient * units / unit
+    def per_observation(theta):
+        value, gradient = objective(task, theta, data, kernel, kappa)
+        return value / unit, gradient / unit
 
     theta = np.clip(theta, *task.bounds.T)
-    units = np.broadcast_to(units, len(theta))
     if not len(theta):
-        return End(kernel, task, theta, scaled(theta)[0] * unit)
+        return End(kernel, task, theta, per_observation(theta)[0] * unit)
     options = {"maxiter": steps, "ftol": nats / unit}
-    bounds = task.bounds / units[:, None]
     found = minimize(
-        scaled, theta / units, method="L-BFGS-B", jac=True, bounds=bounds, options=options
+        per_observation, theta, method="L-BFGS-B", jac=True, bounds=task.bounds, options=options
     )
-    if not found.fun * unit < values[0]:
-        return End(kernel, task, theta, values[0])
-    return End(kernel, task, found.x * units, found.fun * unit)
+    return End(kernel, task, found.x, found.fun * unit)

@@ -43,73 +43,28 @@ class Network:
 
     .. math:: m = \mathrm{polynomial}^\top (1, x) + \mathrm{coef}^\top k(x), \qquad
        v = \mathrm{signal} \max(0, 1 - |A k|^2) + \mathrm{noise}\,(1 + |B (t, k)|^2).
-
-    Attributes
-    ----------
-    outputs : ndarray of shape (q,)
-        Which of the targets' columns.
-
-    kernel : str
-        Radial function.
-
-    length_scale : ndarray of shape (d,)
-        Widths, in the units of X; infinite for a feature that is ignored.
-
-    centers : ndarray of shape (k, d)
-        In the units of X.
-
-    coef : ndarray of shape (k, q)
-        Posterior mean of the weights.
-
-    polynomial : ndarray of shape (1 + d, q)
-        Constant and linear term.
-
-    alpha : ndarray of shape (q,)
-        Ridge, in units of an observation.
-
-    weight_unit : float
-        Weight of an observation.
-
-    noise_variance, signal_variance : ndarray of shape (q,)
-        In squared units of y.
-
-    tail_map : ndarray of shape (p, 1 + d)
-        From the coefficients of the polynomial's p columns in the fit to those of (1, x).
-
-    ratio : float
-        Variance of groups' constants over that of the noise.
-
-    triangle : ndarray of one dimension or None
-        Triangular factor of the columns at the training rows, polynomial first, packed by rows.
-        Trapezoidal where there were fewer rows than columns. None where all rows are centres: their
-        own factor follows from what is below.
-
-    weights : ndarray of shape (k,) or None
-        Of the centres as training rows, in units of an observation, where there is no triangle.
-
-    codes : ndarray of shape (k,) or None
-        Group of each of these, where groups have constants.
-
-    tail_ridge : float
-        Ridge of the polynomial's linear part, in units of an observation.
     """
 
-    outputs: np.ndarray
+    outputs: np.ndarray  # (q,) which of the targets' columns
     kernel: str
-    length_scale: np.ndarray
-    centers: np.ndarray
-    coef: np.ndarray
-    polynomial: np.ndarray
-    alpha: np.ndarray
-    weight_unit: float
-    noise_variance: np.ndarray
-    signal_variance: np.ndarray
+    length_scale: np.ndarray  # (d,) in the units of X; infinite for a feature that is ignored
+    centers: np.ndarray  # (k, d) in the units of X
+    coef: np.ndarray  # (k, q) posterior mean of the weights
+    polynomial: np.ndarray  # (1 + d, q) constant and linear term
+    alpha: np.ndarray  # (q,) ridge, in units of an observation
+    weight_unit: float  # weight of an observation
+    noise_variance: np.ndarray  # (q,) in squared units of y
+    signal_variance: np.ndarray  # (q,)
+    # From the coefficients of the polynomial's p columns in the fit to those of (1, x), (p, 1 + d).
     tail_map: np.ndarray
-    ratio: float = 0.0
+    ratio: float = 0.0  # variance of groups' constants over that of the noise
+    # Triangular factor of the columns at the training rows, polynomial first, packed by rows;
+    # trapezoidal where there were fewer rows than columns. None where all rows are centres: their
+    # own factor follows from what is below.
     triangle: Any = None
-    weights: Any = None
-    codes: np.ndarray | None = None
-    tail_ridge: float = 0.0
+    weights: Any = None  # (k,) of the centres as training rows, where there is no triangle
+    codes: np.ndarray | None = None  # (k,) group of each of these, where groups have constants
+    tail_ridge: float = 0.0  # of the polynomial's linear part, in units of an observation
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what `_roots` keeps from one call to the next.
@@ -225,23 +180,7 @@ class Network:
     def predict(
         self, X: np.ndarray, return_std: bool = False, with_noise: bool = True
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Mean and standard deviation.
-
-        Parameters
-        ----------
-        X : ndarray of shape (n, d)
-
-        return_std : bool, default=False
-
-        with_noise : bool, default=True
-            Whether the deviation is that of an observation.
-
-        Returns
-        -------
-        mean : ndarray of shape (n, q)
-
-        std : ndarray of shape (n, q) or None
-        """
+        """Mean (n, q) at rows (n, d), and if asked for standard deviation, with noise or not."""
         n, k = len(X), len(self.centers)
         mean = np.tile(self.polynomial[0], (n, 1))
         if np.any(self.polynomial[1:]):
@@ -259,19 +198,7 @@ class Network:
         return mean, np.sqrt(variance) if return_std else None
 
     def covariance(self, X: np.ndarray, with_noise: bool = True) -> np.ndarray:
-        """Covariance of predictions at some rows.
-
-        Parameters
-        ----------
-        X : ndarray of shape (n, d)
-
-        with_noise : bool, default=True
-            Whether the noise of the observations is on the diagonal.
-
-        Returns
-        -------
-        ndarray of shape (n, n, q)
-        """
+        """Covariance (n, n, q) of predictions at some rows, with noise on its diagonal or not."""
         n, Z = len(X), self.scaled(X)
         found = np.empty((n, n, len(self.alpha)))
         prior, diagonal = kernel_matrix(Z, Z, self.kernel), np.diag_indices(n)
@@ -288,13 +215,7 @@ class Network:
     def sample(
         self, X: np.ndarray, n_samples: int, rng: np.random.RandomState, with_noise: bool = True
     ) -> np.ndarray:
-        """Draws from the posterior at some rows, (n, q, n_samples).
-
-        Raises
-        ------
-        ValueError
-            If the noise variance is infinite.
-        """
+        """Draws from the posterior at some rows, (n, q, n_samples)."""
         if not np.all(np.isfinite(self.noise_variance)):
             raise ValueError("The noise variance is infinite: there is nothing to draw from.")
         covariance = self.covariance(X, with_noise=False)
@@ -312,19 +233,7 @@ class Network:
     def gradient(
         self, X: np.ndarray, of_variance: bool = False
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Derivatives of the mean, and of the variance, by the features.
-
-        Returns
-        -------
-        of_mean : ndarray of shape (n, q, d)
-
-        of_variance : ndarray of shape (n, q, d) or None
-
-        Raises
-        ------
-        ValueError
-            If that of the variance is asked for and the noise variance is infinite.
-        """
+        """Derivatives (n, q, d) of the mean by the features, and if asked for of the variance."""
         if of_variance and not np.all(np.isfinite(self.noise_variance)):
             raise ValueError("The noise variance is infinite: it has no derivatives.")
         n, (q, k) = len(X), self.coef.T.shape
@@ -362,30 +271,10 @@ class Network:
 
 
 def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):
-    """Cholesky factor of a weighted kernel matrix with a ridge, in the memory of one matrix.
+    """Lower Cholesky factor of a weighted kernel matrix with a ridge, in Fortran order.
 
-    Parameters
-    ----------
-    Z : ndarray of shape (n, d)
-        Rows divided by the length scales.
-    kernel : str
-    weights : ndarray of shape (n,)
-        Of the rows.
-    alpha : float
-    codes : ndarray of shape (n,), optional
-        Group of each row, where these have constants.
-    ratio : float
-        Their variance over that of the noise.
-
-    Returns
-    -------
-    ndarray of shape (n, n), Fortran order
-        Lower triangular.
-
-    Raises
-    ------
-    LinAlgError
-        If the matrix is not positive definite to working precision.
+    Z (n, d) are rows divided by the widths. Where groups (`codes`) have constants, `ratio` is their
+    variance over that of the noise. In the memory of one matrix.
     """
     n, root = len(Z), np.sqrt(weights)
     C = np.empty((n, n), order="F")

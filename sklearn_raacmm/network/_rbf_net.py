@@ -47,13 +47,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     Use it where trees are too coarse, and a Gaussian process is too slow or too large to export.
     You may need `n_centers` for a given size, `shared` for a small export of several outputs, and
-    `loss` for outliers. The guide has recipes for gaps, categories, steps and powers of ten.
+    `loss` for outliers. The order of rows does not matter; an integer weight is so many repeats.
 
     Parameters
     ----------
     n_centers : int, float or "auto", default="auto"
-        Number of centres, or below 1 the share of the variance that they may leave unexplained
-        [1]_. "auto" takes as many as make the network about as good as the process.
+        Number of centres, or below 1 the share of the variance that they may leave [1]_. "auto"
+        takes as many as make the network about as good as the process.
 
     kernel : str or array-like of shape (n_outputs,), default="auto"
         Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
@@ -68,12 +68,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         in units of their standard deviations.
 
     alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
-        Ridge, in units of the sum of sample weights: noise variance over signal variance. 0 is
-        plain least squares, for a given number of centres.
+        Ridge, in units of the sum of sample weights: noise variance over signal variance. "auto"
+        maximises the marginal likelihood [2]_, as the widths do, less a price for every feature
+        used. 0 is plain least squares, for a given number of centres.
 
     degree : {-1, 0, 1} or "auto", default="auto"
-        Degree of the polynomial p: none, a constant, or linear. "auto" is a constant, or a linear
-        model alone where that is more probable.
+        Degree of the polynomial p, -1 for none. "auto" is a constant, or a linear model alone where
+        that is more probable.
 
     max_centers : int, default=None
         Most centres found. None: 2000, or all of up to 10 000 rows.
@@ -108,20 +109,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
         Linear term.
 
-    kernel_ : str or ndarray of shape (n_outputs,)
-        Radial function; of several networks, of each.
+    kernel_, length_scale_, alpha_ : str, ndarray of shape (n_features,) and float
+        As found or given; of several networks an entry or row for each output.
 
-    length_scale_ : ndarray of shape (n_features,) or (n_outputs, n_features)
-        Widths; infinite for a feature that is ignored.
-
-    alpha_ : float or ndarray of shape (n_outputs,)
-        Ridge.
-
-    noise_variance_, signal_variance_ : float or ndarray of shape (n_outputs,)
-        Of the process; noise is that of an observation.
-
-    group_std_ : float or ndarray of shape (n_outputs,)
-        Standard deviation of groups' constants; 0 without.
+    noise_variance_, signal_variance_, group_std_ : float or ndarray of shape (n_outputs,)
+        Of the process: noise of an observation, signal, and constants of groups.
 
     relevance_ : ndarray of shape (n_features,)
         Slope along each feature, per standard deviation of the feature, as a share of the sum.
@@ -135,6 +127,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     criterion_path_ : ndarray of shape (n_tried,)
         Share that is left after 1, 2, ... centres.
 
+    n_iter_ : int
+        Number of centres tried.
+
     stop_reason_ : str
         Why there are no more: "n_centers", "max_centers", "criterion", "all rows", or "dependent"
         and "rank", where others are combinations of the chosen ones.
@@ -142,17 +137,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     row_weight_ : ndarray of shape (n_samples,)
         With ``loss="tukey"``: the factor of each row's weight.
 
-    n_iter_ : int
-        Number of centres tried.
-
     See Also
     --------
     sklearn.gaussian_process.GaussianProcessRegressor : A centre at every sample.
-
-    Notes
-    -----
-    Widths and ridge maximise the marginal likelihood [2]_ less a price for every feature used. The
-    order of the rows does not matter, and an integer weight is worth so many repeats.
 
     References
     ----------
@@ -173,6 +160,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     True
     >>> mean, std = model.predict([[0.5]], return_std=True)
     >>> bool(abs(mean[0] - np.sin(1.0)) < 2 * std[0])
+    True
+    >>> bool(abs(model.predict_gradient([[0.5]])[0, 0] - 2 * np.cos(1.0)) < 0.2)
     True
     """
 
@@ -248,14 +237,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         groups : array-like of shape (n_samples,), default=None
             Label of each row's group, for targets known up to one constant a group, such as
-            residuals from the mean point of a position. These constants are random; their variance
-            is found with the widths. Where groups' mean targets are not small beside the scatter
-            within, they are a part of the function, and labels change nothing, unless `group_std`
-            is given.
+            residuals from the mean point of a position. The variance of these constants is found
+            with the widths. Where groups' mean targets are not small beside the scatter within,
+            they are a part of the function, and labels change nothing, unless `group_std` is given.
 
         group_std : float or array-like of shape (n_outputs,), default=None
-            Standard deviation of groups' constants, in the units of y, where it is known: that of
-            the references which the groups were measured at.
+            Standard deviation of groups' constants, in the units of y, where it is known.
 
         Returns
         -------
@@ -341,15 +328,13 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         X : array-like of shape (n_samples, n_features)
             Rows.
 
-        return_std : bool, default=False
-            Also return the standard deviation of the Gaussian process whose posterior mean the
-            network approximates: away from the data it grows to the signal's own.
-
-        return_cov : bool, default=False
-            Also return the covariance of the predictions at these rows. Not with `return_std`.
+        return_std, return_cov : bool, default=False
+            Also return one of these: the standard deviation, or the covariance at these rows, of
+            the Gaussian process whose posterior mean the network approximates. Away from the data
+            they grow to the signal's own.
 
         with_noise : bool, default=True
-            Whether that standard deviation or covariance is of new observations, or of the mean.
+            Whether these are of new observations, or of the mean.
 
         Returns
         -------
@@ -357,18 +342,16 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             Predicted mean.
 
         y_std : ndarray of the same shape
-            Standard deviation, where asked for.
+            Where asked for.
 
         y_cov : ndarray of shape (n_samples, n_samples) or (n_samples, n_samples, n_outputs)
-            Covariance, where asked for.
+            Where asked for.
 
         Raises
         ------
-        sklearn.exceptions.NotFittedError
-            If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity; if both the
-            standard deviation and the covariance are asked for.
+            If the model is not fitted; if X has another number of features than in fit, or holds
+            NaN or infinity; if both the standard deviation and the covariance are asked for.
         """
         check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
@@ -410,11 +393,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         Raises
         ------
-        sklearn.exceptions.NotFittedError
-            If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity; if the noise
-            variance is infinite, as it is after a fit to one observation.
+            If the model is not fitted; if X has another number of features than in fit, or holds
+            NaN or infinity; if the noise variance is infinite, as it is after a fit to one
+            observation.
 
         Examples
         --------
@@ -453,20 +435,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
         Raises
         ------
-        sklearn.exceptions.NotFittedError
-            If the model is not fitted.
         ValueError
-            If X has another number of features than in fit, or holds NaN or infinity; if the
-            derivatives of an infinite variance are asked for, as after a fit to one observation.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from sklearn_raacmm import RBFNetRegressor
-        >>> X = np.linspace(0, 6, 50)[:, None]
-        >>> model = RBFNetRegressor().fit(X, np.sin(X[:, 0]))
-        >>> bool(abs(model.predict_gradient([[1.0]])[0, 0] - np.cos(1.0)) < 0.01)
-        True
+            If the model is not fitted; if X has another number of features than in fit, or holds
+            NaN or infinity; if the derivatives of an infinite variance are asked for, as after a
+            fit to one observation.
         """
         X = self._checked_rows(X)
         parts = [network.gradient(X, return_variance) for network in self.networks_]

@@ -31,20 +31,8 @@ def read_problem(estimator, X, y, sample_weight, groups, labelled, rng):
     """The data, checked: in memory, or in blocks where they are many or elsewhere.
 
     Notes on the estimator the number of features, and as `_flat` whether y has one dimension.
-
-    Parameters
-    ----------
-    estimator : RBFNetRegressor
-    X, y, sample_weight, groups
-        As given to its `fit`.
-    labelled : bool or None
-        Whether groups have constants. None: where their mean targets are small.
-    rng : numpy.random.RandomState
-        Draws the rows that may become centres where there are more.
-
-    Returns
-    -------
-    Problem or ChunkedProblem
+    `labelled` says whether groups have constants; None: where their mean targets are small. `rng`
+    draws the rows that may become centres.
     """
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree

@@ -27,20 +27,10 @@ _SD_OF_MEDIAN = 1.482602218505602
 
 
 def biweights(residuals, weights, codes=None):
-    """Factors of the rows' weights, 1 where no row is far off.
+    """Factors (n,) of the rows' weights, 1 where no row is far off.
 
-    Parameters
-    ----------
-    residuals : ndarray of shape (n, q)
-    weights : ndarray of shape (n,)
-        Rows of weight 0 do not count for the scale.
-    codes : ndarray of shape (n,), optional
-        Group of each row, where groups have offsets: residuals count from the group's median.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Between 0 and 1, by the output in which a row is farthest off.
+    Each is by the output of the residuals (n, q) in which a row is farthest off. Rows of weight 0
+    do not count for the scale. Where groups have offsets residuals count from their group's median.
     """
     counted = weights > 0
     for code in () if codes is None else np.unique(codes[counted]):
@@ -57,14 +47,7 @@ def biweights(residuals, weights, codes=None):
 
 
 def reweigh(estimator, X, y, sample_weight, groups, group_std):
-    """Fit a fitted network again with weights by the residuals, until these have settled.
-
-    Parameters
-    ----------
-    estimator : RBFNetRegressor
-    X, y, sample_weight, groups, group_std
-        As given to its `fit`; no groups where these have no constants.
-    """
+    """Fit a fitted network again with weights by the residuals, until these have settled."""
     if is_dask(X):
         X, y = X.compute(), np.asarray(y)
     given = check_weights(sample_weight, X)

@@ -1,8 +1,8 @@
 """Weighted data as the network's numerics want them: distinct rows, the polynomial projected out.
 
 All that the numerics need of the rows is a sum over them, or a triangular factor, which blocks of
-rows contribute to one after another. So they ask a problem to `reduce` a function over blocks, and
-do not know whether the rows are in memory (`Problem`) or elsewhere (`_blocks.ChunkedProblem`).
+rows contribute to one after another. So they ask a `Problem` to `reduce` a function over blocks,
+and do not know whether its rows are in memory or elsewhere (`_blocks`).
 
 Where targets are known up to a constant of each group of rows, these are random: their variance is
 `ratio` times that of the noise. With the weights w of the rows and the sum w_g of those of a group
@@ -20,9 +20,10 @@ import numpy as np
 from scipy.linalg import qr
 
 from sklearn_raacmm.network._linear import (
+    Polynomial,
     linear_evidence,
+    polynomial_of,
     ridge_rows,
-    tail_columns,
     without_constants,
 )
 from sklearn_raacmm.utils import chunk_size, chunks
@@ -73,15 +74,6 @@ class View(NamedTuple):
         return block.basis, (targets - block.basis @ self.projection) / self.scale
 
 
-def view_of(problem):
-    """Targets that vary, about the polynomial and in units of their spread."""
-    outputs = np.flatnonzero(problem.spread > 0)
-    scale = problem.spread[outputs]
-    within = problem.within[outputs] / scale**2
-    total = problem.n_total - within
-    return View(outputs, problem.projection[:, outputs], scale, within, total)
-
-
 class Problem(NamedTuple):
     """Distinct rows in sorted order, with everything multiplied by the root of its weight."""
 
@@ -98,24 +90,34 @@ class Problem(NamedTuple):
     targets: np.ndarray = _LATER  # (n, q) targets times root
     tail: np.ndarray = _LATER  # (n, p) polynomial times root
     basis: np.ndarray = _LATER  # (n, p) orthonormal basis of it, together with `basis_rows`
-    tail_map: np.ndarray = _LATER  # (p, d + 1) its coefficients to those of (1, x)
+    polynomial: Polynomial = Polynomial(None, _LATER, _LATER)
     projection: np.ndarray = _LATER  # (p, q) targets along the basis
     spread: np.ndarray = _LATER  # (q,) root mean square of targets about the tail, 0 for a constant
     tail_ridge: float = 0.0  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray = _LATER  # (p - 1, p) the ridge as further rows of the basis, if any
     tail_dof: float = 0.0  # effective number of the tail's columns
+    # Where not all rows are held: `_blocks._Elsewhere`, of which those above are a sample.
+    elsewhere: Any = None
 
     def view(self) -> View:
-        """The targets as a selection wants to see them."""
-        return view_of(self)
+        """Targets that vary, about the polynomial and in units of their spread."""
+        outputs = np.flatnonzero(self.spread > 0)
+        scale = self.spread[outputs]
+        within = self.within[outputs] / scale**2
+        return View(outputs, self.projection[:, outputs], scale, within, self.n_total - within)
 
     @property
     def n_rows(self) -> int:
-        return len(self.X)
+        return len(self.X) if self.elsewhere is None else self.elsewhere.n_rows
 
     @property
     def n_tail(self) -> int:
         return self.tail.shape[1]
+
+    @property
+    def tail_map(self) -> np.ndarray:
+        """From coefficients of the polynomial's columns to those of (1, x), (p, d + 1)."""
+        return self.polynomial.coefficients
 
     @property
     def tail_rows(self) -> np.ndarray:
@@ -124,8 +126,8 @@ class Problem(NamedTuple):
 
     @property
     def sample(self) -> Self:
-        """Rows that stand for all: all."""
-        return self
+        """Rows in memory that stand for all."""
+        return self if self.elsewhere is None else self.elsewhere.sample
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
         """The same rows with some of the outputs."""
@@ -133,32 +135,26 @@ class Problem(NamedTuple):
         wide = ("Y", "targets", "projection")
         # In the order that they have where these outputs are all there are.
         own |= {name: np.ascontiguousarray(getattr(self, name)[:, outputs]) for name in wide}
+        if self.elsewhere is not None:
+            own["elsewhere"] = self.elsewhere.of_outputs(outputs)
         return self._replace(**own)
 
     def with_tail(self, degree: int, ridged: bool = False, ratio: float | None = None) -> Self:
-        """The same rows with a polynomial, in place of the one they have.
+        """The same rows with a polynomial of a degree, in place of the one they have.
 
-        Parameters
-        ----------
-        degree : {-1, 0, 1}
-        ridged : bool
-            Whether the linear part has a ridge, found by the likelihood.
-        ratio : float, optional
-            Variance of groups' constants over that of the noise, in place of the one it has.
-
-        Returns
-        -------
-        Problem
+        If `ridged`, its linear part has a ridge, found by the likelihood.
         """
+        if self.elsewhere is not None:
+            return self.elsewhere.with_tail(degree, ridged)
         ratio = self.ratio if ratio is None else ratio
         X, root, n_total = self.X, self.root, self.n_total
         weights = root[:, 0] ** 2
-        tail, tail_map = tail_columns(X, weights, degree, ridged)
+        polynomial = polynomial_of(X, weights, degree, ridged)
 
         def weigh(columns):
             return root * without_constants(columns, self.codes, weights, ratio)
 
-        tail, targets, ridge = weigh(tail), weigh(self.Y), 0.0
+        tail, targets, ridge = weigh(polynomial.columns(X)), weigh(self.Y), 0.0
         if ridged and degree == 1:
             about = weigh(self.Y - np.average(self.Y, axis=0, weights=weights))
             ridge = linear_evidence(tail[:, 1:], about, self.within, n_total - 1, n_total).ridge
@@ -181,7 +177,7 @@ class Problem(NamedTuple):
             targets=targets,
             tail=tail,
             basis=basis,
-            tail_map=tail_map,
+            polynomial=polynomial,
             projection=projection,
             spread=spread,
             tail_ridge=ridge,
@@ -197,7 +193,7 @@ class Problem(NamedTuple):
         codes = None if self.codes is None else np.unique(self.codes[rows], return_inverse=True)[1]
         share = n_total / self.n_total
         bare = self._replace(**arrays, n_total=n_total, within=share * self.within, codes=codes)
-        degree = -1 if not self.n_tail else int(self.tail_map[:, 1:].any())
+        degree = -1 if not self.n_tail else int(self.n_tail > 1)
         return bare.with_tail(degree, bool(self.tail_ridge))
 
     def block(self, part: slice) -> Block:
@@ -208,17 +204,9 @@ class Problem(NamedTuple):
         return Block(**rows, targets=targets, part=part, codes=codes, ratio=self.ratio)
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
-        """Combine the function of every block of rows, one after another.
-
-        Parameters
-        ----------
-        function : callable
-            Of a `Block`.
-        combine : callable
-            Of two results.
-        width : int
-            Numbers a row that the function holds in memory.
-        """
+        """Combine the function of every block of rows, which holds `width` numbers a row."""
+        if self.elsewhere is not None:
+            return self.elsewhere.reduce(function, combine, width)
         parts = chunks(len(self.X), block_rows(width))
         if self.codes is not None:
             parts = _whole_groups(parts, self.codes)
@@ -252,24 +240,8 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
 
     The result depends on the weighted data alone: not on the order of the rows, and not on whether
     a row is repeated or weighted. A row that says again what another has said, target and all, adds
-    weight but is not a further observation: that both have the same noise shows nothing of it.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, d)
-    Y : ndarray of shape (n_samples, q)
-    weights : ndarray of shape (n_samples,)
-        Not negative.
-    within : ndarray of shape (n_samples, q), optional
-        Sum of squares lost when rows were merged before.
-    count : ndarray of shape (n_samples,), optional
-        Observations that were merged into a row before.
-    codes : ndarray of shape (n_samples,), optional
-        Group of each row. Rows of two groups are not merged.
-
-    Returns
-    -------
-    Merged
+    weight but is not a further observation: that both have the same noise shows nothing of it. Rows
+    of two groups (`codes`) are not merged. `within` (n, q) and `count` (n,) are of a merge before.
     """
     kept = np.flatnonzero(weights > 0)
     X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
@@ -302,19 +274,7 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
 
 
 def prepare(merged, degree, ridged=False):
-    """Set up the polynomial.
-
-    Parameters
-    ----------
-    merged : Merged
-    degree : {-1, 0, 1}
-    ridged : bool
-        Whether the linear part has a ridge, found by the likelihood.
-
-    Returns
-    -------
-    Problem
-    """
+    """Set up the polynomial of merged rows, with a ridge for its linear part if `ridged`."""
     X, first, weights, Y, within, count, codes = merged
     unit = weights.sum() / count.sum()
     weights, within = weights / unit, within.sum(axis=0) / unit

@@ -6,9 +6,9 @@ constant and noise alone; a linear part besides; or radial functions of one of t
 width for each feature or one for all. Where groups of rows have constants, so do all of these.
 
 The likelihood of radial functions is maximised in stages: from several starts on a few hundred rows
-(`_coarse`), then on up to 1000 rows for every kernel that may be the best one there (`_refine`),
-and at last, for a rough function, on 2000 (`_extend`). Structures are compared on the rows of the
-second stage (`_choose`), by the objective of `_objective`, and by leave-one-out predictions.
+(`_coarse`), then on up to 1000 rows for every kernel that may be the best one there (`_refine`).
+Structures are compared on these rows (`_choose`), by the objective of `_objective`, and by
+leave-one-out predictions.
 """
 
 from collections.abc import Sequence
@@ -19,18 +19,15 @@ from scipy.spatial import cKDTree
 
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import (
-    LEAST_RIDGE,
     Data,
-    covariance,
     exact_likelihood,
-    inverses,
     leave_one_out,
     left_out,
     log_likelihood,
     noise_density,
     noise_likelihood,
 )
-from sklearn_raacmm.network._linear import linear_evidence, tail_columns
+from sklearn_raacmm.network._linear import linear_evidence, polynomial_of
 from sklearn_raacmm.network._objective import (
     ALPHA_BOUNDS,
     LOOSE_KAPPA,
@@ -38,7 +35,6 @@ from sklearn_raacmm.network._objective import (
     Task,
     minimise,
     objective,
-    step_units,
     used_share,
 )
 from sklearn_raacmm.utils import stage
@@ -49,10 +45,6 @@ AUTO_KERNELS = ("gaussian", "matern52", "matern32")
 # all: there the second would take as long as that costs (benchmarks/bench_cliffs.py).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
-# Effective parameters of the process with 1000 rows above which more rows are looked at, how many,
-# and for how many iterations: on six random functions with 430 to 900 of them and 3000 rows errors
-# were 0.965 to 1.002 of those of 1000 rows; with 320 to 350 (three functions) 0.988 to 1.047.
-ROUGH, ROUGH_ROWS, ROUGH_STEPS = 400, 2000, 8
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
 # sqrt(d) spreads away; and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
@@ -110,28 +102,9 @@ def search(
 ) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
-    Parameters
-    ----------
-    data : Data
-        Of distinct rows; targets in units of their spread.
-    kernels : sequence of str
-        To choose from.
-    length_scale : ndarray of shape (d,), optional
-        Fixed widths; found where None.
-    isotropic : bool
-        One width, in units of each feature's spread.
-    alpha : ndarray of shape (q,), optional
-        Fixed ridge of every output; found where None.
-    constant_std : ndarray of shape (q,), optional
-        Standard deviation of groups' constants; found where None.
-    may_be_linear : bool
-        Whether a linear model is a candidate.
-    random_state : numpy.random.RandomState
-        Draws the rows of a stage where there are more than it uses.
-
-    Returns
-    -------
-    Structure
+    The data are distinct rows with targets in units of their spread; the rows of a stage are drawn
+    from them. Given may be widths (d,), ridges (q,) and standard deviations of groups' constants
+    (q,). `isotropic` is one width, in units of each feature's spread.
     """
     X, (d, q) = data.X, (data.X.shape[1], data.Y.shape[1])
     spread = robust_spread(X, data.weights)
@@ -147,16 +120,12 @@ def search(
     few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
     ends = _coarse(task, kernels, few)
     if len(many.X) > len(few.X):
-        ends = _refine(ends, few, many)
+        ends = _refine(ends, many)
     end = min(ends, key=lambda end: score(end, many) + KERNEL_MARGIN * (end.kernel != kernels[0]))
     found = _choose(end, many, may_be_linear)
     if isinstance(found, Structure):
         return found
     end = _leave_out(found, many)
-    n_found = parameters_found(end.task, d)
-    if len(X) > len(many.X) and len(end.theta) and _is_rough(end, many):
-        rough = data.rows(data.draw(ROUGH_ROWS, random_state))
-        end = minimise(end.task, end.theta, rough, end.kernel, ROUGH_STEPS)
     log_width, log_alpha, ratio = end.task.unpack(end.theta)
     width = np.exp(log_width)
     narrow = end.task.n_widths and width < 1.01 * WIDTH_BOUNDS[0] * spread
@@ -168,7 +137,7 @@ def search(
         ratio,
         log_likelihood=log_likelihood(many, value),
         n_observations=many.n_total,
-        n_found=n_found,
+        n_found=parameters_found(end.task, d),
         at_bound=np.flatnonzero(narrow),
     )
 
@@ -228,7 +197,7 @@ def _coarse(task, kernels, data):
     return [ends[0], *others]
 
 
-def _refine(ends, few, many):
+def _refine(ends, many):
     """The ends of the kernels that may be the best, on more rows."""
     scores = [score(end, many) for end in ends] if len(ends) > 1 else [0.0]
     refined = []
@@ -238,8 +207,7 @@ def _refine(ends, few, many):
         theta, task = end.theta.copy(), end.task
         cap = np.log(REVIVED * np.sqrt(task.used.sum()))
         theta[: task.n_widths] = np.minimum(theta[: task.n_widths], cap)
-        units = step_units(end._replace(theta=theta), few)
-        refined.append(minimise(task, theta, many, end.kernel, EXACT_STEPS, units=units))
+        refined.append(minimise(task, theta, many, end.kernel, EXACT_STEPS))
     return refined
 
 
@@ -287,7 +255,7 @@ def _linear(data, value, density, end):
     functions are said to have no noise at all, evidence is not to be trusted: then it has to lead
     in the error of what is left out.
     """
-    columns = tail_columns(data.X, data.weights, 1, ridged=True)[0][:, 1:]
+    columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
     columns = np.sqrt(data.weights)[:, None] * columns
 
     def at(ratio):
@@ -333,26 +301,11 @@ def _leave_out(end, data):
     return end if value > before + NEGLIGIBLE else other._replace(value=value)
 
 
-def _is_rough(end, data):
-    """Whether the process has so many parameters that more rows say more of it."""
-    log_width, log_alpha, ratio = end.task.unpack(end.theta)
-    alpha = np.exp(log_alpha.min())
-    if alpha < LEAST_RIDGE * data.weights.max():
-        return False
-    K = covariance(data, end.kernel, log_width, ratio)[0]
-    _, _, trace, _ = inverses(K, data.Y[:, :1], np.array([alpha]))
-    return len(data.X) - alpha * trace[0] > ROUGH
-
-
 def robust_spread(X, weights):
-    """Standard deviation of every feature, values far out taken as the limit of what is not.
+    """Standard deviation of every feature (d,), values far out taken as the limit of what is not.
 
-    One sentinel value (9999 for a missing number) would otherwise set the scale of all.
-
-    Returns
-    -------
-    ndarray of shape (d,)
-        0 for a feature that does not vary.
+    One sentinel value (9999 for a missing number) would otherwise set the scale of all. 0 for a
+    feature that does not vary.
     """
     low, high = np.quantile(X, TENTHS, axis=0, weights=weights, method="inverted_cdf")
     far = OUTLYING * (high - low)

@@ -23,32 +23,11 @@ def leading_bits(values):
 
 
 def fit_outputs(estimator, problem, outputs, kernel, width, alpha, group_std, rng):
-    """The network of some outputs, which share kernel, widths and centres.
+    """The network of some outputs (m,) of a problem, which share kernel, widths and centres.
 
-    Parameters
-    ----------
-    estimator : RBFNetRegressor
-        For its other parameters.
-    problem : Problem or ChunkedProblem
-        Of all outputs.
-    outputs : ndarray of shape (m,)
-    kernel : str
-        May be "auto".
-    width : ndarray of shape (d,) or None
-        None: to be found.
-    alpha, group_std : ndarray of shape (m,) or None
-        Ridges in units of the sample weights, and standard deviations of groups' constants. None:
-        to be found.
-    rng : numpy.random.RandomState
-        Draws the rows of the search, and the candidates.
-
-    Returns
-    -------
-    Fitted
-    slopes : ndarray of shape (d,)
-        Squared slope of the modelled function along every feature, per spread.
-    log_likelihood : float or None
-        Of the rows on which structures were compared, where any were.
+    `width` (d,), `alpha` and `group_std` (m,) are given, in units of X, sample weights and y, or
+    None; the kernel may be "auto". Returns the fit, the squared slope (d,) of the function along
+    every feature per spread, and the log likelihood where structures were compared.
     """
     problem = problem.of_outputs(outputs)
     shift, n_centers = problem.X.mean(axis=0), estimator.n_centers

@@ -1,4 +1,9 @@
-"""Residuals of the probe: from points, in the cylindrical frame, and as targets of a regressor."""
+"""Residuals of the probe: from points, in the cylindrical frame, and as targets of a regressor.
+
+Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
+doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
+here are reconstructions, checked numerically.
+"""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause

@@ -1,19 +1,17 @@
-"""Pure functions on residuals: from points to residuals, and from one frame to the other.
+"""Pure functions on residuals: from points to residuals, and from one frame to the other."""
 
-Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
-doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
-here are reconstructions, checked numerically.
-"""
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_consistent_length
 
 from sklearn_raacmm.utils import (
     centred,
     check_array,
+    check_weights,
     encode_groups,
     floats,
     refuse_disguised,
@@ -34,10 +32,8 @@ def position_residuals(
     ----------
     points : array-like of shape (n_points, 3)
         Probe points in mm, as the arm's forward kinematics gives them.
-
     groups : array-like of shape (n_points,)
         Label of the position (the seat) each point belongs to: numbers or text.
-
     sample_weight : array-like of shape (n_points,), default=None
         Weight of each point in the mean of its position; equal if None.
 
@@ -51,8 +47,7 @@ def position_residuals(
     ------
     ValueError
         If points, groups or weights differ in length, hold NaN, infinity or missing labels, or if
-        a position has fewer than two points of non-zero weight: its residual would be zero by
-        construction, which says nothing about the arm.
+        a position has fewer than two points of non-zero weight.
 
     Notes
     -----
@@ -70,29 +65,11 @@ def position_residuals(
            [ 0.  ,  0.  , -0.25],
            [ 0.  ,  0.  ,  0.25]])
     """
-    refuse_disguised("points", points)
-    points = check_array(points, dtype=np.float64, input_name="points")
-    refuse_huge("points", points)
-    if points.shape[1] != 3:
-        raise ValueError(f"points must have 3 columns (x, y, z in mm), got {points.shape[1]}.")
+    points = _check_vectors("points", points)
     labels, codes = encode_groups(groups, len(points))
-    if sample_weight is None:
-        weight = np.ones(len(points))
-    else:
-        refuse_disguised("sample_weight", sample_weight)
-        weight = check_array(
-            sample_weight, dtype=np.float64, ensure_2d=False, input_name="sample_weight"
-        ).ravel()
-        refuse_huge("sample_weight", weight)
-        check_consistent_length(points, weight)
-        if np.any(weight < 0):
-            raise ValueError(
-                f"sample_weight must not be negative, but {np.sum(weight < 0)} of {weight.size} "
-                f"are (the least is {weight.min():g})."
-            )
-
-        # Denormal weights have few digits left, their products with points fewer.
-        weight = weight / max(weight.max(), 1e-300) if weight.max() < 1e-200 else weight
+    weight = check_weights(sample_weight, points)
+    # Denormal weights have few digits left, their products with points fewer.
+    weight = weight / max(weight.max(), 1e-300) if weight.max() < 1e-200 else weight
     size = np.bincount(codes[weight > 0], minlength=len(labels))
     if np.any(size < 2):
         lonely = labels[size < 2]
@@ -112,7 +89,6 @@ def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     ----------
     vectors : array-like of shape (n_points, 3)
         x, y and z components, usually residuals in mm.
-
     azimuth : array-like of shape (n_points,) or float
         Azimuth of each probe point about the base axis, in rad.
 
@@ -126,10 +102,6 @@ def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     ValueError
         If shapes do not fit, or something is not a finite number.
 
-    See Also
-    --------
-    cylindrical_to_cartesian : The inverse.
-
     Notes
     -----
     Equation (10), linear in the residual: with phi the azimuth of the point itself, radial
@@ -141,7 +113,7 @@ def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     >>> cartesian_to_cylindrical([[0.0, 0.1, 0.02]], np.pi / 2).round(6)
     array([[0.1 , 0.  , 0.02]])
     """
-    vectors = _check_vectors(vectors)
+    vectors = _check_vectors("vectors", vectors)
     return to_cylindrical(vectors, _direction(azimuth, len(vectors)))
 
 
@@ -152,9 +124,8 @@ def cylindrical_to_cartesian(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     ----------
     vectors : array-like of shape (n_points, 3)
         Radial, tangential and axial component, usually residuals in mm.
-
     azimuth : array-like of shape (n_points,) or float
-        Azimuth of each probe point about the base axis, in rad.
+        As in :func:`cartesian_to_cylindrical`.
 
     Returns
     -------
@@ -164,11 +135,7 @@ def cylindrical_to_cartesian(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     Raises
     ------
     ValueError
-        If shapes do not fit, or something is not a finite number.
-
-    See Also
-    --------
-    cartesian_to_cylindrical : The inverse.
+        As :func:`cartesian_to_cylindrical`.
 
     Notes
     -----
@@ -180,7 +147,7 @@ def cylindrical_to_cartesian(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     >>> cylindrical_to_cartesian([[0.1, 0.0, 0.02]], np.pi / 2).round(6)
     array([[0.  , 0.1 , 0.02]])
     """
-    vectors = _check_vectors(vectors)
+    vectors = _check_vectors("vectors", vectors)
     return to_cartesian(vectors, _direction(azimuth, len(vectors)))
 
 
@@ -195,12 +162,12 @@ def _direction(azimuth, n):
     return np.cos(azimuth), np.sin(azimuth)
 
 
-def _check_vectors(vectors) -> np.ndarray:
-    refuse_disguised("vectors", vectors)
-    vectors = check_array(vectors, dtype=np.float64, input_name="vectors")
-    refuse_huge("vectors", vectors)
+def _check_vectors(name, vectors) -> np.ndarray:
+    refuse_disguised(name, vectors)
+    vectors = check_array(vectors, dtype=np.float64, input_name=name)
+    refuse_huge(name, vectors)
     if vectors.shape[1] != 3:
-        raise ValueError(f"vectors must have 3 columns, got {vectors.shape[1]}.")
+        raise ValueError(f"{name} must have 3 columns, got {vectors.shape[1]}.")
     return vectors
 
 

@@ -13,8 +13,8 @@ from sklearn_raacmm.utils import safe_indexing
 NORM_TOLERANCE = 1e-5
 
 
-def _last_two_columns(X):
-    """Return the two last columns of X as floats."""
+def without_direction(X):
+    """X without its two last columns, and these: cosine and sine of the azimuth, checked."""
     if issparse(X):
         check_array(X, input_name="X")  # raises: sparse X is for the regressor alone
     if len(X.shape) != 2 or X.shape[1] < 3:
@@ -22,16 +22,15 @@ def _last_two_columns(X):
             f"X has shape {tuple(X.shape)}, but needs at least one feature and, in the two last "
             "columns, the direction of the azimuth."
         )
-    tail = safe_indexing(X, slice(-2, None), axis=1)
-    return check_array(tail, dtype=[np.float64, np.float32], input_name="X")
-
-
-def appended_direction(X):
-    """Cosine and sine of the azimuth, the two last columns of X, checked."""
-    tail = _last_two_columns(X)
+    if type(X) is np.ndarray and X.dtype == np.float64:  # of which only the norm remains to check
+        features, tail = X[:, :-2], X[:, -2:]
+    else:
+        features, tail = (safe_indexing(X, s, axis=1) for s in (slice(None, -2), slice(-2, None)))
+        tail = check_array(tail, dtype=[np.float64, np.float32], input_name="X")
     norm = np.hypot(*tail.T)
-    wrong = np.flatnonzero(np.abs(norm - 1) > NORM_TOLERANCE)
-    if wrong.size:
+    wrong = np.flatnonzero(~(np.abs(norm - 1) <= NORM_TOLERANCE))
+    if wrong.size or not len(tail):
+        check_array(tail, input_name="X")  # for its sentences on NaN and on no rows
         raise ValueError(
             "The two last columns of X must be the direction (cos, sin) of the azimuth, as "
             f"PoseFeatures(append_azimuth=True) leaves them, but {wrong.size} of {len(norm)} rows "
@@ -39,13 +38,13 @@ def appended_direction(X):
             "the regressor, not before CylindricalResidualTarget; or give azimuth=arm.azimuth and "
             "fit on joint angles."
         )
-    return tail[:, 0], tail[:, 1]
+    return features, (tail[:, 0], tail[:, 1])
 
 
 def ends_in_direction(X):
     """Whether the two last columns of X are the direction of an azimuth."""
     try:
-        appended_direction(X if hasattr(X, "shape") else np.asarray(X))
+        without_direction(X)
     except (TypeError, ValueError):
         return False
     return True

@@ -1,10 +1,9 @@
 """Earlier corrections of measuring arms, as chains from joint angles to residuals.
 
-Gao et al. (International Journal of Advanced Robotic Systems, 2020, doi 10.1177/1729881420925638)
-name them as what was done before their network. Their own papers were not at hand: what is built
-here is the kind of model that each one is named for, on the inputs of Gao et al. and in the frame
-of the azimuth, so that they differ in the regressor alone. Default settings are where a search
-starts; `benchmarks/compare_regressors.py` chooses them by position.
+Gao et al. (2020) name them as what was done before their network. Their own papers were not at
+hand: what is built here is the kind of model that each one is named for, on the inputs of Gao et
+al. and in the frame of the azimuth, so that they differ in the regressor alone.
+`benchmarks/compare_regressors.py` chooses the settings by position.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -34,13 +33,10 @@ def polynomial_chain(
     ----------
     arm : Arm
         The calibrated arm.
-
     degree : int, default=3
         Degree of the polynomial.
-
     alpha : float, default=1.0
         Ridge on the coefficients of its scaled terms.
-
     **inputs : dict
         Parameters of :class:`~sklearn_raacmm.PoseFeatures`, such as ``joints="all"``.
 
@@ -49,9 +45,9 @@ def polynomial_chain(
     chain : CylindricalResidualTarget
         Not fitted. Fit it with `groups`: the constants of positions are then exact.
 
-    References
-    ----------
-    Xiong and Bing, as named by Gao et al. (2020), doi 10.1177/1729881420925638.
+    Notes
+    -----
+    Named by Gao et al. (2020), doi 10.1177/1729881420925638.
 
     Examples
     --------
@@ -72,25 +68,20 @@ def database_chain(arm: Arm, *, n_neighbors: int = 10, **inputs: Any) -> Cylindr
 
     Parameters
     ----------
-    arm : Arm
-        The calibrated arm.
-
+    arm, **inputs
+        As in :func:`polynomial_chain`.
     n_neighbors : int, default=10
         Poses of the database that are taken into account.
-
-    **inputs : dict
-        Parameters of :class:`~sklearn_raacmm.PoseFeatures`, such as ``joints="all"``.
 
     Returns
     -------
     chain : CylindricalResidualTarget
-        Not fitted. At a pose of the database it returns the residual of this pose, so that the
-        constants of positions, with which it was measured, cannot be told from it: `groups` change
+        Not fitted. At a pose of the database it returns the residual of this pose: `groups` change
         nothing.
 
-    References
-    ----------
-    Xu, as named by Gao et al. (2020), doi 10.1177/1729881420925638.
+    Notes
+    -----
+    Named by Gao et al. (2020), doi 10.1177/1729881420925638.
 
     Examples
     --------
@@ -118,23 +109,16 @@ def bp_network_chain(
 
     Parameters
     ----------
-    arm : Arm
-        The calibrated arm.
-
+    arm, **inputs
+        As in :func:`polynomial_chain`.
     hidden_layer_sizes : tuple of int, default=(64, 64)
         Units of each hidden layer.
-
     alpha : float, default=3.0
         Weight decay, for targets of unit variance.
-
     max_iter : int, default=1000
         Most steps of L-BFGS, which suits some hundred rows better than stochastic steps.
-
     random_state : int, RandomState instance or None, default=None
         Draws the first weights.
-
-    **inputs : dict
-        Parameters of :class:`~sklearn_raacmm.PoseFeatures`, such as ``joints="all"``.
 
     Returns
     -------
@@ -143,16 +127,14 @@ def bp_network_chain(
 
     References
     ----------
-    A BP network for an arm's residuals, its weights tuned by annealing: J. Zhu, X. Feng, J. Zhang,
-    "Dynamic Error Compensation Model of Articulated Arm Coordinate Measuring Machine", 2019.
+    J. Zhu, X. Feng, J. Zhang, "Dynamic Error Compensation Model of Articulated Arm Coordinate
+    Measuring Machine", 2019: a BP network for an arm's residuals.
 
     Examples
     --------
-    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> from sklearn_raacmm import Arm
     >>> from sklearn_raacmm.residuals import bp_network_chain
-    >>> test = make_single_point(n_positions=6, n_poses=20, random_state=0)  # simulated
-    >>> chain = bp_network_chain(test.arm, hidden_layer_sizes=(8,), random_state=0)
-    >>> _ = chain.fit(test.data, test.target, groups=test.groups)  # doctest: +SKIP
+    >>> chain = bp_network_chain(Arm.from_name("aacmm6"), hidden_layer_sizes=(8,), random_state=0)
     >>> chain.regressor.steps[-1][0]
     'transformedtargetregressor'
     """

@@ -36,11 +36,9 @@ class PointCorrectionMixin:
         ----------
         X : array-like of shape (n_samples, n_features)
             As in `fit`.
-
         points : array-like of shape (n_samples, 3), default=None
             Measured points in the arm's base frame, mm. None: where the arm says that its probe
             is, if the model has an arm.
-
         **predict_params : dict
             As in `predict`.
 
@@ -59,13 +57,12 @@ class PointCorrectionMixin:
         >>> from sklearn_raacmm import ArmResidualRegressor
         >>> from sklearn_raacmm.datasets import make_single_point
         >>> from sklearn_raacmm.metrics import single_point_repeatability
-        >>> test = make_single_point(machine="gravity", random_state=0)  # simulated
-        >>> learn, rest = test.groups % 3 > 0, test.groups % 3 == 0
+        >>> test = make_single_point(5, 40, machine="gravity", random_state=0)  # simulated
         >>> model = ArmResidualRegressor(test.arm, orders=4)
-        >>> model = model.fit(test.data[learn], test.target[learn], groups=test.groups[learn])
-        >>> corrected = model.correct(test.data[rest], test.points[rest])
-        >>> before = single_point_repeatability(test.points[rest], test.groups[rest])
-        >>> bool(single_point_repeatability(corrected, test.groups[rest]) < before)
+        >>> model = model.fit(test.data, test.target, groups=test.groups)
+        >>> before = single_point_repeatability(test.points, test.groups)
+        >>> corrected = model.correct(test.data, test.points)
+        >>> bool(single_point_repeatability(corrected, test.groups) < before)
         True
         """
         points = self._points_of(X) if points is None else points
@@ -95,14 +92,11 @@ class PointCorrectionMixin:
         ----------
         X : array-like of shape (n_samples, n_features)
             As in `fit`.
-
         y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
             Residuals in mm.
-
         groups : array-like of shape (n_samples,), default=None
             Label of the position of each row. None: where the model has an arm, rows are of one
             position if the arm's point less y, the point that their residual is from, is the same.
-
         sample_weight : array-like of shape (n_samples,), default=None
             Weight of each row.
 
@@ -147,13 +141,10 @@ def within_positions_score(
     ----------
     y : array-like of shape (n_samples,) or (n_samples, n_outputs)
         Residuals, mm.
-
     prediction : array-like of the shape of y
         Predicted residuals, mm.
-
     groups : array-like of shape (n_samples,)
         Label of the position of each row.
-
     sample_weight : array-like of shape (n_samples,), default=None
         Weight of each row.
 
@@ -167,10 +158,6 @@ def within_positions_score(
     ------
     ValueError
         If shapes do not fit, something is not a finite number, or labels are missing.
-
-    See Also
-    --------
-    sklearn_raacmm.metrics.within_position_r2_score : The first of the two, always.
 
     Examples
     --------
@@ -191,20 +178,10 @@ def within_positions_score(
 
 
 def positions_of(points: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-    """Find the positions of residuals from position means: the points that they are from coincide.
+    """Positions (n,) of residuals y (n, 3), mm: the points that they are from coincide.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-        Where the arm says that its probe is, mm.
-    y : ndarray of shape (n, 3)
-        Residuals, mm.
-
-    Returns
-    -------
-    codes : ndarray of shape (n,) or None
-        Position of each row. None where most rows are a position of their own, as against a
-        tracker, or where y are from points of another arm.
+    None where most rows are a position of their own, as against a tracker, or where y are from
+    points of another arm than that whose probe is at `points` (n, 3), mm.
     """
     labels, codes = np.unique(np.round(points - y, _DIGITS), axis=0, return_inverse=True)
     return codes.ravel() if 2 * len(labels) <= len(y) else None

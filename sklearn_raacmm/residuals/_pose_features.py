@@ -1,9 +1,7 @@
-"""The pose of a measuring arm: its shape, as seen in the vertical plane that its base turns.
+"""The pose of a measuring arm: its shape, as seen in the vertical plane that its base turns."""
 
-Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
-doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
-here are reconstructions, checked numerically.
-"""
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
 
 from typing import Any, Self
 
@@ -52,21 +50,17 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         The arm. Its `pose_joints` (swivel, elbow) and `pose_frames` (shoulder, wrist) say which
         angles make the pose; features are named by the numbers of these joints. If None, the
         built-in six-joint arm CMM, ``Arm.from_name("aacmm6")``.
-
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of the joint angles in `X`. Features are in rad in either case.
-
     encoding : {"angle", "periodic"}, default="angle"
         - "angle": each angle in rad. Joint angles are taken into one turn, whose ends are as far
           as can be from the angles seen in `fit`, so that a joint that turns on gives the same
           pose the same features.
         - "periodic": cosine and sine of each angle, in which a whole turn is no difference.
-
     joints : {"pose", "all"}, default="pose"
         - "pose": the pose, as above.
         - "all": the angles of all joints, with what the pose leaves out: the other encoders, the
           wrist, and the azimuth through joint 1.
-
     append_azimuth : bool, default=False
         Append the direction of the probe's azimuth, `azimuth_cos` and `azimuth_sin`, as two last
         columns for :class:`CylindricalResidualTarget`, which takes them off again.
@@ -75,13 +69,10 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     ----------
     arm_ : Arm
         The arm in use.
-
     turn_start_ : ndarray of shape (n_joints,)
         Where the turn of each joint angle starts, in rad.
-
     n_features_in_ : int
         Number of joints.
-
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
 
@@ -143,7 +134,6 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         ----------
         X : array-like of shape (n_samples, n_joints)
             Joint angles, in the unit of `angle_unit`.
-
         y : None
             Ignored.
 

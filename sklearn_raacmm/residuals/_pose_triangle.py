@@ -1,9 +1,4 @@
-"""The triangle of shoulder, elbow and wrist: equations (2) and (3) of the published method.
-
-Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
-doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
-here are reconstructions, checked numerically.
-"""
+"""The triangle of shoulder, elbow and wrist: equations (2) and (3) of the published method."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -38,10 +33,6 @@ def shoulder_wrist_distance(arm: Arm, angles: ArrayLike, *, angle_unit: str = "r
     ValueError
         If `angles` is not finite or does not have one column for each joint.
 
-    See Also
-    --------
-    elbow_angle : The angle opposite to this side of the triangle.
-
     Notes
     -----
     With right twists and a = (0, a2, 0, a4, 0, 0), L1 = d3, L2 = hypot(a4, d5) and
@@ -65,13 +56,8 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
 
     Parameters
     ----------
-    arm : Arm
-        The arm. Its `pose_joints` name the joint of the elbow, its `pose_frames` the frames of the
-        shoulder and of the wrist.
-    angles : array-like of shape (n, n_joints)
-        Joint angles.
-    angle_unit : {"rad", "deg"}, default="rad"
-        Unit of `angles`. The result is in rad in either case.
+    arm, angles, angle_unit
+        As in :func:`shoulder_wrist_distance`; `pose_joints` name the joint of the elbow.
 
     Returns
     -------
@@ -82,12 +68,7 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
     Raises
     ------
     ValueError
-        If `angles` is not finite or does not have one column for each joint, or if the elbow lies
-        on the shoulder or on the wrist.
-
-    See Also
-    --------
-    shoulder_wrist_distance : The side of the triangle opposite to this angle.
+        As :func:`shoulder_wrist_distance`; or if the elbow lies on the shoulder or the wrist.
 
     Notes
     -----

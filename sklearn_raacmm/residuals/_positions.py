@@ -12,11 +12,7 @@ from sklearn.model_selection._search import BaseSearchCV
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.utils import (
-    CENTRED,
-    group_means,
-    share_of_means,
-)
+from sklearn_raacmm.utils import CENTRED, group_means, share_of_means
 
 # Predictions that are linear in the targets, once settings are given.
 _LINEAR = (LinearRegression, Ridge, KernelRidge, GaussianProcessRegressor)
@@ -34,18 +30,7 @@ def are_deviations(y, codes, weights):
 
 
 def last_step_of(regressor):
-    """Find what learns: the regressor itself, or the last step of a pipeline.
-
-    Parameters
-    ----------
-    regressor : object
-
-    Returns
-    -------
-    last : object
-    prefix : str
-        Of its parameters in `fit`, such as "ridge__"; empty without a pipeline.
-    """
+    """What learns, and the prefix of its parameters in `fit`, such as "ridge__" in a pipeline."""
     prefix = ""
     while isinstance(regressor, Pipeline):
         name, regressor = regressor.steps[-1]
@@ -69,7 +54,7 @@ def n_features_of(regressor, X, y):
 
 
 def constants_of(regressor, X, y, codes, weights, fit_params):
-    """Estimate the constants of positions for a regressor that knows none.
+    """Constants of positions for a regressor that knows none.
 
     They are those that leave a mean of zero at each position once the regressor is fitted to the
     targets without them. Where predictions are linear in the targets (`_LINEAR`), they solve one
@@ -78,22 +63,8 @@ def constants_of(regressor, X, y, codes, weights, fit_params):
     squares. For other regressors by turns: fit, take the mean of what is left at each position, fit
     again without it.
 
-    Parameters
-    ----------
-    regressor : object
-        Not fitted.
-    X : array-like of shape (n, ...)
-    y : ndarray of shape (n,) or (n, q)
-    codes : ndarray of shape (n,)
-        Position of each row, from 0.
-    weights : ndarray of shape (n,)
-    fit_params : dict
-        For its `fit`.
-
-    Returns
-    -------
-    ndarray of shape (n_positions,) or (n_positions, q)
-        To be subtracted from y before the last fit.
+    Of targets (n,) or (n, q) they are (n_positions,) or (n_positions, q), to be subtracted before
+    the last fit, which is the caller's.
 
     References
     ----------
@@ -111,7 +82,7 @@ def constants_of(regressor, X, y, codes, weights, fit_params):
         change = np.sqrt(np.square(left - constants).reshape(len(left), -1).sum(axis=1).mean())
         constants = left
         if change <= _SETTLED * size or turn == MOST_TURNS:
-            break  # the last fit is the caller's
+            break
         fitted = clone(regressor).fit(X, y - constants[codes], **fit_params)
     return constants
 
@@ -120,10 +91,9 @@ def _is_linear(fitted):
     """Whether predictions are linear in the targets, with the same map for any of them."""
     if type(fitted) not in _LINEAR or getattr(fitted, "positive", False):
         return False
-    # Ridges may be one for each target.
-    return (
-        type(fitted) in (LinearRegression, GaussianProcessRegressor) or np.ndim(fitted.alpha) == 0
-    )
+    # Ridges may be one for each target, which for a process are one for each row.
+    one_ridge = np.ndim(getattr(fitted, "alpha", 0)) == 0
+    return one_ridge or isinstance(fitted, GaussianProcessRegressor)
 
 
 def _solved(fitted, features, y, codes, weights):

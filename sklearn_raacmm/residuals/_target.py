@@ -2,13 +2,11 @@
 
 A measuring arm looks the same from every side: its base swivels about a vertical axis. What its
 geometry does to the probe is therefore the same at every azimuth, once it is said in the radial,
-tangential and axial direction of the probe instead of x, y and z. This module turns Cartesian
-residuals into that frame and back; it knows nothing of arms or of any particular regressor.
-
-Equation numbers are those of Gao et al., International Journal of Advanced Robotic Systems, 2020,
-doi 10.1177/1729881420925638. The printed equations are lost in every copy at hand; the formulas
-here are reconstructions, checked numerically.
+tangential and axial direction of the probe instead of x, y and z.
 """
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
 from typing import Any, Self
@@ -32,11 +30,7 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cartesian,
     to_cylindrical,
 )
-from sklearn_raacmm.residuals._direction import (
-    NORM_TOLERANCE,
-    appended_direction,
-    ends_in_direction,
-)
+from sklearn_raacmm.residuals._direction import ends_in_direction, without_direction
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
     are_deviations,
@@ -65,7 +59,6 @@ from sklearn_raacmm.utils import (
     refuse_huge,
     safe_indexing,
     say_findings,
-    show,
     whole_fit,
 )
 
@@ -87,7 +80,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         :class:`~sklearn.linear_model.LinearRegression`. One that has no widths of its own needs
         scaled features, by a scaler inside it. A search over its parameters, such as
         ``regressor__n_centers``, needs one to be given.
-
     azimuth : "appended", callable or None, default="appended"
         Where the azimuth of the probe comes from.
 
@@ -104,13 +96,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     ----------
     regressor_ : object
         Fitted regressor, on radial, tangential and axial residuals in mm.
-
     by_position_ : bool
         Whether `fit` was given positions whose residuals are known up to one constant each.
-
     n_features_in_ : int
         Number of columns of `X` seen during fit, the appended direction included.
-
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of the columns of `X`, where they are all text.
 
@@ -182,7 +171,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
     @fit_context(prefer_skip_nested_validation=False)
     @whole_fit
-    @one_warning()
     def fit(
         self,
         X: ArrayLike,
@@ -197,16 +185,13 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         X : array-like of shape (n_samples, n_features)
             Whatever the regressor takes, with the azimuth's direction in the two last columns if
             ``azimuth="appended"``.
-
         y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
             Cartesian residuals in mm, measured minus reference. One column or one dimension
             passes through unrotated.
-
         groups : array-like of shape (n_samples,), default=None
             Label of the position of each row, where residuals are known up to one constant at each
             position. ``regressor__groups`` is another name of it, for a search with metadata
             routing off, which keeps `groups` for its splitter.
-
         **fit_params : dict
             Passed to the regressor's `fit`, such as `sample_weight`, or
             `rbfnetregressor__sample_weight` where the regressor is a pipeline; routed by request
@@ -232,9 +217,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             If a motion of the arm's base explains nearly all of `y`: the reference is then most
             likely in another frame.
         """
-        for name, value in (("X", X), ("y", y)):
-            refuse_disguised(name, value)
-        _refuse_no_rows(X)
+        X = _with_shape(X)
+        refuse_disguised("y", y)
         validate_data(self, X, y, skip_check_array=True)
         y = check_array(y, ensure_2d=False, dtype="numeric", input_name="y", estimator=self)
         y = floats("y", y) if y.dtype.kind == "O" else y  # a list of numbers and text
@@ -242,7 +226,9 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         check_consistent_length(X, y)
         groups = fit_params.pop("regressor__groups", groups)
         codes = None if groups is None else encode_groups(groups, len(y))[1]
-        _refuse_negative_weights(fit_params)
+        for name, value in fit_params.items():  # of which some regressors take the root
+            if name.rpartition("__")[2] == "sample_weight":
+                check_weights(value, y, name)
         flat = y.ndim == 1
         n_targets = 1 if flat else y.shape[1]
 
@@ -304,7 +290,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             y = y - constants[codes]
         return y, fit_params
 
-    @one_warning()
+    @one_warning
     def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
@@ -312,7 +298,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         ----------
         X : array-like of shape (n_samples, n_features)
             As in `fit`.
-
         **predict_params : dict
             Passed to the regressor's `predict`, such as ``return_std=True``; routed by request if
             metadata routing is enabled.
@@ -321,7 +306,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         -------
         residuals : ndarray of shape (n_samples, 3)
             dx, dy and dz in mm; of the shape of the training target if that was not rotated.
-
         std : ndarray of shape (n_samples, 3)
             Standard deviation of dx, dy and dz in mm; only with ``return_std=True``. Variances
             are rotated as those of independent radial, tangential and axial components, which is
@@ -334,9 +318,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
                 "turned by two azimuths at once. Use return_std=True."
             )
         if not is_plain(self, X):
-            refuse_disguised("X", X)
-            _refuse_no_rows(X)
-            if getattr(X, "ndim", 2) == 1:
+            X = _with_shape(X)
+            if np.ndim(X) == 1:
                 check_array(X, estimator=self)  # for its sentence on how to reshape
             # As validate_data, which would also check the array and collect the tags of all steps.
             check_feature_names(self, X, reset=False)
@@ -373,13 +356,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     def _split(self, X):
         """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
         if self._drops_direction:
-            X = X if hasattr(X, "shape") else np.asarray(X)
-            if type(X) is np.ndarray and X.ndim == 2 and X.shape[1] > 2 and X.dtype == np.float64:
-                tail = X[:, -2:]  # sound ones are not worth a full check
-                if np.all(np.abs(np.hypot(*tail.T) - 1) <= NORM_TOLERANCE):
-                    return X[:, :-2], (tail[:, 0], tail[:, 1])
-            direction = appended_direction(X)
-            return safe_indexing(X, slice(None, -2), axis=1), direction
+            return without_direction(X)
         if self._rotates and (arm := self._arm()) is not None:
             # The method of an arm: the direction of its points, without the angle in between.
             x, y, _ = arm.forward(X).T
@@ -388,10 +365,9 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             azimuth = check_array(
                 self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"
             )
-            n_samples = X.shape[0] if hasattr(X, "shape") else len(X)
-            if azimuth.shape != (n_samples,):
+            if azimuth.shape != (X.shape[0],):
                 raise ValueError(
-                    f"azimuth must give one angle per row of X, shape ({n_samples},), got shape "
+                    f"azimuth must give one angle per row of X, shape ({X.shape[0]},), got shape "
                     f"{azimuth.shape}."
                 )
             return X, (np.cos(azimuth), np.sin(azimuth))
@@ -462,23 +438,10 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
     return X, dwells.mean(y), groups, codes, merged
 
 
-def _refuse_negative_weights(fit_params):
-    """Refuse weights that regressors take the root of, or silently take for 0."""
-    for name, value in fit_params.items():
-        if value is None or name.rpartition("__")[2] != "sample_weight":
-            continue
-        if np.asarray(value).dtype == bool:
-            continue  # a mask
-        weights = floats(name, value)
-        wrong = np.flatnonzero(~(weights >= 0) | np.isinf(weights))
-        if wrong.size:
-            raise ValueError(
-                f"{name} must be finite and not negative; {wrong.size} of {weights.size} weights "
-                f"are not (row {wrong[0]}: {weights.flat[wrong[0]]:g})."
-            )
-
-
-def _refuse_no_rows(X):
-    """Refuse an empty list, in which scikit-learn would look for the first row."""
-    if isinstance(X, list | tuple) and not len(X):
-        raise ValueError(f"X has no rows, got {show(X)}.")
+def _with_shape(X):
+    """X as it is, but a list as an array; one without rows is refused."""
+    refuse_disguised("X", X)
+    X = X if hasattr(X, "shape") else np.asarray(X)
+    if X.shape[:1] == (0,):
+        raise ValueError(f"X has no rows, got shape {X.shape}.")
+    return X

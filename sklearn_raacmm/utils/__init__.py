@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+# ruff: noqa: F401  (handed on to the other wings)
+
 from sklearn_raacmm.utils._checks import (
     LARGEST,
     check_data,
@@ -54,8 +56,8 @@ from sklearn_raacmm.utils._groups import (
     slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
+from sklearn_raacmm.utils._matrices import align, invert_triangle, nearest_rotation
 from sklearn_raacmm.utils._progress import stage
-from sklearn_raacmm.utils._rigid import align, nearest_rotation
 from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
@@ -75,82 +77,8 @@ from sklearn_raacmm.utils._sklearn import (
     validate_parameter_constraints,
     validate_params,
 )
-from sklearn_raacmm.utils._triangles import invert_triangle
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
 from sklearn_raacmm.utils._whole_fit import whole_fit
 
-__all__ = [
-    "CENTRED",
-    "LARGEST",
-    "TUKEY_CUT",
-    "Finding",
-    "FindingError",
-    "FindingWarning",
-    "HasMethods",
-    "InconsistentPackageVersionWarning",
-    "Interval",
-    "MultiOutputMixin",
-    "RegressorMixin",
-    "StrOptions",
-    "TransformerMixin",
-    "VersionedEstimator",
-    "align",
-    "centred",
-    "check_array",
-    "check_data",
-    "check_feature_names",
-    "check_feature_names_in",
-    "check_features",
-    "check_fitted",
-    "check_flags",
-    "check_groups",
-    "check_n_features",
-    "check_option",
-    "check_path",
-    "check_places",
-    "check_points",
-    "check_shapes",
-    "check_weights",
-    "check_whole_number",
-    "chunk_size",
-    "chunks",
-    "deviations_by_group",
-    "digest_of",
-    "encode_groups",
-    "fit_context",
-    "floats",
-    "group_means",
-    "group_sums",
-    "group_weights",
-    "hear",
-    "heard_findings",
-    "html_table",
-    "invert_triangle",
-    "is_plain",
-    "listed",
-    "many_without_weight",
-    "natural_order",
-    "nearest_rotation",
-    "one_blas_thread",
-    "one_warning",
-    "refuse_disguised",
-    "refuse_huge",
-    "refuse_masked",
-    "robust_scale",
-    "safe_indexing",
-    "say_findings",
-    "share_of_means",
-    "show",
-    "slip_factors",
-    "stage",
-    "tukey_weights",
-    "unheard",
-    "validate_parameter_constraints",
-    "validate_params",
-    "warn_user",
-    "whole_file",
-    "whole_fit",
-    "with_findings",
-    "write_whole",
-]
+__all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -158,11 +158,18 @@ def check_data(estimator: Any, X: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
     return X, y
 
 
-def check_weights(sample_weight: ArrayLike | None, X: Any) -> np.ndarray:
+def check_weights(
+    sample_weight: ArrayLike | None, X: Any, name: str = "sample_weight"
+) -> np.ndarray:
     """Weights (n,) as float64, not negative and not all zero."""
-    refuse_disguised("sample_weight", sample_weight)
-    weights = check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
-    refuse_huge("sample_weight", weights)
+    refuse_disguised(name, sample_weight)
+    weights = check_sample_weight(sample_weight, X, dtype=np.float64)
+    refuse_huge(name, weights)
+    if np.any(weights < 0):
+        raise ValueError(
+            f"{name} must not be negative, but {np.sum(weights < 0)} of {weights.size} are (the "
+            f"least is {weights.min():g})."
+        )
     if not weights.any():  # scikit-learn asks since 1.9, in these words
         raise ValueError("Sample weights must contain at least one non-zero number.")
     return weights

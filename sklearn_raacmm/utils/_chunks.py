@@ -19,23 +19,7 @@ def chunk_size(n_rows: int) -> int:
 def chunks(n_rows: int, size: int) -> Iterator[slice]:
     """Yield slices of at most `size` rows that cover `n_rows` rows.
 
-    Parameters
-    ----------
-    n_rows : int
-        Number of rows in all.
-    size : int
-        Number of rows of a chunk. Callers choose it such that what they compute for a chunk stays
-        in the processor's cache.
-
-    Yields
-    ------
-    slice
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.utils import chunks
-    >>> [(rows.start, rows.stop) for rows in chunks(10, 4)]
-    [(0, 4), (4, 8), (8, 10)]
+    Callers choose a size for which what they compute stays in the processor's cache.
     """
     # Not `sklearn.utils.gen_batches`: its checks take as long as the pose of one row.
     step = chunk_size(size)

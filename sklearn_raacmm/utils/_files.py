@@ -25,19 +25,7 @@ def check_path(name: str, value: object) -> Path:
 def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
     """Refuse files that could not be written, or that are read: before the work, not after it.
 
-    Parameters
-    ----------
-    outputs : iterable of path-like
-        Files to be written; folders on the way to them may still be made.
-    inputs : iterable of path-like
-        Files that are read.
-
-    Raises
-    ------
-    ValueError
-        If an output is an input, or another output.
-    OSError
-        If an output is a folder or no ordinary file, or its folder cannot be written into.
+    Folders on the way to the outputs may still be made.
     """
     inputs = [path for path in map(Path, inputs) if path.exists()]
     seen = set()
@@ -65,18 +53,9 @@ def digest_of(content: str | bytes) -> str:
 
 
 def whole_file(path: Any, digest: str) -> bytes | None:
-    """Content of the file of this fingerprint: at its place, or not yet renamed; else None.
+    """Content of the file of this fingerprint, by `digest_of`; None where there is none.
 
-    Parameters
-    ----------
-    path : path-like
-        A place that `write_whole` has written to, perhaps without coming to its end.
-    digest : str
-        As `digest_of` gives it.
-
-    Returns
-    -------
-    bytes or None
+    It is at its place, or not yet renamed where `write_whole` did not come to its end.
     """
     path = Path(path)
     for place in (path, *path.parent.glob(f"{glob.escape(path.name)}.{digest[:16]}.*.tmp")):
@@ -92,16 +71,7 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     Threads and processes may write one name at the same time: whoever reads gets the whole of one
     of their files. The files are renamed in the order given. If the first holds the fingerprints
     of the others, `whole_file` finds each of them at every moment after the first is in place.
-
-    Parameters
-    ----------
-    contents : dict of path-like to str or bytes
-        Text is written as UTF-8 with plain line feeds, so that it is the same bytes everywhere.
-
-    Raises
-    ------
-    OSError
-        If a folder is missing, a path is a folder, or a file cannot be written.
+    Text is written as UTF-8 with plain line feeds, so that it is the same bytes everywhere.
     """
     places = [check_path("path", path).resolve() for path in contents]  # a link stays a link
     for place in places:

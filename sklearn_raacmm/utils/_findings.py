@@ -90,17 +90,7 @@ class FindingError(ValueError):
 
 
 def say_findings(findings: Iterable[Finding]) -> None:
-    """Refuse, collect or warn of findings; of a note nobody is warned.
-
-    Parameters
-    ----------
-    findings : iterable of Finding
-
-    Raises
-    ------
-    FindingError
-        At the first of weight "refuse".
-    """
+    """Refuse, collect or warn of findings; of a note nobody is warned."""
     heard = _HEARD.get()
     for finding in findings:
         if finding.weight == "refuse":
@@ -129,36 +119,33 @@ class heard_findings:  # noqa: N801  (a context manager, as those of the standar
 
 
 def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, list[Finding]]:
-    """Call a function and say once what it has found: its result, and these findings.
+    """Call a function: its result, and what was found within, each said once at the end.
 
     In a context of its own: whatever interrupts the function, what follows is said again.
     """
 
     def inside():
-        with heard_findings() as heard:
-            try:
-                return function(*args, **kwargs), heard, None
-            except ValueError as error:
-                return None, heard, error
+        heard: list[Finding] = []
+        try:
+            with heard_findings() as heard:
+                result = function(*args, **kwargs)
+        except ValueError:
+            say_findings(heard)  # it may be why
+            raise
+        say_findings(heard)
+        return result, heard
 
-    result, heard, refusal = copy_context().run(inside)
-    say_findings(heard)  # of a refusal, it may be why
-    if refusal is not None:
-        raise refusal
-    return result, heard
+    return copy_context().run(inside)
 
 
-def one_warning() -> Callable[[Function], Function]:
+def one_warning(function: Function) -> Function:
     """Make a function that says each finding once, however many of its parts look at the data."""
 
-    def decorator(function: Function) -> Function:
-        @wraps(function)
-        def wrapper(*args, **kwargs):
-            return hear(function, *args, **kwargs)[0]
+    @wraps(function)
+    def wrapper(*args, **kwargs):
+        return hear(function, *args, **kwargs)[0]
 
-        return cast(Function, wrapper)
-
-    return decorator
+    return cast(Function, wrapper)
 
 
 def with_findings(function: Function) -> Function:

@@ -31,27 +31,10 @@ _TINY = 1e-300
 
 
 def encode_groups(groups: Any, n_samples: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Turn the labels of groups into indices.
+    """Different labels, sorted (n_groups,), and the index of each row's label (n_samples,).
 
-    Parameters
-    ----------
-    groups : array-like of shape (n_samples,)
-        One label for each row: numbers or text. The texts "nan" and "None" are labels as any
-        others; an empty text, NaN, None and pandas' NA are missing.
-    n_samples : int, default=None
-        Number of rows that the labels have to match. None: any number.
-
-    Returns
-    -------
-    labels : ndarray of shape (n_groups,)
-        The different labels, sorted.
-    codes : ndarray of shape (n_samples,)
-        Index of each row's label.
-
-    Raises
-    ------
-    ValueError
-        If there are no groups, labels are missing or of several kinds, or their number is wrong.
+    Labels are numbers or text. The texts "nan" and "None" are labels as any others; an empty text,
+    NaN, None and pandas' NA are missing, which is refused.
     """
     if groups is None:
         raise ValueError("groups must give the position of each point, got None.")
@@ -122,21 +105,9 @@ def group_sums(
     weights: np.ndarray | None = None,
     n_groups: int | None = None,
 ) -> np.ndarray:
-    """Weighted sum of the rows of each group.
+    """Weighted sum of the rows (n, ...) of each group, (n_groups, ...).
 
-    Parameters
-    ----------
-    values : ndarray of shape (n, ...)
-    codes : ndarray of shape (n,)
-        Group of each row, from 0.
-    weights : ndarray of shape (n,), default=None
-        Equal if None.
-    n_groups : int, default=None
-        Number of groups; None: as many as `codes` names.
-
-    Returns
-    -------
-    ndarray of shape (n_groups, ...)
+    Without `n_groups` there are as many as `codes` (n,) names, from 0.
     """
     n = len(values)
     n_groups = int(codes.max()) + 1 if n_groups is None else n_groups
@@ -173,24 +144,12 @@ def centred(
 def slip_factors(
     values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
 ) -> np.ndarray:
-    """Factors of the rows' weights in the means of their groups: slips take no part.
+    """Factors (n,) of the rows' weights in the means of their groups: slips take no part.
 
     Groups in which no row is farther than 11 standard deviations from the others, by the median of
     the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
-    of an arm have longer tails than normal ones: poses in which it bends most are no slips.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n, q)
-    codes : ndarray of shape (n,)
-        Group of each row, from 0.
-    weights : ndarray of shape (n,), default=None
-        Rows of weight 0 have a factor of 1.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        From 0 to 1.
+    of an arm have longer tails than normal ones: poses in which it bends most are no slips. Rows of
+    weight 0 have a factor of 1.
     """
     factor = np.ones(len(values))
     used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
@@ -213,17 +172,7 @@ def slip_factors(
 def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:
     """Mean squares of positions' means over what the scatter within positions explains.
 
-    Parameters
-    ----------
-    y : ndarray of shape (n, q)
-    codes : ndarray of shape (n,)
-        Position of each row, from 0.
-    weights : ndarray of shape (n,)
-
-    Returns
-    -------
-    float
-        The smaller one of means with slips and without them; infinite where nothing scatters.
+    The smaller one of means with slips and without them; infinite where nothing scatters.
     """
     shares = [_share_of_means(y, codes, weights)]
     factor = slip_factors(y, codes, weights)
@@ -270,17 +219,7 @@ def deviations_by_group(
 
 
 def natural_order(labels: Iterable[Any]) -> list[int]:
-    """Order of labels in which cone 2 comes before cone 10.
-
-    Parameters
-    ----------
-    labels : iterable
-
-    Returns
-    -------
-    list of int
-        Indices.
-    """
+    """Indices of labels in the order in which cone 2 comes before cone 10."""
     parts = [re.split(r"(\d+)", str(label)) for label in labels]
     keys = [[int(part) if i % 2 else part for i, part in enumerate(each)] for each in parts]
     return sorted(range(len(keys)), key=keys.__getitem__)

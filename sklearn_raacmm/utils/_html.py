@@ -9,26 +9,7 @@ from typing import Any
 
 
 def html_table(title: str, header: Sequence[Any], rows: Iterable[Sequence[object]]) -> str:
-    """HTML of a table under a line of text; all texts are escaped.
-
-    Parameters
-    ----------
-    title : str
-    header : sequence of str
-        Names of the columns.
-    rows : iterable of sequences
-        Cells; numbers as they are to be shown.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.utils import html_table
-    >>> html_table("a < b", ["joint"], [[1]])
-    '<div><p>a &lt; b</p><table><tr><th>joint</th></tr><tr><td>1</td></tr></table></div>'
-    """
+    """HTML of a table under a line of text; all texts are escaped."""
 
     def line(cells, tag):
         return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"

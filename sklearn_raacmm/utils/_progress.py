@@ -17,17 +17,6 @@ def stage(name: str) -> Iterator[None]:
 
     As a decorator, of every call of a function. The line goes to the logger "sklearn_raacmm" at
     level INFO: ``logging.basicConfig(level=logging.INFO)`` shows it.
-
-    Parameters
-    ----------
-    name : str
-        What the stage does.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.utils import stage
-    >>> with stage("widths"):
-    ...     pass
     """
     start = perf_counter()
     yield

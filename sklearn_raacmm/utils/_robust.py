@@ -27,21 +27,10 @@ _MOST_WITHOUT, _LEAST_ROWS = 0.1, 30
 def robust_scale(
     distances: np.ndarray, n_coordinates: int, weights: np.ndarray | None = None
 ) -> float:
-    """Standard deviation of a coordinate, from the median distance.
+    """Standard deviation of a coordinate, from the median distance over that of chi.
 
-    Parameters
-    ----------
-    distances : ndarray of shape (n,)
-        Lengths of vectors, of which some are no part of the normal distribution of the others.
-    n_coordinates : int
-        Number of coordinates of each vector.
-    weights : ndarray of shape (n,), optional
-        An integer weight is worth that many repeats of the row; a row of weight 0 is left out.
-
-    Returns
-    -------
-    float
-        The median over that of the chi distribution.
+    `distances` (n,) are lengths of vectors of so many coordinates, of which some are no part of the
+    normal distribution of the others. An integer weight is worth that many repeats of the row.
     """
     if weights is None:
         median = np.median(distances)
@@ -61,28 +50,13 @@ def tukey_weights(
     least_scale: float = 0.0,
     weighed: bool = False,
 ) -> np.ndarray:
-    """Factors of the rows' weights by Tukey's biweight, (1 - (r / c)^2)^2 below c [1]_.
+    """Factors (n,) of the rows' weights by Tukey's biweight, (1 - (r / c)^2)^2 below c [1]_.
 
-    Parameters
-    ----------
-    residuals : ndarray of shape (n, q)
-        What a model leaves of each row, all coordinates in the same unit. Rows are weighed by their
-        lengths r, whatever the directions of the axes; c is 5.5 standard deviations of a
-        coordinate, by :func:`robust_scale`.
-    weights : ndarray of shape (n,), optional
-        Rows count by these for the scale. One of weight 0 is weighed like the others.
-    least_scale : float, default=0
-        The standard deviation is at least this: that of the noise, where a model of few rows
-        follows them closely.
-    weighed : bool, default=False
-        Weigh all rows even if none is as far off as c. A fit that has begun to weigh goes on, lest
-        its weights come and go.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        From 0 to 1; 1 throughout where no row that counts is as far off as c, and where at least
-        half of the rows are met exactly.
+    r are the lengths of the residuals (n, q), c is 5.5 standard deviations of a coordinate by
+    `robust_scale`, in which rows count by `weights`. The standard deviation is at least
+    `least_scale`: that of the noise, where a model of few rows follows them closely. All factors
+    are 1 where no row that counts is as far off as c, unless the fit has `weighed` before, lest its
+    weights come and go; and where at least half of the rows are met exactly.
     """
     distances = np.linalg.norm(residuals, axis=1)
     scale = max(robust_scale(distances, residuals.shape[1], weights), least_scale)
@@ -95,17 +69,7 @@ def tukey_weights(
 
 
 def many_without_weight(factor: np.ndarray) -> Iterator[Finding]:
-    """More rows without weight than slips can be.
-
-    Parameters
-    ----------
-    factor : ndarray of shape (n,)
-        What robust weights have left of each row.
-
-    Yields
-    ------
-    Finding
-    """
+    """Finding of more rows without weight than slips can be, by their robust factors (n,)."""
     none = np.flatnonzero(factor == 0)
     if len(none) > _MOST_WITHOUT * len(factor) and len(factor) >= _LEAST_ROWS:
         yield Finding(

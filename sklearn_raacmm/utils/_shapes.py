@@ -16,27 +16,10 @@ def check_shapes(
     sizes: Mapping[str, int],
     may_be_infinite: tuple[str, ...] = (),
 ) -> None:
-    """Refuse arrays that do not fit together, or hold NaN or infinity.
+    """Refuse arrays that are missing, do not fit together, or hold NaN or infinity.
 
-    A file that lost a row would load, and fail in the first product of matrices.
-
-    Parameters
-    ----------
-    owner : str
-        Whose arrays they are, for the message.
-    values : dict of str to ndarray
-    shapes : dict of str to tuple
-        Dimensions of each array: whole numbers, or names of sizes. A size that is not given is that
-        of the first array that has it.
-    sizes : dict of str to int
-        Sizes that are known.
-    may_be_infinite : tuple of str
-        Arrays in which infinity is allowed.
-
-    Raises
-    ------
-    ValueError
-        If an array is missing, has another shape, or holds what it must not.
+    A file that lost a row would load, and fail in the first product of matrices. Shapes are whole
+    numbers or names of `sizes`; a size that is not given is that of the first array that has it.
     """
     sizes = dict(sizes)
     for name, shape in shapes.items():

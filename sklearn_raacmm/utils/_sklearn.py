@@ -11,26 +11,6 @@ from sklearn import base, utils
 from sklearn.utils import _param_validation, validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
-__all__ = [
-    "BaseEstimator",
-    "HasMethods",
-    "Interval",
-    "MultiOutputMixin",
-    "RegressorMixin",
-    "StrOptions",
-    "TransformerMixin",
-    "check_array",
-    "check_feature_names",
-    "check_feature_names_in",
-    "check_n_features",
-    "check_sample_weight",
-    "fit_context",
-    "one_blas_thread",
-    "safe_indexing",
-    "validate_parameter_constraints",
-    "validate_params",
-]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
@@ -53,7 +33,8 @@ if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
     class MultiOutputMixin: ...
 
 else:
-    from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, TransformerMixin
+    BaseEstimator, MultiOutputMixin = base.BaseEstimator, base.MultiOutputMixin
+    RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
 
 safe_indexing: Callable[..., Any] = utils._safe_indexing
 check_array: Callable[..., np.ndarray] = utils.check_array

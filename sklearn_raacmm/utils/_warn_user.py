@@ -24,15 +24,8 @@ _SKIPPED = (*(folder + os.sep for folder in _FOLDERS), contextlib.__file__)
 def warn_user(message: str | Warning, category: type[Warning] = UserWarning) -> None:
     """Warn at the line that calls the package, however many of its functions are in between.
 
-    As ``warnings.warn(..., skip_file_prefixes=...)``, which Python 3.11 does not have.
-
-    Parameters
-    ----------
-    message : str or Warning
-        What to say.
-
-    category : type, default=UserWarning
-        Of a message that is text.
+    As ``warnings.warn(..., skip_file_prefixes=...)``, which Python 3.11 does not have. `category`
+    is that of a message that is text.
     """
     frame = sys._getframe(1)
     while frame.f_code.co_filename.startswith(_SKIPPED) and frame.f_back is not None:

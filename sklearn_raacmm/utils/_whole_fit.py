@@ -13,22 +13,11 @@ Fit = TypeVar("Fit", bound=Callable[..., Any])
 
 
 def whole_fit(fit: Fit) -> Fit:
-    """Make a `fit` that leaves the estimator as it was until it is complete.
-
-    What is found in the data meanwhile is kept in `findings_`, and said at the end.
+    """Make a `fit` that leaves the estimator as it was until it is complete, and returns it.
 
     The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
     assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
-
-    Parameters
-    ----------
-    fit : callable
-        Method that sets fitted attributes of its first argument. What it returns is ignored.
-
-    Returns
-    -------
-    callable
-        The method that returns the estimator.
+    What is found in the data meanwhile is kept in `findings_`, and said at the end.
     """
 
     @wraps(fit)

@@ -7,7 +7,7 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model._checks import _check_offsets, _check_vectors
+from sklearn_raacmm.error_model._checks import _check_vectors, _have_offsets
 
 ARM = Arm.from_name("aacmm6")
 RNG = np.random.default_rng(0)
@@ -25,7 +25,7 @@ def test_positions_of_one_pose_each_have_no_offsets():
     rng = np.random.default_rng(1)
     for weights in (np.ones(300), rng.uniform(0.1, 3, 300), np.full(300, 0.3)):
         groups = rng.permutation(300)
-        assert _check_offsets("auto", NOISE, weights, groups) is None
+        assert not _have_offsets("auto", NOISE, weights, groups)
         found = model().fit(ANGLES, NOISE, groups=groups, sample_weight=weights)
         assert not found.offsets_
         assert found.noise_sd_ == pytest.approx(0.05, rel=0.1)
@@ -57,7 +57,7 @@ def test_residuals_against_a_reference_are_not_warned_of():
         y = rng.normal(size=(n_rows * n, 3))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            assert _check_offsets("auto", y, np.ones(len(y)), groups) is None
+            assert not _have_offsets("auto", y, np.ones(len(y)), groups)
         found += len(caught)
     assert found <= 2  # of a chance of one in a thousand
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import LinearModel, Terms, term_columns
-from sklearn_raacmm.error_model._columns import factored_columns, turn_columns
+from sklearn_raacmm.error_model._columns import factored_columns
 
 ARM = Arm.from_name("ur10", joint_signs=[1, -1, 1, 1, 1, -1], probe=(3.0, -8.0, 120.0))
 EXTRA = (("temperature", (20.0,)), ("direction 2", (0.0,)), ("force x", (1.5,)))
@@ -36,9 +36,9 @@ def test_factors_are_the_columns(n_orders, extra):
     model = some_model(n_orders, rng, extra=extra)
     values = [rng.uniform(15, 30, 40), rng.choice([-1.0, 1.0], 40), rng.choice([1.0, 2.0], 40)]
     X = np.column_stack([rng.uniform(-3, 3, (40, 6)), *values[: len(extra)]])
-    for of_turns, columns in enumerate((term_columns, turn_columns)):
-        explicit = columns(ARM, X, model.terms)
-        found = factored_columns(ARM, X, model.terms, of_turns=bool(of_turns))
+    for of_turns in (False, True):
+        explicit = term_columns(ARM, X, model.terms, of_turns)
+        found = factored_columns(ARM, X, model.terms, of_turns)
         mean, dots = explicit @ model.coef, explicit @ model.half
         assert_allclose(found.dot(model.coef), mean, atol=1e-12 * np.abs(mean).max())
         assert_allclose(found.squares(model.half), np.square(dots).sum(axis=2), rtol=1e-11)

@@ -11,13 +11,7 @@ from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_validate
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
-from sklearn_raacmm.error_model._columns import (
-    ARCSEC,
-    Terms,
-    term_columns,
-    term_names,
-    turn_columns,
-)
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns, term_names
 
 ARMS = {
     "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
@@ -44,7 +38,7 @@ def test_columns_are_what_changes_of_the_arm_do_to_its_orientation(arm):
     theta = np.random.default_rng(0).uniform(-2, 2, (20, arm.n_joints))
     pairs = np.array([(j, 2) for j in range(arm.n_joints)])
     terms = Terms(pairs, False, True, False, target=True)
-    columns = turn_columns(arm, theta, terms)
+    columns = term_columns(arm, theta, terms, True)
     for joint in range(arm.n_joints):
         for part, wave in enumerate((np.cos, np.sin)):
             error = np.zeros_like(theta)
@@ -77,7 +71,7 @@ def test_a_turn_moves_the_probe_by_its_lever_whatever_its_cause(arm):
     extra = (("direction 2", (0.0,)), ("payload", (0.0,)))
     terms = Terms(np.array([(arm.n_joints - 1, 3)]), True, False, True, extra)
     X = np.column_stack([theta, np.ones(20), np.full(20, 2.0)])
-    points, turns = term_columns(arm, X, terms), turn_columns(arm, X, terms)
+    points, turns = term_columns(arm, X, terms), term_columns(arm, X, terms, True)
     names = ["cos", "sin", *term_names(arm, terms)[0]]
     frames = arm.frames(theta)
     lever = arm.forward(theta) - frames[:, -1, :, 3]

@@ -16,7 +16,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import _export, export_c
+from sklearn_raacmm.export import _load_c, export_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -132,13 +132,13 @@ def test_an_installed_model_is_found(models, data, tmp_path):
 
 @needs_compiler
 def test_a_source_that_does_not_keep_its_promise_is_refused(models, tmp_path, monkeypatch):
-    write = _export.sources
+    write = _load_c.sources
 
     def wrong(*args):
         source, header = write(*args)
         return re.sub(r"(rows_\d+\[\d\]\[24\] = \{\n    \{)", r"\g<1>1 + ", source), header
 
-    monkeypatch.setattr(_export, "sources", wrong)
+    monkeypatch.setattr(_load_c, "sources", wrong)
     with pytest.raises(ValueError, match=r"the C source is up to .* away from predict, .* of the"):
         export_c(models["chain"], tmp_path / "arm.c")
     assert not list(tmp_path.iterdir())

@@ -1,7 +1,9 @@
 """JSON: the same predictions in any language, and nothing else than what was written."""
 
 import json
+import runpy
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +21,9 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import _json, _reader, fingerprint, from_json, to_json
+from sklearn_raacmm.export import _json, fingerprint, from_json, to_json
+
+plain_python = runpy.run_path(str(Path(__file__).parents[2] / "doc" / "read_json.py"))["run"]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +74,7 @@ def test_the_same_predictions(models, data, tmp_path, name):
         np.testing.assert_allclose(got[1], of_model[1], rtol=1e-9)
     # By plain Python, which needs nothing but the text.
     head = json.loads(text)
-    read = np.array([_reader.run(head, row)["y"] for row in data.data[:20].tolist()])
+    read = np.array([plain_python(head, row)["y"] for row in data.data[:20].tolist()])
     np.testing.assert_allclose(read, expected[:20], rtol=0, atol=1e-12)
 
 

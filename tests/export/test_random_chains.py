@@ -2,9 +2,11 @@
 
 import ctypes
 import json
+import runpy
 import shutil
 import subprocess
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +21,10 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.export import _reader, export_c, from_json, to_json, to_onnx
+from sklearn_raacmm.export import export_c, from_json, to_json, to_onnx
 from sklearn_raacmm.network import KERNELS
 
+plain_python = runpy.run_path(str(Path(__file__).parents[2] / "doc" / "read_json.py"))["run"]
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
 SANITIZE = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -143,7 +146,7 @@ def ways_out(folder, model, X, std):
     text = to_json(model, std=std)
     read = from_json(text)
     yield "JSON", *(read.predict(X, return_std=True) if std else (read.predict(X), None))
-    rows = [_reader.run(json.loads(text), row) for row in X.tolist()]
+    rows = [plain_python(json.loads(text), row) for row in X.tolist()]
     yield "plain Python", *(np.array([row.get(key, [0]) for row in rows]) for key in ("y", "std"))
     try:
         import onnxruntime

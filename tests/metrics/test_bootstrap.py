@@ -47,7 +47,6 @@ def test_many_points_are_drawn_block_by_block(monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"probability": 95}, "between 0 and 1, got 95"),
         ({"n_resamples": 1}, "n_resamples"),
         ({"groups": [0, 0, 1]}, "hold a single point"),
         ({"statistic": "3s"}, "statistic='3s'"),

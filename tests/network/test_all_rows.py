@@ -116,29 +116,6 @@ def test_it_is_the_network_with_all_centres(degree):
         np.testing.assert_allclose(ours, other, atol=1e-9 * np.abs(other).max(), rtol=1e-8)
 
 
-@pytest.mark.parametrize("kernel", ["gaussian", "matern52"])
-def test_gradients_are_those_of_differences(kernel):
-    model = RBFNetRegressor(**GIVEN, kernel=kernel, degree=1).fit(X, Y)
-    gradient, of_variance = model.predict_gradient(T, return_variance=True)
-    for j, step in enumerate(1e-5 * np.eye(3)):
-        ends = [model.predict(T + s * step, return_std=True) for s in (1, -1)]
-        np.testing.assert_allclose(gradient[:, j], (ends[0][0] - ends[1][0]) / 2e-5, atol=1e-6)
-        difference = (ends[0][1] ** 2 - ends[1][1] ** 2) / 2e-5
-        np.testing.assert_allclose(of_variance[:, j], difference, atol=1e-6)
-
-
-def test_a_repeated_row_is_one_of_double_weight():
-    twice = np.append(np.arange(len(X)), np.arange(30))
-    weights = np.ones(len(X))
-    weights[:30] = 2
-    order = np.random.default_rng(0).permutation(len(twice))
-    one = RBFNetRegressor(**GIVEN).fit(X[twice][order], Y[twice][order])
-    other = RBFNetRegressor(**GIVEN).fit(X, Y, sample_weight=weights)
-    assert one.stop_reason_ == other.stop_reason_ == "all rows"
-    np.testing.assert_array_equal(one.centers_, other.centers_)
-    np.testing.assert_allclose(one.predict(T), other.predict(T), atol=1e-10)
-
-
 @pytest.mark.parametrize(
     "asked",
     [

@@ -176,7 +176,7 @@ def test_bad_values_in_one_chunk_are_named(few_in_memory):
     ("size", "complete"), [(250, True), (249, False), (100, False), (40, False)]
 )
 def test_a_sample_of_a_block_says_whether_it_is_all_of_it(size, complete):
-    """Of 300 rows 250 have weight; of more than four times the size not all are sorted."""
+    """Of 300 rows 250 have weight."""
     summary = _summarise(*data(300), 0, 0, size)
     assert summary.complete is complete
     assert len(summary.sample.X) == size

@@ -7,7 +7,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _candidates, _fit
+from sklearn_raacmm.network import _fit
 
 
 def rough(n=500, d=4, seed=0):
@@ -45,24 +45,6 @@ def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
     model = RBFNetRegressor(1e-9, **GIVEN).fit(X, y)
     assert model.stop_reason_ == "rank"
     assert len(model.centers_) == 100
-
-
-def test_share_outside_the_factor_is_that_of_the_whole_matrix(monkeypatch):
-    monkeypatch.setattr(_fit, "takes_all_rows", lambda *args: False)
-    X, y, _ = rough(300)
-    monkeypatch.setattr(_fit, "MAX_RANK", 100)
-    monkeypatch.setattr(_fit, "RANK_PER_CENTER", 0.1)
-    seen = []
-    whiten = _candidates.whiten
-
-    def noted(problem, view, factor, *args):
-        seen.append(np.mean(1 - np.sum(factor.rows**2, axis=1)))
-        return whiten(problem, view, factor, *args)
-
-    monkeypatch.setattr(_candidates, "whiten", noted)
-    with pytest.warns(ConvergenceWarning) as record:
-        RBFNetRegressor(**GIVEN).fit(X, y)
-    assert f"{100 * seen[0]:.2g} % of the prior variance" in str(record[-1].message)
 
 
 def test_more_centres_on_demand_raise_the_rank(monkeypatch):

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_raacmm.network._least_squares import (
-    divide,
-    stack_triangles,
-    triangular_factor,
-)
+from sklearn_raacmm.network._least_squares import stack_triangles, triangular_factor
 
 
 def magnitudes(rows):
@@ -43,12 +39,3 @@ def test_arguments_are_not_overwritten():
     before = upper.copy(), lower.copy()
     stack_triangles(upper, lower)
     np.testing.assert_array_equal((upper, lower), before)
-
-
-def test_division_by_a_triangle():
-    rng = np.random.default_rng(3)
-    root = np.triu(rng.normal(size=(150, 150))) + 10 * np.eye(150)
-    rows = np.asfortranarray(rng.normal(size=(40, 150)))
-    expected = np.linalg.solve(root.T, rows.T).T
-    assert divide(rows, root) is rows
-    np.testing.assert_allclose(rows, expected, rtol=1e-10, atol=1e-13)

@@ -13,7 +13,7 @@ from sklearn_raacmm.network._candidates import _projected_triangle
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import Data, left_out, log_likelihood
 from sklearn_raacmm.network._linear import RIDGES, linear_evidence
-from sklearn_raacmm.network._rows import merge, prepare, view_of
+from sklearn_raacmm.network._rows import merge, prepare
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -131,7 +131,7 @@ def test_features_beside_a_tail_with_a_ridge():
     X, Y = linear(60, 4, 2.0, q=2)
     problem = prepare(merge(X, Y, np.ones(60)), 1, True)
     assert len(problem.basis_rows) == 4
-    view = view_of(problem)
+    view = problem.view()
 
     def features(block):
         return np.sin(block.X[:, :3])

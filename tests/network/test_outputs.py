@@ -116,18 +116,6 @@ def test_variances_are_those_of_the_matrices_that_exporters_read(given):
         np.testing.assert_allclose(std[:, 0] ** 2, variance, rtol=1e-12)
 
 
-def test_draws_have_the_mean_and_the_covariance_that_are_said(given):
-    *_, T, model = given
-    mean, covariance = model.predict(T[:3], return_cov=True)
-    draws = model.sample_y(T[:3], 20_000, random_state=0)
-    for i in range(3):
-        sd = np.sqrt(covariance[..., i].diagonal())
-        np.testing.assert_allclose(draws[:, i].mean(axis=1), mean[:, i], atol=5 * sd.max() / 140)
-        np.testing.assert_allclose(
-            np.cov(draws[:, i]), covariance[..., i], atol=0.05 * sd.max() ** 2
-        )
-
-
 def test_widths_are_found_for_each_output(data, model):
     X, Y, T = data
     error = np.std(model.predict(T) - waves(T), axis=0)
@@ -153,26 +141,6 @@ def test_sums_over_outputs(data, model):
     assert model.stop_reason_ == ", ".join(part.stop_reason_ for part in parts)
     assert model.relevance_.sum() == pytest.approx(1)
     assert np.argmax(model.relevance_) == 0
-
-
-def test_one_hidden_layer_is_the_trace_of_the_error_reduction(data):
-    """Chen's choice for several outputs: the largest sum of the shares of all outputs."""
-    X, Y, _ = data
-    Y = Y[:, [0, 2, 3]]
-    model = RBFNetRegressor(6, length_scale=1.0, alpha=0, shared=True).fit(X, Y * [1, 1e3, 1e-3])
-    assert model.coef_.shape == (3, 6)
-    gap = np.square(X[:, None] - X).sum(axis=2)
-    columns, targets = np.exp(-0.5 * gap), Y - Y.mean(axis=0)
-    columns, targets = columns - columns.mean(axis=0), targets / targets.std(axis=0)
-    chosen = []
-    for _ in range(6):
-        left = []
-        for j in range(len(X)):
-            A = columns[:, [*chosen, j]]
-            rest = targets - A @ np.linalg.lstsq(A, targets, rcond=None)[0]
-            left.append(np.inf if j in chosen else np.sum(rest**2))
-        chosen.append(int(np.argmin(left)))
-    np.testing.assert_array_equal(model.center_indices_, chosen)
 
 
 @pytest.mark.parametrize("shared", [True, False])

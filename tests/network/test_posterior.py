@@ -20,6 +20,8 @@ def test_covariance_and_draws_are_those_of_the_gaussian_process():
     alpha, width, y = 0.03, np.array([0.3, 10.0]), Y[:, 0]
     model = RBFNetRegressor(60, length_scale=width, alpha=alpha, degree=-1).fit(X, y)
     signal = model.signal_variance_
+    C = RBF(width)(X) + alpha * np.eye(60)
+    assert signal == pytest.approx(y @ np.linalg.solve(C, y) / 60, rel=1e-5)
     kernel = ConstantKernel(signal) * RBF(width) + WhiteKernel(signal * alpha)
     process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, y)
     mean, covariance = model.predict(T, return_cov=True)

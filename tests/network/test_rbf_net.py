@@ -16,8 +16,6 @@ from sklearn.gaussian_process.kernels import (
     WhiteKernel,
 )
 from sklearn.kernel_ridge import KernelRidge
-from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import GridSearchCV
 
 from sklearn_raacmm import RBFNetRegressor
 
@@ -27,24 +25,6 @@ def smooth(n, seed=0, noise=0.1, d=2):
     X = rng.uniform(-2, 2, (n, d))
     f = np.sin(2 * X[:, 0]) + np.cos(X[:, -1])
     return X, f + noise * rng.standard_normal(n), f
-
-
-def test_full_network_is_the_posterior_of_the_gaussian_process():
-    X, y, _ = smooth(60)
-    alpha, width = 0.03, np.array([0.3, 0.4])
-    model = RBFNetRegressor(60, length_scale=width, alpha=alpha, degree=-1).fit(X, y)
-    K = RBF(width)(X) + alpha * np.eye(60)
-    signal = y @ np.linalg.solve(K, y) / 60
-    assert model.signal_variance_ == pytest.approx(signal, rel=1e-5)
-    kernel = ConstantKernel(signal) * RBF(width) + WhiteKernel(signal * alpha)
-    process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, y)
-    T = np.random.default_rng(2).uniform(-6, 6, (50, 2))
-    mean, std = model.predict(T, return_std=True)
-    mean_ref, std_ref = process.predict(T, return_std=True)
-    np.testing.assert_allclose(mean, mean_ref, atol=1e-6)
-    np.testing.assert_allclose(std, std_ref, rtol=1e-5)
-    _, of_mean = model.predict(T, return_std=True, with_noise=False)
-    np.testing.assert_allclose(of_mean**2, std_ref**2 - signal * alpha, atol=1e-6 * signal)
 
 
 @pytest.mark.parametrize(
@@ -106,6 +86,8 @@ def test_given_widths_and_ridge_are_respected():
     model = RBFNetRegressor(length_scale=[0.5, 0.9]).fit(X, y)
     np.testing.assert_array_equal(model.length_scale_, [0.5, 0.9])
     assert RBFNetRegressor(alpha=0.02).fit(X, y).alpha_ == 0.02
+    Y = np.column_stack([y, -y])
+    np.testing.assert_array_equal(RBFNetRegressor(alpha=[0.02, 1]).fit(X, Y).alpha_, [0.02, 1])
 
 
 @pytest.mark.parametrize("n_centers", ["auto", 0.02])
@@ -143,18 +125,6 @@ def test_what_is_left_out_costs_little_beside_the_noise():
     assert 0 < lost <= 0.02 * everywhere.noise_variance_ * dof * 1.02
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_error_reductions_sum_to_the_explained_variance(shared):
-    X, y, _ = smooth(100)
-    Y = np.column_stack([y, 1e-6 * y**2 + 5])
-    model = RBFNetRegressor(12, length_scale=0.7, alpha=0, shared=shared).fit(X, Y)
-    residual = Y - model.predict(X)
-    explained = 1 - np.mean(residual**2, axis=0) / np.var(Y, axis=0)
-    total = explained.mean() if shared else explained.sum()
-    assert model.error_reduction_.sum() == pytest.approx(total, rel=1e-8)
-    assert np.all(model.error_reduction_ >= 0)
-
-
 def test_a_centre_at_every_row_leaves_room_for_the_constant():
     X, y, _ = smooth(10)
     model = RBFNetRegressor(10, length_scale=0.3, alpha=0).fit(X, y)
@@ -190,60 +160,6 @@ def test_a_ridge_bounds_predictions_everywhere(seed):
     assert np.all(away < bound)
 
 
-def test_linear_tail_recovers_a_plane():
-    rng = np.random.default_rng(0)
-    X = rng.uniform(100, 101, (50, 3))
-    X[:, 2] = 7.0  # a constant feature has no slope of its own
-    y = 3 * X[:, 0] - 2 * X[:, 1] + 0.5
-    model = RBFNetRegressor(1, length_scale=1.0, alpha=1e-3, degree=1).fit(X, y)
-    far = np.array([[0.0, 0.0, 7.0], [500.0, -20.0, 7.0]])
-    np.testing.assert_allclose(
-        model.predict(far), LinearRegression().fit(X, y).predict(far), rtol=1e-7
-    )
-
-
-def test_row_order_and_repeats_do_not_matter():
-    X, y, _ = smooth(120)
-    rng = np.random.default_rng(4)
-    order = rng.permutation(120)
-    counts = rng.integers(0, 3, 120)
-    one = RBFNetRegressor(random_state=0).fit(X, y, sample_weight=counts)
-    R = np.repeat(order, counts[order])
-    two = RBFNetRegressor(random_state=0).fit(X[R], y[R])
-    np.testing.assert_allclose(one.centers_, two.centers_)
-    np.testing.assert_allclose(one.predict(X), two.predict(X), rtol=1e-7)
-    np.testing.assert_array_equal(X[one.center_indices_], one.centers_)
-    assert np.all(counts[one.center_indices_] > 0)
-
-
-def test_constant_target_needs_no_centre():
-    X, _, _ = smooth(30)
-    model = RBFNetRegressor().fit(X, np.full(30, 7.25))
-    assert len(model.centers_) == 0
-    np.testing.assert_allclose(model.predict(X), 7.25)
-    mixed = RBFNetRegressor(length_scale=1.0, alpha=0.1).fit(
-        X, np.column_stack([X[:, 0], 0 * X[:, 0] + 2])
-    )
-    np.testing.assert_allclose(mixed.predict(X)[:, 1], 2.0)
-
-
-def test_grid_search_and_pickle():
-    X, y, _ = smooth(90)
-    grid = {
-        "n_centers": [5, "auto"],
-        "kernel": ["gaussian", "matern52"],
-        "length_scale": [1.0, "isotropic"],
-        "alpha": [0.1, "auto"],
-        "degree": [0, 1],
-    }
-    search = GridSearchCV(RBFNetRegressor(random_state=0), grid, cv=2).fit(X, y)
-    assert np.all(np.isfinite(search.cv_results_["mean_test_score"]))
-    assert search.best_score_ > 0.9
-    again = pickle.loads(pickle.dumps(search.best_estimator_))
-    np.testing.assert_array_equal(again.predict(X), search.predict(X))
-    assert clone(again).get_params() == again.get_params()
-
-
 @pytest.mark.parametrize(
     ("params", "match"),
     [
@@ -255,32 +171,12 @@ def test_grid_search_and_pickle():
         ({"length_scale": [1.0, -2.0]}, "must be positive"),
         ({"length_scale": [1.0, np.nan]}, "must be positive"),
         ({"alpha": 0.0}, 'n_centers="auto" needs alpha > 0.*least alpha of 0'),
-        ({"n_centers": 1.5}, "'n_centers' parameter"),
-        ({"shared": True, "length_scale": [[1.0, 2.0]]}, "shared=True rules out"),
-        ({"kernel": "gausian"}, "'kernel' parameter"),
-        ({"degree": 2}, "'degree' parameter"),
-        ({"alpha": -1.0}, "'alpha' parameter"),
     ],
 )
 def test_bad_parameters(params, match):
     X, y, _ = smooth(30)
     with pytest.raises(ValueError, match=match):
         RBFNetRegressor(**params).fit(X, y)
-
-
-def test_all_weights_zero():
-    X, y, _ = smooth(30)
-    with pytest.raises(ValueError, match="weights must contain at least one non-zero"):
-        RBFNetRegressor().fit(X, y, sample_weight=np.zeros(30))
-
-
-def test_offset_of_the_features_does_not_matter():
-    X, y, _ = smooth(150)
-    shifted = X + 2.0**20  # exact in floating point for these, up to the last digits
-    X = shifted - 2.0**20
-    one, two = (RBFNetRegressor(random_state=0).fit(data, y) for data in (X, shifted))
-    np.testing.assert_allclose(one.length_scale_, two.length_scale_, rtol=1e-3)
-    np.testing.assert_allclose(one.predict(X), two.predict(shifted), atol=1e-3)
 
 
 def test_feature_that_never_varied_is_ignored():
@@ -319,16 +215,6 @@ def test_deviations_survive_a_file_that_holds_little():
     # Half a square matrix, whatever the number of outputs, and little else.
     assert len(stored) < 8 * (k * k + 20 * k) + 8000
     np.testing.assert_array_equal(pickle.loads(stored).predict(X, return_std=True), expected)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_noise_alone_needs_hardly_a_centre(seed):
-    rng = np.random.default_rng(seed)
-    X, y = rng.uniform(-1, 1, (400, 3)), rng.standard_normal(400)
-    model = RBFNetRegressor(random_state=0).fit(X, y)
-    assert len(model.centers_) <= 15
-    # The mean of 400 rows is all there is to learn: nothing far from it is predicted.
-    assert np.sqrt(np.mean(model.predict(rng.uniform(-1, 1, (500, 3))) ** 2)) < 0.25
 
 
 def test_only_the_ratios_of_the_weights_matter():
@@ -424,23 +310,3 @@ def test_relevance_orders_the_features_by_their_effect():
     assert model.relevance_[3] == 0
     noise = RBFNetRegressor(random_state=0).fit(X, rng.standard_normal(200))
     np.testing.assert_array_equal(noise.relevance_, 0)
-
-
-def test_a_ridge_for_every_output():
-    X, y, _ = smooth(120)
-    rng = np.random.default_rng(0)
-    Y = np.column_stack([y, np.cos(2 * X[:, 1]) + 0.3 * rng.standard_normal(120)])
-    args = {"length_scale": [0.8, 0.9], "degree": 0}
-    both = RBFNetRegressor(120, alpha=[1e-3, 0.1], **args).fit(X, Y)
-    for i, alpha in enumerate([1e-3, 0.1]):
-        one = RBFNetRegressor(120, alpha=alpha, **args).fit(X, Y[:, i])
-        np.testing.assert_allclose(both.predict(X)[:, i], one.predict(X), atol=1e-3)
-    # What was found can be given: a fit of new rows without a search.
-    found = RBFNetRegressor(random_state=0).fit(X, Y)
-    given = {"kernel": found.kernel_, "length_scale": found.length_scale_, "alpha": found.alpha_}
-    again = RBFNetRegressor(**given).fit(X, Y)
-    np.testing.assert_allclose(again.predict(X), found.predict(X), atol=1e-10)
-    # Ridges that are given, and widths that are searched for.
-    searched = RBFNetRegressor(alpha=found.alpha_, random_state=0).fit(X, Y)
-    np.testing.assert_array_equal(searched.alpha_, found.alpha_)
-    assert searched.score(X, Y) > 0.9

@@ -7,7 +7,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import RidgeCV
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _objective, _search
+from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._objective import (
@@ -15,7 +15,6 @@ from sklearn_raacmm.network._objective import (
     Task,
     minimise,
     objective,
-    step_units,
 )
 from sklearn_raacmm.network._search import robust_spread, search
 
@@ -122,19 +121,6 @@ def test_auto_takes_the_kernel_the_data_come_from(kernel, rough):
     np.testing.assert_allclose(given.predict(X), model.predict(X), atol=0.02)
 
 
-@pytest.mark.parametrize("name", ["matern32", "rational_quadratic"])
-def test_a_good_answer_of_few_rows_is_not_thrown_away(name):
-    # 600 inducing rows do not carry a rough function of eight features: the projected process
-    # calls it noise, where 300 rows of the exact one are enough to know better.
-    rng = np.random.default_rng(0)
-    X = rng.uniform(0, 1, (1400, 8))
-    f = np.sin(9 * X[:, 0]) + np.sin(9 * X[:, 1]) + 2 * X[:, 2:4].sum(axis=1)
-    y = f + 0.05 * rng.standard_normal(len(f))
-    found = search(data_of(X[:1100], y[:1100]), (name,), random_state=np.random.RandomState(0))
-    # Noise 0.05 of a spread of 1.3; called noise, the rest would make it a half.
-    assert found.alpha[0] < 0.1
-
-
 @pytest.mark.parametrize("far", [1e7, 1e12])
 def test_numbers_too_far_from_all_others_are_refused(far):
     rng = np.random.default_rng(0)
@@ -186,32 +172,6 @@ def test_a_width_at_its_bound_is_said(monkeypatch):
     ) as said:
         RBFNetRegressor(random_state=0).fit(X, np.sin(8 * X[:, 0]))
     assert said[0].filename == __file__  # the line of the call
-
-
-def test_units_of_steps_save_evaluations(monkeypatch):
-    # Widths of waves and of straight lines, and the ridge: curvatures differ by a factor of sixty.
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-np.pi, np.pi, (400, 3))
-    Y = np.column_stack(
-        [np.sin(X[:, 0]) + np.cos(2 * X[:, 1]) * X[:, 2], np.cos(X[:, 0] - X[:, 1])]
-    )
-    data = data_of(X, Y + 0.1 * rng.standard_normal(Y.shape))
-    few, task, calls = data.rows(np.arange(0, 400, 3)), task_of(data), []
-    exact = _objective.exact_likelihood
-    monkeypatch.setattr(
-        _objective, "exact_likelihood", lambda *args: calls.append(1) or exact(*args)
-    )
-    start = minimise(task, task.start(0.5, 0.1), few, "gaussian", 60)
-    units = step_units(start, few)
-    assert units.max() > 3 * units.min()
-    found, numbers = [], []
-    for of_steps in (1.0, units):
-        calls.clear()
-        end = minimise(task, start.theta, data, "gaussian", 60, units=of_steps)
-        found.append(end.value)
-        numbers.append(len(calls))
-    assert numbers[1] < numbers[0]
-    assert found[1] < found[0] + 0.02
 
 
 def test_two_starts_of_different_width_and_the_better_end(monkeypatch):

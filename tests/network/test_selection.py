@@ -9,12 +9,7 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._candidates import (
-    RadialFunctions,
-    SymmetricCandidates,
-    WhitenedCandidates,
-    candidate_groups,
-)
+from sklearn_raacmm.network._candidates import RadialFunctions, candidates_of
 from sklearn_raacmm.network._kernels import (
     KERNELS,
     kernel_matrix,
@@ -97,134 +92,60 @@ def test_same_centres_as_fastcan(length_scale):
     np.testing.assert_array_equal(model.center_indices_, expected)
 
 
-@pytest.mark.parametrize("alpha", [0.0, 1e-3])
-def test_both_representations_choose_alike(alpha):
-    X, Y, weights = problem(2, n=200)
-    problem_ = prepare(merge(X, Y, weights), 0)
-    view = problem_.view()
-    members = [np.arange(2)]
-    args = (problem_, view, np.arange(200), WIDE, members, [alpha])
-    # One step is cheapest on the matrix itself; many steps on the factor.
-    symmetric = candidate_groups(*args, 1).groups
-    whitened = candidate_groups(*args, None).groups
-    assert type(symmetric[0]) is not type(whitened[0])
-    a, b = forward_selection(symmetric, 20), forward_selection(whitened, 20)
-    np.testing.assert_array_equal(a.indices, b.indices)
-    # The factor leaves 1e-6 of the kernel matrix out.
-    np.testing.assert_allclose(a.reduction, b.reduction, atol=1e-6 * np.sum(view.total))
-
-
-@pytest.mark.parametrize("n_select", [1, None])  # on the matrix itself, and on the factor
-def test_a_candidate_whose_running_figures_are_wrong_is_looked_at_again(n_select):
-    X, Y, weights = problem(2, n=80)
-    problem_ = prepare(merge(X, Y, weights), 0)
-    view = problem_.view()
-    args = (problem_, view, np.arange(80), WIDE, [np.arange(2)], [1e-3])
-
-    def select(misjudged):
-        (candidates,) = candidate_groups(*args, n_select).groups
-        norms, correlations = candidates.squared_norms(), candidates.correlations()
-        norms[misjudged] *= 2.0
-        correlations[misjudged] *= 3.0  # 4.5 times its gain: it is tried long before its turn
-        candidates.squared_norms = lambda: norms
-        candidates.correlations = lambda: correlations
-        return forward_selection([candidates], 8)
-
-    honest = select([])
-    wrong = select(np.delete(np.arange(80), honest.indices[0]))
-    assert wrong.indices[0] == honest.indices[0]
-    np.testing.assert_allclose(wrong.reduction[0], honest.reduction[0], rtol=1e-9)
-
-
 def left_over(coordinates, target, chosen):
     """What least squares on the chosen candidates leave of every output, squared."""
     A = coordinates[chosen].T
     return np.square(target - A @ np.linalg.lstsq(A, target, rcond=None)[0]).sum(axis=0)
 
 
-def two_views(scale=1.0):
-    """Coordinates of ten candidates, four independent ones in one view and six in the other.
-
-    Candidate 7 is nothing in the first view, candidate 3 nothing in both.
-    """
-    rng = np.random.default_rng(3)
-    parts = []
-    for rank, n_outputs in ((4, 1), (6, 2)):
-        coordinates, target = rng.normal(size=(10, rank)), rng.normal(size=(rank, n_outputs))
-        coordinates[3] = 0.0
-        parts.append([coordinates * scale, target])
-    parts[0][0][7] = 0.0
-    parts[1][1][:, 1] += 3.0 * parts[1][0][7] / scale
-    return parts
-
-
 @pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
-def test_two_views_of_the_candidates_until_all_that_is_left_depends_on_the_chosen(scale):
-    views = two_views(scale)
-    found = forward_selection([WhitenedCandidates(*view) for view in views], 10)
+def test_until_all_that_is_left_depends_on_the_chosen(scale):
+    rng = np.random.default_rng(3)
+    coordinates, target = scale * rng.normal(size=(10, 6)), rng.normal(size=(6, 2))
+    coordinates[3] = 0.0
+    found = forward_selection(coordinates, target, 1e-10, 10)
     assert found.stop == "dependent"
     assert len(found.indices) == 6
-
-    def left(chosen):
-        return np.concatenate([left_over(*view, chosen) for view in views])
-
+    left = [left_over(coordinates, target, list(found.indices[:k])) for k in range(7)]
+    np.testing.assert_allclose(found.reduction, -np.diff(left, axis=0), atol=1e-12)
     for k, j in enumerate(found.indices):
         chosen = list(found.indices[:k])
-        falls = {i: left(chosen) - left([*chosen, i]) for i in range(10) if i not in chosen}
+        others = [i for i in range(10) if i not in chosen]
+        falls = {i: (left[k] - left_over(coordinates, target, [*chosen, i])).sum() for i in others}
         # Where one dimension is left, all candidates are worth the same.
-        assert falls[j].sum() >= max(fall.sum() for fall in falls.values()) - 1e-12
-        np.testing.assert_allclose(found.reduction[k], falls[j], atol=1e-12)
-    assert found.indices[0] == 7  # nothing to the first output, and all the same worth it
-    np.testing.assert_allclose(left(found.indices), 0, atol=1e-12)
+        assert falls[j] >= max(falls.values()) - 1e-12
+    np.testing.assert_allclose(left[-1], 0, atol=1e-12)
 
 
-@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
-def test_one_view_that_misjudges_a_candidate_is_enough_to_look_again(scale):
-    honest = [WhitenedCandidates(*view) for view in two_views(scale)]
-    expected = forward_selection(honest, 1)
-    for wrong in range(2):
-        views = [WhitenedCandidates(*view) for view in two_views(scale)]
-        norms, correlations = views[wrong].squared_norms(), views[wrong].correlations()
-        others = np.delete(np.arange(10), expected.indices[0])
-        norms[others] *= 2.0
-        correlations[others] *= 30.0
-        views[wrong].squared_norms = lambda norms=norms: norms
-        views[wrong].correlations = lambda correlations=correlations: correlations
-        found = forward_selection(views, 1)
-        np.testing.assert_array_equal(found.indices, expected.indices)
-        np.testing.assert_allclose(found.reduction, expected.reduction, rtol=1e-12)
+def extended_precision(W, t, n_select):
+    """Explicit Gram-Schmidt on all columns with three more digits: order, and what was left."""
+    W, t = W.astype(np.longdouble), t.astype(np.longdouble)
+    chosen, lengths = [], []
+    first = np.sum(W * W, axis=0)
+    for _ in range(n_select):
+        norms = np.sum(W * W, axis=0)
+        norms[chosen] = np.inf
+        j = int(np.argmax((t @ W) ** 2 / norms))
+        chosen.append(j)
+        lengths.append(float(np.sqrt(norms[j] / first[j])))
+        q = W[:, j] / np.sqrt(norms[j])
+        W = W - np.outer(q, q @ W)
+        t = t - q * (q @ t)
+    return chosen, min(lengths)
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("apart", [1e-7, 1e-8])
 def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(apart, scale):
-    # All are one direction but for so little, in which they are orthogonal: once the first has been
-    # chosen, as a second view demands, each explains its own coordinate of the target.
     n = 30
     rng = np.random.default_rng(0)
-    turn = np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0]
-    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), apart * np.eye(n)])
-    coordinates[0, 1] = 0.0
-    own = rng.permutation(100 + 0.1 * np.arange(n))
-    target = np.concatenate([[1e10], own])[:, None]
-    view = WhitenedCandidates(coordinates @ turn * scale, turn.T @ target)
-    demand = WhitenedCandidates(np.eye(n)[:, :1], np.array([[1e11]]))
-    found = forward_selection([view, demand], n)
-    order = [j for j in np.argsort(-own) if j != 0]
-    np.testing.assert_array_equal(found.indices, [0, *order])
-    np.testing.assert_allclose(found.reduction[1:, 0], own[order] ** 2, rtol=1e-13 / apart)
-
-
-def test_twins_on_the_matrix_itself():
-    X, Y, _ = problem(n=10)
-    X, Y = np.vstack([X, X + 2e-5]), np.vstack([Y, Y + 0.01 * np.arange(10)[:, None]])
-    K = kernel_matrix(X / 0.5, X / 0.5, "gaussian")
-    candidates = SymmetricCandidates(np.asfortranarray(K), np.ones(20), np.zeros((20, 0)), Y, 0.0)
-    found = forward_selection([candidates], 14)
-    n_steps = len(found.indices)
-    assert n_steps > 10  # of some both
-    left = [left_over(K, Y, list(found.indices[:k])) for k in range(n_steps + 1)]
-    np.testing.assert_allclose(found.reduction, -np.diff(left, axis=0), rtol=1e-4, atol=1e-8)
+    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), apart * rng.normal(size=(n, n))])
+    coordinates = coordinates @ np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0] * scale
+    target = rng.normal(size=(n + 1, 1))
+    found = forward_selection(coordinates, target, 1e-10, n - 1)
+    order, least = extended_precision(coordinates.T, target[:, 0], n - 1)
+    assert least < 10 * apart
+    np.testing.assert_array_equal(found.indices, order)
 
 
 @pytest.mark.parametrize(
@@ -242,7 +163,7 @@ def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
     # Orthogonal candidates: each lowers the objectives by squares of the targets' coordinates.
     target = np.array([[1.0, 2.0], [2.0, 3.0], [5.0, 2.0], [1.0, 1.0]])
     goal = None if enough is None else lambda summed: bool(np.all(summed >= enough))
-    found = forward_selection([WhitenedCandidates(np.eye(4), target)], n_select, enough=goal)
+    found = forward_selection(np.eye(4), target, 1e-10, n_select, enough=goal)
     assert found.stop == stop
     assert list(found.indices) == [2, 1, 0, 3][:n_steps]
     np.testing.assert_allclose(found.reduction, np.square(target)[found.indices])
@@ -252,22 +173,20 @@ def test_candidates_that_explain_nothing_are_chosen_once_each():
     target = np.array([[0.0], [5.0], [0.0], [0.0]])
     candidates = np.eye(4)
     candidates[2] = 0.0
-    found = forward_selection([WhitenedCandidates(candidates, target)], 9)
+    found = forward_selection(candidates, target, 1e-10, 9)
     np.testing.assert_array_equal(found.indices, [1, 0, 3])
     assert found.stop == "dependent"
-    none = forward_selection([WhitenedCandidates(0 * candidates, target)], 9)
+    none = forward_selection(0 * candidates, target, 1e-10, 9)
     assert none.reduction.shape == (0, 1)
     np.testing.assert_array_equal(candidates[none.indices], np.empty((0, 4)))
 
 
-@pytest.mark.parametrize("n_select", [1, None])
-def test_reductions_are_by_how_much_the_objective_falls(n_select):
+def test_reductions_are_by_how_much_the_objective_falls():
     X, Y, weights = problem(2, n=80)
     problem_ = prepare(merge(X, Y, weights), 0)
     view = problem_.view()
-    args = (problem_, view, np.arange(80), WIDE, [np.arange(2)], [0.0])
-    (candidates,) = candidate_groups(*args, n_select).groups
-    chosen = forward_selection([candidates], 6)
+    candidates = candidates_of(problem_, view, np.arange(80), WIDE, 0.0, 80)
+    chosen = forward_selection(*candidates[:3], 6)
     root = np.sqrt(weights)[:, None]
     order = problem_.first[chosen.indices]  # rows are sorted there
     K = kernel_matrix(X / 0.5, X[order] / 0.5, "gaussian")
@@ -310,25 +229,12 @@ def test_residual_is_that_of_extended_precision_on_wide_widths():
 def test_order_is_that_of_extended_precision_where_columns_are_nearly_dependent():
     X, Y, _ = problem(n=300, seed=8)
     model = RBFNetRegressor(45, length_scale=1.2, alpha=0).fit(X, Y[:, 0])
-    # Explicit Gram-Schmidt on all columns, with three more digits.
     P = X.astype(np.longdouble)
     W = np.exp(-np.sum((P[:, None] - P) ** 2, axis=2) / (2 * np.longdouble(1.2) ** 2))
-    W -= W.mean(axis=0)
     t = Y[:, 0].astype(np.longdouble)
-    t -= t.mean()
-    chosen, lengths = [], []
-    first = np.sum(W * W, axis=0)
-    for _ in range(45):
-        norms = np.sum(W * W, axis=0)
-        norms[chosen] = np.inf
-        j = int(np.argmax((t @ W) ** 2 / norms))
-        chosen.append(j)
-        lengths.append(float(np.sqrt(norms[j] / first[j])))
-        q = W[:, j] / np.sqrt(norms[j])
-        W -= np.outer(q, q @ W)
-        t -= q * (q @ t)
+    chosen, least = extended_precision(W - W.mean(axis=0), t - t.mean(), 45)
     # So little is left of the last columns that their squares are below machine epsilon.
-    assert min(lengths) < 1e-8
+    assert least < 1e-8
     np.testing.assert_array_equal(model.center_indices_, chosen)
 
 

@@ -1,13 +1,9 @@
-import pickle
-
 import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
-from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 
 from sklearn_raacmm import Arm, PoseFeatures
 from sklearn_raacmm.residuals import _pose_features
@@ -76,12 +72,6 @@ def test_periodic_knows_no_turns(joints):
     # Cosine and sine of the very same angles: atan2 gives them back.
     plain = PoseFeatures(arm, joints=joints).fit_transform(angles)
     assert_allclose(np.arctan2(features[:, 1::2], features[:, ::2]), plain, atol=1e-12)
-
-
-def test_all_joints():
-    arm = Arm.from_name("panda")
-    angles = angles_of(arm)
-    assert_array_equal(PoseFeatures(arm, joints="all").fit_transform(angles), angles)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -154,34 +144,6 @@ def test_float32_in_float32_out(encoding):
     assert_array_equal(features, pose.transform(angles.astype(np.float64)).astype(np.float32))
 
 
-def test_batches_make_no_difference(monkeypatch):
-    angles = angles_of(Arm.from_name("aacmm6"))
-    pose = PoseFeatures(append_azimuth=True).fit(angles)
-    whole = pose.transform(angles)
-    monkeypatch.setattr(_pose_features, "_BATCH_ROWS", 7)
-    assert_array_equal(pose.transform(angles), whole)
-
-
-def test_default_arm():
-    angles = angles_of(Arm.from_name("aacmm6"))
-    pose = PoseFeatures().fit(angles)
-    assert pose.arm is None
-    assert pose.arm_ == Arm.from_name("aacmm6")
-    assert_array_equal(
-        pose.transform(angles), PoseFeatures(Arm.from_name("aacmm6")).fit_transform(angles)
-    )
-
-
-def test_clone_and_pickle():
-    arm = Arm.from_name("panda").replace(probe=(1, 2, 3))
-    pose = clone(PoseFeatures(arm, encoding="periodic"))
-    assert pose.arm == arm
-    angles = angles_of(arm)
-    restored = pickle.loads(pickle.dumps(pose.fit(angles)))
-    assert_array_equal(restored.transform(angles), pose.transform(angles))
-    assert "PoseFeatures" in pose._repr_html_()
-
-
 # -- bad input ------------------------------------------------------------------------------------
 
 
@@ -192,23 +154,6 @@ def test_wrong_number_of_joints(n_columns):
     pose = PoseFeatures().fit(np.zeros((3, 6)))
     with pytest.raises(ValueError, match=f"X has {n_columns} features, .* is expecting 6"):
         pose.transform(np.zeros((3, n_columns)))
-
-
-@pytest.mark.parametrize(("value", "word"), [(np.nan, "NaN"), (np.inf, "infinity")])
-def test_not_finite(value, word):
-    angles = np.zeros((3, 6))
-    pose = PoseFeatures().fit(angles)
-    angles[1, 2] = value
-    for method in (PoseFeatures().fit, pose.transform):
-        with pytest.raises(ValueError, match=f"X contains {word}"):
-            method(angles)
-
-
-def test_unfitted():
-    with pytest.raises(NotFittedError, match="PoseFeatures instance is not fitted"):
-        PoseFeatures().transform(np.zeros((3, 6)))
-    with pytest.raises(NotFittedError, match="PoseFeatures instance is not fitted"):
-        PoseFeatures().get_feature_names_out()
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi
 
-from sklearn_raacmm.utils import TUKEY_CUT, robust_scale, tukey_weights
+from sklearn_raacmm.utils import robust_scale, tukey_weights
 
 
 def errors(n, q, seed=0, n_far=0):
@@ -53,19 +53,6 @@ def test_weights_are_the_closed_form(q):
     assert tukey_weights(1e-150 * residuals) == pytest.approx(found, rel=1e-10, abs=1e-12)
 
 
-def test_weights_are_the_slope_of_a_bounded_loss():
-    """Beaton's and Tukey's loss c^2 / 6 (1 - (1 - (r / c)^2)^3): its slope over r is the weight."""
-    r, step = np.linspace(0.1, 10, 60), 1e-5
-    found = tukey_weights(r[:, None] * [[0.6, 0.8]], least_scale=1.3, weighed=True)
-    cut = TUKEY_CUT * max(robust_scale(r, 2), 1.3)
-
-    def loss(r):
-        return cut**2 / 6 * (1 - (1 - np.minimum(r / cut, 1) ** 2) ** 3)
-
-    slope = (loss(r + step) - loss(r - step)) / (2 * step)
-    assert found == pytest.approx(slope / r, abs=1e-7)
-
-
 def test_all_rows_count_fully_while_none_is_far_off():
     residuals = errors(200, 3)
     assert tukey_weights(residuals).tolist() == [1.0] * 200
@@ -88,9 +75,3 @@ def test_rows_that_are_met_exactly_have_no_scale():
     residuals[:4] = 1.0
     assert tukey_weights(residuals).tolist() == [1.0] * 9
     assert tukey_weights(residuals, least_scale=0.1).tolist() == [0.0] * 4 + [1.0] * 5
-
-
-def test_how_rare_what_is_cut_off_is():
-    """The shares of normal errors that the constant's comment names."""
-    assert chi.sf(TUKEY_CUT, 1) == pytest.approx(1 / 26e6, rel=0.05)
-    assert chi.sf(TUKEY_CUT, 3) == pytest.approx(1 / 800_000, rel=0.05)

@@ -9,6 +9,7 @@ import math
 
 
 def radial(kernel, s):
+    """Radial function of a squared distance in units of the width."""
     if kernel == "gaussian":
         return math.exp(-s / 2)
     if kernel == "matern32":
@@ -19,6 +20,7 @@ def radial(kernel, s):
 
 
 def frames(theta, table, standard):
+    """Axes and origin of the base and of every frame, 12 numbers each."""
     found = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     for angle, (ca, sa, a, d) in zip(theta, table):
         c, s, last, rows = math.cos(angle), math.sin(angle), found[-12:], []
@@ -34,6 +36,7 @@ def frames(theta, table, standard):
 
 
 def variances(vectors, sizes, vector, root):
+    """Squared lengths of root times columns, for x, y and z."""
     found, n = [], len(vectors) // 3
     for k in range(3):
         column = [size * vectors[n * k + a] for size, a in zip(sizes, vector)]

@@ -1,9 +1,10 @@
-"""Rigid motions from one set of points to another."""
+"""Small matrices: rigid motions from one set of points to another, and inverse triangles."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
+from scipy.linalg import lapack
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -13,18 +14,15 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
 
 
 def align(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and shift that take points to target with the least squares of what is left.
+    """Rotation (3, 3) and shift (3,) that take points (n, 3) to target by least squares.
 
-    Parameters
-    ----------
-    points, target : ndarray of shape (n_points, 3)
-
-    Returns
-    -------
-    rotation : ndarray of shape (3, 3)
-    shift : ndarray of shape (3,)
-        ``points @ rotation.T + shift`` is next to `target`.
+    ``points @ rotation.T + shift`` is next to `target`.
     """
     centre, target_centre = points.mean(axis=0), target.mean(axis=0)
     rotation = nearest_rotation((target - target_centre).T @ (points - centre))
     return rotation, target_centre - rotation @ centre
+
+
+def invert_triangle(L: np.ndarray) -> None:
+    """Invert a lower triangular matrix (n, n) in Fortran order, in place."""
+    L[:] = lapack.dtrtri(L, lower=1, overwrite_c=1)[0]
