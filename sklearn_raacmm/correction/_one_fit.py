@@ -119,15 +119,16 @@ class Data:
 
     def calibrate(self, rows):
         """Calibrate on these rows."""
-        every = self.angles, self.positions, self.points, self.tools
-        return self._calibrated([_at(rows, part) for part in every], self.lengths_among(rows))
+        points, tools = _at(rows, self.points), _at(rows, self.tools)
+        data = self.angles[rows], self.positions[rows], points, tools
+        return self._calibrated(*data, self.lengths_among(rows))
 
     def calibrate_all(self):
         """Calibrate on all rows, as they were given."""
-        return self._calibrated(self.given, self.lengths)
+        angles, positions, points, tools = self.given
+        return self._calibrated(angles, positions, points, tools, self.lengths)
 
-    def _calibrated(self, given, lengths):
-        angles, positions, points, tools = given
+    def _calibrated(self, angles, positions, points, tools, lengths):
         if points is not None:
             return calibrate(self.arm, angles, points=points, tools=tools)
         return calibrate(self.arm, angles, positions, lengths=lengths, tools=tools)
