@@ -163,35 +163,26 @@ def check_correction(
     ----------
     model : ArmResidualRegressor
         Fitted model.
-
     X : array-like of shape (n_samples, n_joints + n_extra)
         Joint angles of today's poses, in the unit that the model takes; then the extra columns that
         it was fitted with.
-
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
         ``result.residuals(angles, points)`` or :func:`position_residuals`.
-
     groups : array-like of shape (n_samples,), default=None
         Label of the position of each sample, where each position has an unknown offset.
-
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between two positions of `groups`, mm, such as of a gauge with poses at both
         ends: tuples or the rows of an array. They show a change of scale, as by temperature.
-
     arm : Arm, default=None
         The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
         model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
-
     sample_weight : array-like of shape (n_samples,), default=None
         Weights.
-
     refitted : list of {"base", "probe"}, default=()
         What has been fitted to these same poses: that has taken up a part of any change.
-
     false_alarm_rate : float, default=0.01
         How often a correction that holds may be called into question.
-
     date : str, default=None
         When the poses were measured, for the record; None: today.
 
@@ -214,15 +205,12 @@ def check_correction(
     Notes
     -----
     If the correction holds, ``y - predict(X)`` is normal with the covariance ``A S A' + s^2 I`` of
-    the model's posterior and noise, both widened as positions that were left out of the fit ask for
-    (`std_scale` and `noise_scale` of its linear model). A known length has one of the same form.
-    One test is of the size of all against that; one of each cause, a score test of what that cause
-    would do to these poses: the offset and the two lowest harmonics of each joint, the probe, the
-    base and its drift, a common scale. Where the widening comes from few positions, their number
-    are the freedoms of the denominator of Fisher's F. The smallest p-value times the number of
-    tests is compared with the rate, so that the rate is an upper bound (Bonferroni). Poses in
-    regions that the model has not seen may raise alarms of their own. A pose that lies farther off
-    than 95 % do counts as though it lay there.
+    the model's posterior and noise, both widened by `std_scale` and `noise_scale` of its linear
+    model. One test is of the size of all against that; one of each cause, a score test of what it
+    would do to these poses. Where the widening comes from few positions, their number are the
+    freedoms of the denominator of Fisher's F. The smallest p-value times the number of tests is
+    compared with the rate, which is an upper bound (Bonferroni). A pose that lies farther off than
+    95 % do counts as though it lay there.
 
     What cannot be seen is not tested: a single-point test without known lengths has no scale, and
     joint 1 nothing but its harmonics. A base that has moved shows in residuals of a registration
@@ -268,9 +256,7 @@ def check_correction(
     p_value = min(float(tests["p_value"].min()) * len(tests), 1.0)
     holds = p_value >= false_alarm_rate
     suspect = "nothing" if holds else best_cause(tests)
-    n = 3 * len(poses.left)
-    usual_mm = poses.usual_mm()
-    size_mm = 0.0
+    n, usual_mm, size_mm = 3 * len(poses.left), poses.usual_mm(), 0.0
     if suspect in causes:
         size_mm = poses.size_mm(explained(causes[suspect], whiten, poses.residual())[:n])
     elif suspect == "noise":  # as much as all exceed what is expected of them

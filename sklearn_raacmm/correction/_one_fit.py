@@ -119,25 +119,25 @@ class Data:
 
     def calibrate(self, rows):
         """Calibrate on these rows."""
-        tools = self._tools_of(rows)
-        if self.points is not None:
-            return calibrate(self.arm, self.angles[rows], points=self.points[rows], tools=tools)
-        groups, lengths = self.positions[rows], self.lengths_among(rows)
-        return calibrate(self.arm, self.angles[rows], groups, lengths=lengths, tools=tools)
+        points, tools = _at(rows, self.points), _at(rows, self.tools)
+        data = self.angles[rows], self.positions[rows], points, tools
+        return self._calibrated(*data, self.lengths_among(rows))
 
     def calibrate_all(self):
         """Calibrate on all rows, as they were given."""
         angles, positions, points, tools = self.given
+        return self._calibrated(angles, positions, points, tools, self.lengths)
+
+    def _calibrated(self, angles, positions, points, tools, lengths):
         if points is not None:
             return calibrate(self.arm, angles, points=points, tools=tools)
-        return calibrate(self.arm, angles, positions, lengths=self.lengths, tools=tools)
+        return calibrate(self.arm, angles, positions, lengths=lengths, tools=tools)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        angles, tools = self.angles[rows], self._tools_of(rows)
-        if self.points is None:
-            return calibration.residuals(angles, groups=self.positions[rows], tools=tools)
-        return calibration.residuals(angles, self.points[rows], tools=tools)
+        groups = self.positions[rows] if self.points is None else None
+        points, tools = _at(rows, self.points), _at(rows, self.tools)
+        return calibration.residuals(self.angles[rows], points, groups, tools=tools)
 
     def shown(self, calibration, rows):
         """Points of the calibrated arm with the probe of each of these rows, (n, 3) mm."""
@@ -145,18 +145,14 @@ class Data:
 
     def at_probes(self, model, calibration, rows):
         """The model as it predicts these rows, each with its own probe."""
-        tools = self._tools_of(rows)
-        if tools is None:
+        if self.tools is None:
             return model
-        arms = {tool: calibration.arms[tool] for tool in np.unique(tools).tolist()}
-        return _OfTools({tool: model.with_arm(arm) for tool, arm in arms.items()}, tools)
-
-    def _tools_of(self, rows):
-        return None if self.tools is None else self.tools[rows]
+        moved = {tool: model.with_arm(arm) for tool, arm in calibration.arms.items()}
+        return _OfTools(moved, self.tools[rows])
 
     def _probes(self, calibration, rows):
         """Probe of each of these rows, (n, 3) in mm; None where all have the arm's."""
-        tools = self._tools_of(rows)
+        tools = _at(rows, self.tools)
         return None if tools is None else np.array([calibration.arms[t].probe for t in tools])
 
     def outliers(self, calibration):
@@ -215,6 +211,10 @@ class Data:
         return fitted.fit(self.inputs[rows], y, **extra)
 
 
+def _at(rows, values):
+    return None if values is None else values[rows]
+
+
 class _OfTools(NamedTuple):
     """A model at the probes of several tools, for rows in this order."""
 
@@ -225,8 +225,8 @@ class _OfTools(NamedTuple):
         """As of one model."""
         found = np.empty((1 + return_std, len(X), 3))
         for tool, model in self.models.items():
-            rows = self.tools == tool
-            found[:, rows] = model.predict(X[rows], return_std)
+            if (rows := self.tools == tool).any():
+                found[:, rows] = model.predict(X[rows], return_std)
         return tuple(found) if return_std else found[0]
 
 

@@ -143,7 +143,7 @@ class SavedCorrection:
         """
         tools = self.facts.get("tools", {})
         if str(tool) not in tools:
-            known = ", ".join(tools) or "none of several"
+            known = ", ".join(tools) or "one only"
             raise ValueError(
                 f"the correction knows no tool {str(tool)!r}; it was learnt with {known}."
             )

@@ -223,7 +223,7 @@ def _folds(data, kept, cv):
     splits = list(check_cv(cv).split(data.angles, groups=blocks))
     times = np.zeros(len(codes), dtype=int)
     for train, test in splits:
-        lost = () if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
+        lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
         if len(lost):
             raise ValueError(
                 f"all positions of tool {lost[0].item()!r} are left out together: measure each "

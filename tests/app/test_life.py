@@ -2,6 +2,7 @@
 
 import json
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -156,6 +157,29 @@ def test_move_by_a_known_vector(folder, tmp_path, capsys, learnt):
     code, said = run(capsys, "move", "--model", model, "--probe", "0,250", "--out", tmp_path)
     assert code == 2
     assert "three numbers" in said
+
+
+def test_each_row_is_corrected_by_its_own_probe(folder, tmp_path, capsys):
+    saved = LearnedCorrection.load(folder / "cones")
+    tools = {"1": saved.arm.probe.tolist(), "long": [0.0, 0.0, 250.0]}
+    replace(saved, facts=saved.facts | {"tools": tools}).save(tmp_path / "model")
+    head, *lines = (folder / "new.csv").read_text().splitlines()
+    names = np.resize(["long", "1"], len(lines)).tolist()
+    rows = [f"{line};{name}" for line, name in zip(lines, names, strict=True)]
+    table, out = tmp_path / "today.csv", tmp_path / "out.csv"
+    table.write_text("\n".join([f"{head};stylus", *rows]) + "\n")
+    words = ["correct", table, "--model", tmp_path / "model", "--out", out]
+    assert run(capsys, *words, "--tool", "stylus")[0] == 0
+    found = read_table(out, 6, position="cone", points=["x", "y", "z"])
+    for name, probe in tools.items():
+        of_name = np.array(names) == name
+        own = saved.arm.replace(probe=probe)
+        angles = np.deg2rad(found.angles[of_name])
+        expected = own.forward(angles) - saved.model.with_arm(own).predict(angles)
+        np.testing.assert_allclose(found.points[of_name], expected, atol=1e-3)
+    code, said = run(capsys, *words, "--tool", "cone")
+    assert code == 2
+    assert "knows no tool 'cone 0'; it was learnt with 1, long" in said
 
 
 @pytest.mark.parametrize(("words", "sentence"), [
