@@ -196,8 +196,7 @@ def load_c(
     Returns
     -------
     CompiledModel
-        Has ``predict(X)``, ``correct(angles)``, ``point(angles)``, ``status(angles)`` and
-        ``predict_std(X)``: on one row, the first two on many rows, too. Threads may share it; a
+        For one row; its ``predict`` and ``correct`` take many rows, too. Threads may share it; a
         pickle holds the source and compiles it where it is loaded.
 
     Raises

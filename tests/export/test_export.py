@@ -463,25 +463,6 @@ def test_a_missing_folder_is_named(small, tmp_path):
         export_c(small, tmp_path / "nowhere" / "arm.c")
 
 
-def test_a_failed_write_leaves_the_old_files(data, small, tmp_path, monkeypatch):
-    paths = export_c(small, tmp_path / "arm.c")
-    before = [path.read_bytes() for path in paths]
-    other = network().fit(data.data, data.target)
-    sync, calls = os.fsync, []
-
-    def full(handle):
-        calls.append(handle)
-        if len(calls) == 2:  # the header; the source is complete
-            raise OSError(28, "No space left on device")
-        return sync(handle)
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
-        export_c(other, tmp_path / "arm.c")
-    assert [path.read_bytes() for path in paths] == before
-    assert len(list(tmp_path.iterdir())) == 2
-
-
 # -- what cannot be exported ---------------------------------------------------------------------
 
 
