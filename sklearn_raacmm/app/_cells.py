@@ -118,6 +118,10 @@ class Dialect:
             return None
         return float(cell)
 
+    def count(self, cells):
+        """How many cells hold numbers."""
+        return sum(self.number(cell) is not None for cell in cells)
+
     def numbers(self, cells):
         """Numbers of a column, or None if one of them is none; fast for plain text."""
         try:
@@ -194,7 +198,7 @@ def _count_numbers(dialect, line):
         )
     except csv.Error as error:
         raise dialect.broken(error) from None
-    return sum(dialect.number(clean(cell)) is not None for cell in cells)
+    return dialect.count(map(clean, cells))
 
 
 def find_encoding(path):

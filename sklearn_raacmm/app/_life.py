@@ -23,7 +23,7 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, deviations_by_group, natural_order, write_whole
+from sklearn_raacmm.utils import check_places, natural_order, write_whole
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -81,7 +81,7 @@ class _Today(NamedTuple):
         """Mean distance of corrected points from where they should be, mm."""
         y = y - predicted
         if self.positions is not None:
-            y = deviations_by_group(y, self.positions)[0]
+            y = position_residuals(y, self.positions)
         return float(np.linalg.norm(y, axis=1).mean())
 
     def without(self, slipped):
