@@ -144,6 +144,12 @@ def correct(options):
         check_places([options.out], [options.table, *files_of(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
+    known = saved.facts["causes"]
+    if unknown := columns_of_causes(options).keys() - known.keys():
+        raise TableError(
+            f"--extra names {', '.join(sorted(unknown))}, and this correction takes "
+            f"{', '.join(known) or 'no cause'}: leave it away, or mend the name."
+        )
     layout = find_rows(options, saved.arm)
     stream = (
         nullcontext(options.stdout)

@@ -43,7 +43,7 @@ _LARGEST_TURN = 0.5
 _BY_CHANCE = 1e-3
 
 
-def check_fit(estimator, X, y, sample_weight, groups, lengths, probes):
+def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     """Rows of all that `fit` of an estimator is given, those of weight 0 among them.
 
     And the position of each row, (n,) from 0; without groups each row is one.

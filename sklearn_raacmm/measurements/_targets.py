@@ -54,8 +54,9 @@ class Targets(NamedTuple):
     def used(self) -> tuple[Self, np.ndarray | None]:
         """The same without rows of no weight, and with the arm's points or None."""
         kept = self.weights > 0
-        rows = {name: getattr(self, name) for name in ("y", "weights", "angles", "codes")}
-        some = self._replace(**{n: v if v is None else v[kept] for n, v in rows.items()})
+        names = [n for n in ("y", "weights", "angles", "codes") if getattr(self, n) is not None]
+        rows: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        some = self._replace(**rows)
         return some, None if self.arm is None else points_of(self.arm, some.angles)
 
 

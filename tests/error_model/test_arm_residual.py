@@ -175,10 +175,6 @@ def test_lengths_are_checked(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 20
     model = ArmResidualRegressor(arm, orders=2, offsets=True)
-    with pytest.raises(ValueError, match="group 77, which has no samples"):
-        model.fit(theta, y, groups=groups, lengths=[(0, 77, 100, 0.1)])
-    with pytest.raises(ValueError, match=r"\(label, label, length, standard deviation\)"):
-        model.fit(theta, y, groups=groups, lengths=[(0, 1, 100)])
     with pytest.raises(ValueError, match="lengths are for positions with offsets"):
         model.set_params(offsets=False).fit(theta, y, groups=groups, lengths=[(0, 1, 100, 1)])
 
@@ -337,19 +333,11 @@ def test_errors(eccentric):
         (theta[:, :5], y, "X has 5 columns, but the arm .* has 6 joints"),
         (theta, y[:, :2], r"y has shape \(400, 2\); Cartesian residuals \(n_samples, 3\)"),
         (theta, y[:, 0], r"y has shape \(400,\)"),
-        (theta[:10], y, "inconsistent numbers of samples"),
-        (np.full_like(theta, np.nan), y, "NaN"),
     ]:
         with pytest.raises(ValueError, match=message):
             model.fit(X, target)
-    with pytest.raises(ValueError, match="at least one non-zero"):
-        model.fit(theta, y, sample_weight=np.zeros(400))
-    with pytest.raises(ValueError, match="groups names 3 samples, but there are 400"):
-        model.fit(theta, y, groups=[1, 2, 3])
     with pytest.raises(ValueError, match="no columns"):
         ArmResidualRegressor(arm, orders=0, **ALONE).fit(theta, y)
-    with pytest.warns(UserWarning, match="degrees"):
-        ArmResidualRegressor(arm, orders=1, **ALONE).fit(np.rad2deg(theta), y)
 
 
 def test_no_orders_need_be_offered():
