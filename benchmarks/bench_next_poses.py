@@ -7,7 +7,7 @@ the same series is printed, the mean of several draws of the candidates.
 
 With ``--first`` a first test of 8 cones with 12 poses each, on simulated arms: mean 2S at 8 other
 cones where cones and poses come by chance, where the cones are spread and poses come by chance, and
-as :func:`plan_poses` has them.
+as :func:`plan_poses` has them. The other cones have poses by chance, or those of another plan.
 
 Run it with ``python benchmarks/bench_next_poses.py`` (two minutes). The data are downloaded, or
 read from the folder that SKLEARN_RAACMM_DATA names.
@@ -84,28 +84,36 @@ def compare(name, task_of, n, use, choose, n_chance, draws):
 def first_tests(n_arms):
     """2S in um at cones that were not learnt, of each way to choose a first test."""
     ways = {"by chance": [], "spread cones": [], "planned": []}
+
+    def read(machine, poses, plan, seed):
+        rng, cones = np.random.RandomState(seed), plan.positions[plan.groups - 1]
+        cones = cones + machine.errors.seating_um / 1000 * rng.normal(size=cones.shape)
+        return machine.read(machine.solve(poses, cones), rng), plan.groups
+
     for seed in range(n_arms):
         machine = SimulatedArm("typical", random_state=seed)
-        plan = plan_poses(machine.nominal_arm, 8, 12, random_state=seed)
+        plan, other = (
+            plan_poses(machine.nominal_arm, 8, n, random_state=s) for n, s in ((12, seed), (25, 99))
+        )
         chance = make_single_point(8, 12, machine=machine, random_state=seed)
-        spread = [machine.find_poses(place, 12, seed) for place in plan.positions]
-        groups, rng = plan.groups - 1, np.random.RandomState(seed)
-        cones = plan.positions[groups]
-        cones = cones + machine.errors.seating_um / 1000 * rng.normal(size=cones.shape)
-        read = [
-            machine.read(machine.solve(poses, cones), rng)
-            for poses in (np.concatenate(spread), plan.angles)
-        ]
+        spread = np.concatenate([machine.find_poses(place, 12, seed) for place in plan.positions])
         far = make_single_point(8, 25, machine=machine, random_state=1000 + seed)
-        tests = [(chance.data, chance.groups), (read[0], groups), (read[1], groups)]
+        judged = (far.data, far.groups), read(machine, other.angles, other, 1)
+        tests = (
+            (chance.data, chance.groups), read(machine, spread, plan, 2),
+            read(machine, plan.angles, plan, 2),
+        )  # fmt: skip
         for name, (angles, labels) in zip(ways, tests, strict=True):
             found = calibrate(machine.nominal_arm, angles, labels)
             model = ArmResidualRegressor(found.arm)
             model.fit(angles, found.residuals_mm, groups=labels)
-            points = found.arm.forward(far.data) - model.predict(far.data)
-            ways[name].append(1000 * single_point_repeatability(points, far.groups))
+            ways[name].append([
+                1000 * single_point_repeatability(found.arm.forward(q) - model.predict(q), groups)
+                for q, groups in judged
+            ])  # fmt: skip
+    print("2S in um at other cones: with poses by chance, and planned")
     for name, values in ways.items():
-        print(f"{name:14} 2S {np.mean(values):6.1f} um, {min(values):.1f} to {max(values):.1f}")
+        print(f"{name:14} {np.mean(values, axis=0).round(1)}")
 
 
 def main():
