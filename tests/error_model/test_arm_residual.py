@@ -89,6 +89,24 @@ def test_the_number_offered_hardly_matters(eccentric):
     assert_allclose(few.coef_, many.coef_, rtol=1e-2)
 
 
+def test_standard_deviations_are_honest(eccentric):
+    """Over ten draws of the noise, the error of the prediction is what is said of it."""
+    arm, theta, _, truth = eccentric
+    model = ArmResidualRegressor(arm, orders=20)
+    new = draw_angles(arm, 30, seed=9)
+    error = np.zeros_like(new)
+    error[:, 1] = 6 * np.cos(new[:, 1] - np.deg2rad(40))
+    error[:, 3] = 4 * np.cos(17 * new[:, 3] + np.deg2rad(100))
+    error[:, 5] = 9 * np.sin(2 * new[:, 5])
+    expected = displaced(arm, new, error)
+    squares = []
+    for seed in range(10):
+        y = truth + np.random.default_rng(seed).normal(0, 0.003, truth.shape)
+        mean, std = model.fit(theta, y).predict(new, return_std=True)
+        squares.append(np.mean(((mean - expected) / std) ** 2))
+    assert 0.5 < np.mean(squares) < 2.0
+
+
 def test_uncertainty_grows_away_from_the_data(eccentric):
     arm, theta, _, _ = eccentric
     corner, error = 0.5 + 0.25 * theta, np.zeros_like(theta)
