@@ -11,7 +11,6 @@ from sklearn_raacmm.calibration._problem import (
     LENGTH_MM,
     REGISTERED_PLACE_MM,
     UNKNOWN_PLACE_MM,
-    encode_labels,
 )
 from sklearn_raacmm.calibration._result import CalibrationResult
 
@@ -24,6 +23,5 @@ __all__ = [
     "CalibrationResult",
     "calibrate",
     "check_length",
-    "encode_labels",
     "lengths_of_places",
 ]

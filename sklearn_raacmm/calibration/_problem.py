@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, parameter_jacobian
-from sklearn_raacmm.utils import encode_groups
 
 # What machining leaves of a length, mm, and the matching angle, rad, where few rows say little
 # (benchmarks/bench_calibrate.py).
@@ -85,14 +84,6 @@ class Problem:
         if self.index is None:
             return values.mean(axis=0)
         return self.sums(values, weights)[self.index]
-
-
-def encode_labels(name, labels, n):
-    """Different labels and the number of each row's, as `encode_groups`, for another name."""
-    try:
-        return encode_groups(labels, n)
-    except ValueError as error:
-        raise ValueError(str(error).replace("groups", name, 1)) from None
 
 
 def pack(arm):

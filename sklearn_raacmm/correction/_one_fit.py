@@ -16,13 +16,13 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
-from sklearn_raacmm.calibration import calibrate, check_length, encode_labels
+from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
 from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, unheard
+from sklearn_raacmm.utils import check_points, encode_groups, listed, unheard
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -56,10 +56,9 @@ class Data:
         angles = within_turn(angles)
         lengths = listed("lengths", lengths)
         if points is not None:
-            points = floats("points", points)
-            if points.shape != (len(angles), 3):
+            points = check_points(points, 3)
+            if len(points) != len(angles):
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
-            refuse_huge("points", points)
             if positions is None:
                 positions = _regions(points)
         labels, codes = encode_groups(positions, len(angles))
@@ -76,7 +75,7 @@ class Data:
         if tools is not None:
             if like:
                 raise ValueError("like and tools cannot be given together.")
-            names, of_tool = encode_labels("tools", tools, len(angles))
+            names, of_tool = encode_groups(tools, len(angles), "tools")
             tools, kinds = names[of_tool], codes * len(names) + of_tool
         given = angles, labels[codes], points, tools
         poses = find_poses(angles, kinds, points)
