@@ -28,10 +28,8 @@ CASES = {
     "direction": ({"play_arcsec": 6.0}, [f"direction {j}" for j in JOINTS]),
     "temperature": ({"drift_k": 8.0}, ["temperature"]),
     "payload": ({"payload_n": 20.0}, ["payload"]),
-    "tool": ({}, ["tool"]),
 }
 N_SPLITS = 3  # of the UR10's goals
-TOOL_MM = 0.05  # how far the second probe is from where the first one is
 
 
 def values_of(test, extra, rng=None):
@@ -39,26 +37,20 @@ def values_of(test, extra, rng=None):
     columns = []
     for name in extra:
         kind, *joint = name.split()
-        if kind == "direction":
-            value = test.directions[:, int(joint[0]) - 1]
-        elif kind == "tool":
-            value = np.arange(len(test.data)) % 2
-        else:
-            value = test[kind]
+        value = test.directions[:, int(joint[0]) - 1] if kind == "direction" else test[kind]
         if rng is not None:
             value = {
                 "direction": lambda: rng.choice([-1.0, 1.0], len(test.data)),
                 "temperature": lambda: 20 + rng.uniform(0, 8, len(test.data)),
                 "payload": lambda: rng.uniform(0, 20, len(test.data)),
-                "tool": lambda: rng.integers(0, 2, len(test.data)),
             }[kind]()
         columns.append(value)
     return np.column_stack(columns)
 
 
-def deviations(test, extra, values, tracker, moved=0.0):
+def deviations(test, extra, values, tracker):
     """2S at positions left out, mm: without and with the extra columns."""
-    points = test.points + moved
+    points = test.points
     y = points - test.simulation.true_points
     groups = test.groups
     if not tracker:
@@ -83,13 +75,8 @@ def run(case, seed, cause, tracker):
     errors = ArmErrors(**sizes) if cause else ArmErrors()
     test = make_single_point(12, 25, machine=errors, random_state=seed)
     rng = np.random.default_rng(seed)
-    moved = 0.0
-    if case == "tool" and cause:
-        offset = rng.normal(0, TOOL_MM, 3)
-        of_second = values_of(test, extra)[:, 0] == 1
-        moved = of_second[:, None] * (test.arm.frames(test.data)[:, -1, :, :3] @ offset)
     values = values_of(test, extra, None if cause else rng)
-    without, with_them = deviations(test, extra, values, tracker, moved)
+    without, with_them = deviations(test, extra, values, tracker)
     return with_them / without
 
 

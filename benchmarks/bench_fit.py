@@ -107,12 +107,12 @@ class Stages(logging.Handler):
 
     def __init__(self):
         super().__init__()
-        self.ends, self.rank, self.groups = {}, 0, _fit.candidate_groups
+        self.ends, self.rank, self.candidates_of = {}, 0, _fit.candidates_of
         logger = logging.getLogger("sklearn_raacmm")
         logger.setLevel(logging.INFO)
         logger.propagate = False
         logger.addHandler(self)
-        _fit.candidate_groups = self.note_rank
+        _fit.candidates_of = self.note_rank
 
     def emit(self, record):
         """Note when a stage has ended."""
@@ -120,8 +120,8 @@ class Stages(logging.Handler):
 
     def note_rank(self, *args, **kwargs):
         """Call the function that is watched, and note the rank."""
-        found = self.groups(*args, **kwargs)
-        self.rank = found.groups[0].rank
+        found = self.candidates_of(*args, **kwargs)
+        self.rank = found.coordinates.shape[1]
         return found
 
 

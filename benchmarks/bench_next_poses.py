@@ -5,6 +5,10 @@ calibrate the nominal table on series A, and to fit a model to series A with 80 
 Poses are chosen from some candidates, or drawn from them; the mean deviation at 1000 other poses of
 the same series is printed, the mean of several draws of the candidates.
 
+With ``--first`` a first test of 8 cones with 12 poses each, on simulated arms: mean 2S at 8 other
+cones where cones and poses come by chance, where the cones are spread and poses come by chance, and
+as :func:`plan_poses` has them. The other cones have poses by chance, or those of another plan.
+
 Run it with ``python benchmarks/bench_next_poses.py`` (two minutes). The data are downloaded, or
 read from the folder that SKLEARN_RAACMM_DATA names.
 """
@@ -18,7 +22,9 @@ from pathlib import Path
 import numpy as np
 from bench_after_the_lab import mean_deviation, read
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, next_poses
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, next_poses, plan_poses
+from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
 
 NOMINAL = Arm.from_name("ur10", probe=(0, 0, 93))
 TABLE = ["base", "probe", "a", "alpha", "d", "theta_offset"]
@@ -75,11 +81,49 @@ def compare(name, task_of, n, use, choose, n_chance, draws):
     )
 
 
+def first_tests(n_arms):
+    """2S in um at cones that were not learnt, of each way to choose a first test."""
+    ways = {"by chance": [], "spread cones": [], "planned": []}
+
+    def read(machine, poses, plan, seed):
+        rng, cones = np.random.RandomState(seed), plan.positions[plan.groups - 1]
+        cones = cones + machine.errors.seating_um / 1000 * rng.normal(size=cones.shape)
+        return machine.read(machine.solve(poses, cones), rng), plan.groups
+
+    for seed in range(n_arms):
+        machine = SimulatedArm("typical", random_state=seed)
+        plan, other = (
+            plan_poses(machine.nominal_arm, 8, n, random_state=s) for n, s in ((12, seed), (25, 99))
+        )
+        chance = make_single_point(8, 12, machine=machine, random_state=seed)
+        spread = np.concatenate([machine.find_poses(place, 12, seed) for place in plan.positions])
+        far = make_single_point(8, 25, machine=machine, random_state=1000 + seed)
+        judged = (far.data, far.groups), read(machine, other.angles, other, 1)
+        tests = (
+            (chance.data, chance.groups), read(machine, spread, plan, 2),
+            read(machine, plan.angles, plan, 2),
+        )  # fmt: skip
+        for name, (angles, labels) in zip(ways, tests, strict=True):
+            found = calibrate(machine.nominal_arm, angles, labels)
+            model = ArmResidualRegressor(found.arm)
+            model.fit(angles, found.residuals_mm, groups=labels)
+            ways[name].append([
+                1000 * single_point_repeatability(found.arm.forward(q) - model.predict(q), groups)
+                for q, groups in judged
+            ])  # fmt: skip
+    print("2S in um at other cones: with poses by chance, and planned")
+    for name, values in ways.items():
+        print(f"{name:14} {np.mean(values, axis=0).round(1)}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0, metavar="ARMS", help="first tests only")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    if options.first:
+        return first_tests(options.first)
     start = time.process_time()
     root = os.environ.get("SKLEARN_RAACMM_DATA", Path.home() / "scikit_learn_data")
     series = {name: read(name, Path(root) / "ur10_tracker") for name in "AB"}

@@ -4,7 +4,8 @@ A simulated arm is calibrated and learnt with a probe of 100 mm at 14 cones. The
 probes, each registered through the correction in two cones, 15 poses in all. At 8 other cones the
 mean 2S is printed: without a correction; with that of the old probe, registered; with the same
 causes through the Jacobian of the new probe (``model.with_arm``, which `calibrate` does by itself);
-and with a new fit on 14 cones of the new probe.
+moved in the same way, but learnt with probes of 100 and 250 mm together, 7 cones each; and with a
+new fit on 14 cones of the new probe.
 
 Run it with ``python benchmarks/bench_probes.py`` (three minutes).
 """
@@ -59,10 +60,26 @@ def fitted(arm, angles, groups):
     return found.arm, ArmResidualRegressor(found.arm).fit(angles, y, groups=groups)
 
 
+def fitted_to_two(machine, seed):
+    """The model of 7 cones with a probe of 100 mm and 7 others with one of 250 mm."""
+    tests = [
+        cone_test(with_probe(machine, length), seed + 50 * i, 7, 30)
+        for i, length in enumerate((100, 250))
+    ]
+    angles = np.concatenate([test[0] for test in tests])
+    groups = np.concatenate([test[1] + 7 * i for i, test in enumerate(tests)])
+    tools = np.repeat([0, 1], [len(test[0]) for test in tests])
+    found = calibrate(machine.nominal_arm, angles, groups, tools=tools)
+    y = found.residuals(angles, groups=groups, tools=tools)
+    probes = np.array([found.arms[tool].probe for tool in tools])
+    return ArmResidualRegressor(found.arm).fit(angles, y, groups=groups, probes=probes)
+
+
 def one_arm(seed):
     """2S in um for each probe and way."""
     machine = SimulatedArm("typical", random_state=seed)
     arm, model = fitted(machine.nominal_arm, *cone_test(machine, seed, 14, 30))
+    of_two = fitted_to_two(machine, seed)
     rows = []
     for length in PROBES_MM:
         own = with_probe(machine, length)
@@ -72,11 +89,14 @@ def one_arm(seed):
             calibrate(start, angles[:15], groups[:15], correction=way, free=["probe"]).arm
             for way in (None, OldProbe(model), model)
         )
+        longer = of_two.arm_.replace(probe=of_two.arm_.probe + np.array([0, 0, length - 100.0]))
+        both = calibrate(longer, angles[:15], groups[:15], correction=of_two, free=["probe"]).arm
         test = cone_test(own, 200 + seed, 8, 25)
         new_arm, new = fitted(own.nominal_arm, *cone_test(own, 300 + seed, 14, 30))
         rows.append([
             left(alone, None, *test), left(old, model, *test),
-            left(moved, model.with_arm(moved), *test), left(new_arm, new, *test),
+            left(moved, model.with_arm(moved), *test), left(both, of_two.with_arm(both), *test),
+            left(new_arm, new, *test),
         ])  # fmt: skip
     return rows
 
@@ -88,7 +108,13 @@ def main():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         table = np.mean([one_arm(seed) for seed in range(options.arms)], axis=0)
-    ways = ("uncorrected", "old probe, registered", "moved", "new fit of 14 cones")
+    ways = (
+        "uncorrected",
+        "old probe, registered",
+        "moved",
+        "learnt with two, moved",
+        "new fit of 14 cones",
+    )
     print("probe / mm" + "".join(f"{way:>24}" for way in ways) + "    2S, um")
     for length, values in zip(PROBES_MM, table, strict=True):
         print(f"{length:10}" + "".join(f"{value:24.1f}" for value in values))

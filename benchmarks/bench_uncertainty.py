@@ -3,7 +3,8 @@
 Simulated arms are learnt at 12 cones and measure spheres of 25 points and lengths elsewhere. The
 corrections alone are looked at: what they leave of the true errors of the arm changes the fitted
 diameter and the length. Root mean square of error over standard deviation, which should be 1: by
-the covariance of all poses together, and as though every point were independent.
+what such a test shows of all poses together, by all that the model knows (``with_unseen=True``),
+and as though every point were independent.
 
 Run it with ``python benchmarks/bench_uncertainty.py`` (two minutes).
 """
@@ -47,7 +48,7 @@ def of_length(points):
 
 
 def one_arm(errors, seed, n_spheres):
-    """Errors over standard deviations: of diameters and lengths, together and independent."""
+    """Errors over standard deviations of diameters and lengths: shown, all, independent."""
     machine = SimulatedArm(errors, random_state=seed)
     known = make_single_point(12, 30, machine=machine, random_state=seed)
     model = ArmResidualRegressor(known.arm).fit(known.data, known.target, groups=known.groups)
@@ -57,13 +58,14 @@ def one_arm(errors, seed, n_spheres):
         poses, normals = sphere(machine, rng)
         far = sphere(machine, rng)[0][:1]
         row = []
-        for angles, unseen in ((poses, False), (np.vstack([poses[:1], far]), True)):
-            g = of_length(known.arm.forward(angles)) if unseen else of_diameter(normals)
-            mean, cov = model.predict(angles, return_cov=True, with_unseen=unseen)
+        for angles, is_sphere in ((poses, True), (np.vstack([poses[:1], far]), False)):
+            g = of_diameter(normals) if is_sphere else of_length(known.arm.forward(angles))
             true = known.arm.forward(angles) - machine.forward(angles)
-            error = g @ (true - mean).ravel()
-            alone = np.sqrt(np.square(g) @ cov.diagonal())
-            row += [error / np.sqrt(g @ cov @ g), error / alone]
+            for unseen in (False, True):
+                mean, cov = model.predict(angles, return_cov=True, with_unseen=unseen)
+                error = g @ (true - mean).ravel()
+                row.append(error / np.sqrt(g @ cov @ g))
+            row.append(error / np.sqrt(np.square(g) @ cov.diagonal()))
         found.append(row)
     return found
 
@@ -73,8 +75,9 @@ def main():
     parser.add_argument("--arms", type=int, default=4, help="of each kind")
     parser.add_argument("--spheres", type=int, default=10, help="of each arm")
     options = parser.parse_args()
-    print(f"{'':14}{'diameter, together':>20}{'independent':>14}{'length, together':>20}"
-          f"{'independent':>14}")  # fmt: skip
+    ways = [f"{what}, {way}" for what in ("diameter", "length")
+            for way in ("shown", "all", "independent")]  # fmt: skip
+    print(f"{'':14}" + "".join(f"{way:>23}" for way in ways))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for kind, errors in KINDS.items():
@@ -82,7 +85,7 @@ def main():
                 one_arm(errors, seed, options.spheres) for seed in range(options.arms)
             ])  # fmt: skip
             rms = np.sqrt(np.mean(np.square(z), axis=0))
-            print(f"{kind:14}{rms[0]:20.2f}{rms[1]:14.2f}{rms[2]:20.2f}{rms[3]:14.2f}", flush=True)
+            print(f"{kind:14}" + "".join(f"{value:23.2f}" for value in rms), flush=True)
 
 
 if __name__ == "__main__":

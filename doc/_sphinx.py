@@ -64,6 +64,11 @@ def write_inventories(folder):
                     ("r2_score", "modules/model_evaluation.html#r2-score", "R2 score"),
                     ("df_output_transform", "modules/df_output_transform.html", "set_output"),
                     ("metadata_routing", "metadata_routing.html", "Metadata routing"),
+                    (
+                        "sphx_glr_auto_examples_miscellaneous_plot_set_output.py",
+                        "auto_examples/miscellaneous/plot_set_output.html",
+                        "set_output",
+                    ),
                 )
             ]
         head = (

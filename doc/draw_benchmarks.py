@@ -74,8 +74,6 @@ def rows(figure, results):
     large = results["rows"]
     ax.plot(*np.array(large["found_by_itself"]).T, "s--", color=OURS,
             label="RBFNetRegressor, a smooth function of 6 features")  # fmt: skip
-    ax.plot(*np.array(large["given"]).T, "^:", color=OURS,
-            label="the same with kernel, widths, ridge and size given")  # fmt: skip
     ax.set(xscale="log", yscale="log", xlabel="rows", ylabel="CPU time of a fit (s), one thread")
     ax.grid(alpha=0.3)
     ax.legend(fontsize=8, loc="upper left")

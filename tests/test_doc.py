@@ -62,6 +62,23 @@ def test_links_lead_to_files(page):
     assert [name for name in scripts if not (DOC.parent / name).exists()] == []
 
 
+def test_developers_find_what_their_pages_name():
+    """Modules exist, and hold the functions that stand before them."""
+    package = DOC.parent / "sklearn_raacmm"
+    pages = [(DOC / f"{name}.md").read_text(encoding="utf-8") for name in ("numerics", "log")]
+    text = "\n".join([*pages, (DOC / "how_it_is_built.md").read_text(encoding="utf-8")])
+    modules = set(re.findall(r"`([a-z_]+/_[a-z_]+\.py)`", text))
+    assert len(modules) > 15
+    assert [name for name in modules - {"doc/_results.py"} if not (package / name).exists()] == []
+    named = re.findall(r"`([\w.]+)`\s+in\s+`([a-z_]+/_[a-z_]+\.py)`", text)
+    assert len(named) > 20
+    assert [
+        (name, module)
+        for name, module in named
+        if name.split(".")[-1] not in (package / module).read_text(encoding="utf-8")
+    ] == []
+
+
 @pytest.mark.parametrize("module", ["", ".app", ".datasets", ".display", ".export", ".metrics"])
 def test_every_public_name_is_in_the_reference(module):
     text = (DOC / "api.rst").read_text(encoding="utf-8")

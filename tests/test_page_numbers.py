@@ -60,6 +60,26 @@ def test_numbers_of_geometry_and_of_the_normal_distribution():
     assert_said("log.md", "to @ %, which is @ mm at 270 mm", [100 * scale, 270 * scale])
 
 
+def test_links_that_are_short_by_one_share_carry_it_to_lengths():
+    page = "user_guide/lengths.md"
+    shares = 1000 * np.array([0.7 / 750.7, 0.6 / 500.6])  # mm in 1 m
+    error, over_sd = numbers(page, "750 and 500 for 750.7 and 500.6: both 0.1 % short | @ | @ |")
+    assert shares.min() < error < 1.1 * shares.max()
+    drawing, over_drawing = numbers(page, "off by 0.1 to 0.7 mm at random | @ | @ |")
+    # `scale_sd` is that of the drawing: it cannot know.
+    assert error / over_sd == pytest.approx(drawing / over_drawing, rel=0.15)
+
+
+def test_times_of_many_rows_are_those_of_their_figure():
+    stored = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))["rows"]
+    seconds = [time for _, time in stored["found_by_itself"]]
+    rows = (f"| {name} | @ s | @ MiB |" for name in ("100&nbsp;000", "a million", "ten million"))
+    said = numbers("scale.md", " ".join(rows))
+    assert said[::2] == seconds
+    assert said[1::2] == stored["memory_mib"]
+    assert_said("benchmarks.md", "time grows from @ to @ s", [seconds[0], seconds[-1]])
+
+
 def test_means_of_the_benchmarks_are_those_of_their_tables():
     stored = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))
     problems = stored["problems"]["over_gaussian_process"]["of"]

@@ -38,21 +38,35 @@ def _numbers(table, column):
     return np.array(times)
 
 
-def inputs_of(correction, options, in_order):
-    """Rule by which blocks of a table, one after the other, become what a model takes.
+def tools_of(table, options):
+    """Labels of the probes in the column that `--tool` names, (n,); None without it."""
+    column = getattr(options, "tool", None)
+    if column is None:
+        return None
+    labels = table.others[column].tolist()
+    return np.array([f"{label:g}" if isinstance(label, float) else label for label in labels])
+
+
+def numbers_of(correction, options, in_order):
+    """Rule by which blocks of a table, one after the other, are corrected, each row by its probe.
 
     It takes angles in rad and their block; in the order of measurement they tell directions.
     """
     known, last = correction.facts["causes"], None
     columns = {name: column for name, column in columns_of_causes(options).items() if name in known}
 
-    def inputs(angles, block):
+    def numbers(angles, block):
         nonlocal last
         options.rows, extra = block.rows, causes_of(block, columns)
         if in_order:
             ways, last = directions_of(angles, last), angles[-1]
             ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
             extra |= {name: way for name, way in ways.items() if name in known}
-        return correction.inputs(angles, extra)
+        X, tools = correction.inputs(angles, extra), tools_of(block, options)
+        if tools is None:
+            return correction.columns(X)
+        found = [(tools == tool, correction.with_tool(tool)) for tool in np.unique(tools)]
+        every = np.concatenate([own.columns(X[rows]) for rows, own in found])
+        return every[np.argsort(np.concatenate([np.flatnonzero(rows) for rows, _ in found]))]
 
-    return inputs
+    return numbers

@@ -27,6 +27,15 @@ _MARKS = (
 _SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
+# Advice of the package, and the same of the command.
+_SAID_TO_PYTHON = (
+    ('convert them or pass angle_unit="deg"', "say --unit deg"),
+    ('pass angle_unit="rad"', "say --unit rad"),
+    ("calibrate(..., correction=model, free=['probe'])", "raacmm register"),
+    ("calibrate(..., correction=model)", "raacmm register"),
+    ("update_correction", "raacmm update"),
+    ("extra must hold names of columns,", "--extra takes CAUSE or CAUSE=COLUMN; causes are"),
+)
 
 
 class TableError(ValueError):
@@ -40,12 +49,17 @@ def number_of(text):
     return float(text.strip().replace(",", "."))
 
 
-def in_lines(text, rows):
-    """A sentence that counts rows from 0, with their numbers in the file instead."""
+def as_said(message, rows=None):
+    """What is said of rows counted from 0, and to Python, as this command says it of a file."""
 
     def numbers(match):
         return re.sub(r"\d+", lambda m: str(_at(rows, int(m[0]))), match[0])
 
+    text = str(message)
+    for python, here in _SAID_TO_PYTHON:
+        text = text.replace(python, here)
+    if rows is None or isinstance(message, TableError):
+        return text
     text = re.sub(r"\brows? \d+(?:(?:,| and| to) \d+)*", numbers, text)
     return text.replace(" (rows counted from 0)", "")
 
@@ -103,6 +117,10 @@ class Dialect:
         if "." in cell and self.decimal == ",":
             return None
         return float(cell)
+
+    def count(self, cells):
+        """How many cells hold numbers."""
+        return sum(self.number(cell) is not None for cell in cells)
 
     def numbers(self, cells):
         """Numbers of a column, or None if one of them is none; fast for plain text."""
@@ -180,7 +198,7 @@ def _count_numbers(dialect, line):
         )
     except csv.Error as error:
         raise dialect.broken(error) from None
-    return sum(dialect.number(clean(cell)) is not None for cell in cells)
+    return dialect.count(map(clean, cells))
 
 
 def find_encoding(path):

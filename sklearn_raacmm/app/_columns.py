@@ -47,7 +47,7 @@ def find_header(dialect, n_joints):
     """Names of the columns, the row they stand in (0: none), and the first rows of data."""
     above, data = [], []
     for number, cells in dialect.rows():
-        n_numbers = sum(dialect.number(cell) is not None for cell in cells)
+        n_numbers = dialect.count(cells)
         if not data and n_numbers < n_joints:
             above.append((number, without_mark(cells) or cells))
             continue
@@ -100,7 +100,7 @@ def _without_damaged(above, dialect, n_joints):
     """Rows down to the names, and those below: data with a fault, which is reported on reading."""
     named = 0
     for i, (_, cells) in enumerate(above):
-        n_numbers = sum(dialect.number(cell) is not None for cell in cells)
+        n_numbers = dialect.count(cells)
         n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_numbers
         if n_texts >= n_joints and n_numbers == 0:
             named = i + 1

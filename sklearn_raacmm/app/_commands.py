@@ -15,14 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
-from sklearn_raacmm.app._causes import causes_of, columns_of_causes, inputs_of
-from sklearn_raacmm.app._cells import TableError, in_lines
+from sklearn_raacmm.app._causes import causes_of, columns_of_causes, numbers_of, tools_of
+from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
     files_of,
     find_rows,
-    in_rad,
     load_arm,
     load_correction,
     open_beside,
@@ -37,7 +36,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
-from sklearn_raacmm.utils import check_places, write_whole
+from sklearn_raacmm.utils import check_places, heard_findings, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
@@ -74,21 +73,32 @@ def learn(options):
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     like = [load_correction(folder).model for folder in options.like or ()]
     _progress(-1, 1, "calibration")
-    result = learn_correction(
-        arm, in_rad(table), table.positions, table.points, lengths,
-        cv=options.folds, n_jobs=options.jobs, progress=_progress,
-        extra=causes_of(table, columns_of_causes(options)), in_order=options.in_order, like=like,
-    )  # fmt: skip
+    with heard_findings():  # they stand in the result, and are printed with it
+        result = learn_correction(
+            arm,
+            table.angles,
+            table.positions,
+            table.points,
+            lengths,
+            angle_unit=table.angle_unit,
+            cv=options.folds,
+            n_jobs=options.jobs,
+            progress=_progress,
+            extra=causes_of(table, columns_of_causes(options)),
+            in_order=options.in_order,
+            like=like,
+            tools=tools_of(table, options),
+        )
     _progress(30, 30, "report")
     layout = find_rows(options, arm, said=False)
     corrected = io.StringIO(newline="")
     in_order = any(name.startswith("direction") for name in result.causes)
-    write_corrected(layout, result.saved, inputs_of(result.saved, options, in_order), corrected)
-    verdict, *lines = (in_lines(line, table.rows) for line in str(result.scores).split("\n"))
+    write_corrected(layout, numbers_of(result.saved, options, in_order), corrected)
+    verdict, *lines = (as_said(line, table.rows) for line in str(result.scores).split("\n"))
     card = describe(result.model, result.saved.inputs(result.angles))
     if result.findings:
         card["findings"] = [
-            in_lines(f"{finding.weight}: {finding}", table.rows) for finding in result.findings
+            as_said(f"{finding.weight}: {finding}", table.rows) for finding in result.findings
         ]
     named = {"serial number": options.serial, "operator": options.operator}
     facts = {"file": Path(options.table).name} | {k: v for k, v in named.items() if v}
@@ -134,15 +144,21 @@ def correct(options):
         check_places([options.out], [options.table, *files_of(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
+    known = saved.facts["causes"]
+    if unknown := columns_of_causes(options).keys() - known.keys():
+        raise TableError(
+            f"--extra names {', '.join(sorted(unknown))}, and this correction takes "
+            f"{', '.join(known) or 'no cause'}: leave it away, or mend the name."
+        )
     layout = find_rows(options, saved.arm)
     stream = (
         nullcontext(options.stdout)
         if options.out == "-"
         else open_beside(options.out, layout.dialect.encoding)
     )
-    inputs = inputs_of(saved, options, options.in_order)
+    numbers = numbers_of(saved, options, options.in_order)
     with stream as file:
-        n_rows = write_corrected(layout, saved, inputs, file)
+        n_rows = write_corrected(layout, numbers, file)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 

@@ -31,25 +31,10 @@ _FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
 
 
 def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
-    """Read an arm from a table with one row for each joint.
+    """Arm of a table, text or a spreadsheet, with one row for each joint.
 
-    Parameters
-    ----------
-    path : str or path-like
-        Text or a spreadsheet with columns a, alpha, d and, if there are any, theta_offset, sign,
-        lower, upper and joint; mm and degrees, or what the header says.
-    convention : {"standard", "modified"}
-    probe : array-like of shape (3,)
-        In mm.
-
-    Returns
-    -------
-    Arm
-
-    Raises
-    ------
-    TableError
-        If a column is missing, or a cell is no number; the sentence has its row.
+    Columns are a, alpha, d and, if there are any, theta_offset, sign, lower, upper and joint, in mm
+    and degrees or what the header says; the probe (3,) is in mm.
     """
     dialect = find_source(path, 3)
     header, header_row, _ = find_header(dialect, 3)
@@ -67,7 +52,7 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
         if column is None:
             continue
         if field == "names":
-            values[field] = [str(cells[column]) for _, cells in rows]
+            values[field] = [str(cells[column]) for _, cells in rows if column < len(cells)]
             continue
         unit = units[column] or ("deg" if field in _ANGLES else "mm")
         if unit not in (("deg", "rad") if field in _ANGLES else ("mm", "m")):

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.display import ControlChartDisplay
+from sklearn_raacmm.display import ControlChartDisplay, RepeatabilityDisplay
 from sklearn_raacmm.metrics import repeatability_interval
 from sklearn_raacmm.utils import natural_order
 
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
-_BEFORE, _AFTER = "#c2571a", "#2a78c2"
+_BEFORE, _AFTER = "#D55E00", "#0072B2"  # as the displays have them
 _STYLE: Any = {
     "text.color": _INK,
     "axes.edgecolor": _INK,
@@ -76,28 +76,23 @@ def _on_page(text):
 
 
 def _positions(figure, scores, limit_mm):
-    figure.set_size_inches(7.2, 2.8)
-    ax = figure.subplots()
-    table, place = scores.table, np.arange(len(scores.table["position"]))
-    order = natural_order(table["position"])
-    sides = (("before", _BEFORE, scores.left_before), ("after", _AFTER, scores.left_after))
-    for (name, color, left), shift in zip(sides, (-0.2, 0.2), strict=True):
-        height = np.asarray(table[name])
-        low, high = _intervals(scores, left).T
-        length = 1000 * np.maximum([height - low, high - height], 0)[:, order]
-        style = {"ecolor": _INK, "elinewidth": 1}
-        heights = 1000 * height[order]
-        ax.bar(place + shift, heights, 0.4, yerr=length, color=color, label=name, error_kw=style)
+    figure.set_size_inches(7.2, 3.2)
+    order = natural_order(scores.table["position"])
+    before, after, positions = (
+        np.asarray(scores.table[name])[order] for name in ("before", "after", "position")
+    )
+    display = RepeatabilityDisplay(
+        before=before,
+        after=after,
+        positions=positions,
+        statistic="2s" if scores.measure == "2S" else "mean",
+        before_interval=_intervals(scores, scores.left_before)[order],
+        after_interval=_intervals(scores, scores.left_after)[order],
+    ).plot(figure.subplots())
     if limit_mm is not None:
-        ax.axhline(1000 * limit_mm, color=_INK, linestyle="--", linewidth=1, label="limit")
-    step = -(-len(place) // 20)
-    labels = [str(table["position"][i]) for i in order][::step]
-    long = max(map(len, labels)) > 4
-    ax.set_xticks(place[::step], labels, rotation=45 * long, ha="right" if long else "center")
-    for label in ax.get_xticklabels():
-        label.set_parse_math(False)  # a dollar sign in a label is one
-    ax.set_ylabel(f"{scores.measure}, µm")
-    ax.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1))
+        limit = limit_mm * (1000 if display.unit_ == "µm" else 1)
+        display.ax_.axhline(limit, color=_INK, linestyle="--", linewidth=1)
+        display.ax_.set_ylim(top=max(display.ax_.get_ylim()[1], 1.5 * limit))  # below the legend
 
 
 def _intervals(scores, left):

@@ -68,17 +68,17 @@ def files_of(source):
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
-def write_corrected(layout, correction, inputs, file):
+def write_corrected(layout, numbers, file):
     """Copy a table with the corrected points beside its columns, block by block; number of rows.
 
-    `inputs` takes angles in rad and their block of the table, and gives what the model takes.
+    `numbers` takes angles in rad and their block of the table, and gives the new columns.
     """
     dialect, n_rows = layout.dialect, 0
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        numbers = correction.columns(inputs(in_rad(block), block))
-        for row, values in zip(cells, numbers.tolist(), strict=True):
+        new = numbers(in_rad(block), block)
+        for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
     return n_rows
@@ -124,7 +124,7 @@ def _say_notes(notes):
 
 def _table_options(options, arm, labelled):
     """Options of `read_table` as the command line has them."""
-    points = getattr(options, "points", None)
+    points, tool = getattr(options, "points", None), getattr(options, "tool", None)
     if points and not Path(points).is_file():
         points = points.split(",")
         if len(points) != 3:
@@ -145,7 +145,7 @@ def _table_options(options, arm, labelled):
         "joint_names": arm.names,
         "counts_per_turn": counts,
         "sheet": options.sheet,
-        "others": columns_of_causes(options).values(),
+        "others": [*columns_of_causes(options).values(), *filter(None, [tool])],
     }
 
 

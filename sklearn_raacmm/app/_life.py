@@ -6,12 +6,13 @@
 from dataclasses import replace
 from datetime import date as calendar
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
 from sklearn_raacmm.app._lengths import read_lengths
@@ -65,7 +66,7 @@ class _Today(NamedTuple):
         """Probe and base through the correction."""
         found = calibrate(
             saved.arm, self.angles, self.positions, points=self.points, lengths=self.lengths,
-            correction=saved.model, free=list(free),
+            correction=_of_angles(saved, saved.model), free=list(free),
         )  # fmt: skip
         turns = np.char.startswith(found.names, "base_r")
         open_mm = reach_mm(saved.arm) * found.standard_deviations[turns].max(initial=0.0)
@@ -76,15 +77,19 @@ class _Today(NamedTuple):
             )
         return found
 
-    def left(self, calibration, model):
+    def left(self, y, predicted=0.0):
         """Mean distance of corrected points from where they should be, mm."""
-        y = calibration.residuals(self.angles, self.points, self.positions)
-        y = y - model.predict(self.angles)
+        y = y - predicted
         if self.positions is not None:
-            for label in np.unique(self.positions):
-                rows = self.positions == label
-                y[rows] -= y[rows].mean(axis=0)
+            y = position_residuals(y, self.positions)
         return float(np.linalg.norm(y, axis=1).mean())
+
+    def without(self, slipped):
+        """The same without some rows, where each position keeps two or more."""
+        kept = np.delete(np.arange(len(self.angles)), slipped)
+        if np.unique(self.positions[kept], return_counts=True)[1].min() < 2:
+            return self
+        return self._replace(angles=self.angles[kept], positions=self.positions[kept])
 
 
 def register(options):
@@ -94,9 +99,13 @@ def register(options):
     found = today.register(saved)
     new = saved.registered(found)
     said, facts = _what_has_moved(saved, new)
-    left, usual = today.left(found, new.model), _usual_mm(saved, today)
+    y = found.residuals(today.angles, today.points, today.positions)
+    left, usual = (
+        today.left(y, _of_angles(new, new.model).predict(today.angles)),
+        _usual_mm(saved, today),
+    )
     print(f"Registered with {today.said}.", *said, sep="\n")
-    print(f"Mean deviation {today.left(found, _Nothing()):.3f} -> {left:.3f} mm.")
+    print(f"Mean deviation {today.left(y):.3f} -> {left:.3f} mm.")
     enough = usual is None or left <= _MUCH_MORE * usual
     if usual is None:
         print("The correction was learnt by another kind of measurement: run raacmm check.")
@@ -116,10 +125,11 @@ def update(options):
     moved = saved.registered(found)
     y = found.residuals(today.angles, today.points, today.positions)
     date = options.date or calendar.today().isoformat()
-    model = update_correction(moved.model, today.angles, y, groups=today.positions, date=date)
+    X = saved.inputs(today.angles)
+    model = update_correction(moved.model, X, y, groups=today.positions, date=date)
     said, facts = _what_has_moved(saved, moved)
-    change = np.linalg.norm(model.predict(today.angles) - moved.model.predict(today.angles), axis=1)
-    before, after = (today.left(found, one) for one in (moved.model, model))
+    was, now = moved.model.predict(X), model.predict(X)
+    before, after = today.left(y, was), today.left(y, now)
     print(f"Updated with {today.said}.", *said, sep="\n")
     if len(vars(model).get("updates_", ())) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
@@ -127,7 +137,7 @@ def update(options):
     tau = sorted(vars(model)["updates_"][-1]["tau"].items(), key=lambda one: -one[1])
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau if size > _NAMED_TAU][:4]
     print(f"Changed most, in parts of what is usual: {', '.join(parts) or 'nothing'}.")
-    rms = np.sqrt(np.mean(change**2))
+    rms = np.sqrt(np.mean(np.sum((now - was) ** 2, axis=1)))
     print(
         f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
         f"{before:.3f} -> {after:.3f} mm."
@@ -149,7 +159,7 @@ def move(options):
     print(*said, sep="\n")
     tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, arm.n_joints))
     old_mm, new_mm = (
-        np.sqrt(np.square(one.model.linear_model_.predict(tried)[0]).sum(axis=1).mean())
+        np.sqrt(np.square(one.model.linear_model_.predict(one.inputs(tried))[0]).sum(axis=1).mean())
         for one in (saved, new)
     )
     print(
@@ -175,9 +185,11 @@ def check(options):
         )
     today = _Today.of(options, saved.arm)
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    changed, facts = _by_causes(saved, today, options, rate) if has_causes else (False, {})
+    changed, facts, slipped = False, {}, ()
+    if has_causes:
+        changed, facts, slipped = _by_causes(saved, today, options, rate)
     if by_spread:
-        changed = _by_spread(saved, today, rate, changed, facts)
+        changed = _by_spread(saved, today.without(slipped), rate, changed, facts)
     elif not changed:
         print(f"It holds: {today.said}, {facts['usual_mm']:.3f} mm (rms) is what is usual.")
     return (CHANGED if changed else OK), facts | {"holds": not changed}
@@ -222,7 +234,7 @@ def highest_mean(learnt, n, rate):
 
 
 def _by_causes(saved, today, options, rate):
-    """Whether the model's posterior makes a change of today's poses, and the facts of it."""
+    """Whether the model sees a change in today's poses, the facts of it, and rows that slipped."""
     refitted = ()
     if today.points is None:
         y = position_residuals(saved.arm.forward(today.angles), today.positions)
@@ -237,9 +249,9 @@ def _by_causes(saved, today, options, rate):
         saved.model, X, y, groups=today.positions, lengths=today.lengths, refitted=refitted,
         false_alarm_rate=rate,
     )  # fmt: skip
-    changed = not found.holds and found.matters
+    changed = bool(found.matters and not found.holds)
     if not found.holds:
-        worth = found.advice if changed else "That is too little to act on."
+        worth = as_said(found.advice) if changed else "That is too little to act on."
         print(
             f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
             f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {worth}"
@@ -255,14 +267,18 @@ def _by_causes(saved, today, options, rate):
         write_whole({options.chart: chart_of(records)})
         print(f"Written to {options.chart}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
-    return changed, {name: getattr(found, name) for name in names}
+    return changed, {name: getattr(found, name) for name in names}, found.slipped
 
 
-class _Nothing:
-    """No correction."""
-
-    def predict(self, angles):
-        return 0.0
+def _of_angles(saved, model):
+    """The model as one of angles alone, to be registered: of each cause counts what is usual."""
+    more = {}
+    if hasattr(model, "with_arm"):
+        more["with_arm"] = lambda arm: _of_angles(saved, model.with_arm(arm))
+    return SimpleNamespace(
+        predict=lambda angles: model.predict(saved.inputs(angles)),
+        arm_=getattr(model, "arm_", None), regressor_=getattr(model, "regressor_", None), **more,
+    )  # fmt: skip
 
 
 def _opened(options):

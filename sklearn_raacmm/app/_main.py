@@ -17,7 +17,7 @@ import warnings
 from functools import partial
 from typing import Any
 
-from sklearn_raacmm.app._cells import TableError, in_lines
+from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.app._options import make_parser
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -38,7 +38,11 @@ def main(arguments: list[str] | None = None) -> int:
         check found that it no longer holds or that something has changed; 4: not judged, for
         something in the data has to be repaired first.
     """
-    options = make_parser().parse_args(arguments)
+    parser = make_parser()
+    words = sys.argv[1:] if arguments is None else arguments
+    parser.refuse_unknown(words)
+    options = parser.parse_args(words)
+    options.rows = None  # numbers in their file of the rows that are read
     streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
     for stream in streams:
         # Labels that a terminal cannot show must not end the work.
@@ -84,7 +88,7 @@ def _run(options):
 
 
 def _refuse(options, error):
-    error = _by_lines(options, error)
+    error = as_said(error, options.rows)
     if options.json:
         print(json.dumps({"exit_code": BAD_INPUT, "error": error}, ensure_ascii=False))
     print(f"raacmm {options.word}: {error}", file=sys.stderr)
@@ -101,15 +105,7 @@ def _sentence_of(error):
 
 
 def _show_warning(options, message, *where, **more):
-    print(f"note: {_by_lines(options, message)}", file=sys.stderr)
-
-
-def _by_lines(options, message):
-    """What is said of rows that were read, by their numbers in the file."""
-    rows = getattr(options, "rows", None)
-    if rows is None or isinstance(message, TableError):
-        return str(message)
-    return in_lines(str(message), rows)
+    print(f"note: {as_said(message, options.rows)}", file=sys.stderr)
 
 
 def completion(options):

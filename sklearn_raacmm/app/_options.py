@@ -28,7 +28,7 @@ class Word(NamedTuple):
 
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
 _LEARNING = "--limit-2s --folds --jobs --open --force"
-_CAUSES = "--extra --in-order"
+_CAUSES = "--extra --in-order --tool"
 _TODAY = f"table --model --points --lengths --length-sd {_COLUMNS}"
 
 WORDS = (
@@ -144,6 +144,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "help": "a cause that a column holds, such as temperature=T1, payload, time",
     },
     "--in-order": _flag("rows are in the order of measurement: use the directions of the joints"),
+    "--tool": {"metavar": "COLUMN", "help": "column of the probe's name, where several took turns"},
     # -- learning
     "--limit-2s": {"type": float, "metavar": "MM", "help": "limit of the mean 2S to judge by"},
     "--folds": {"type": int, "help": "times that some positions are left out (5)"},
@@ -206,6 +207,12 @@ class _Parser(argparse.ArgumentParser):
     """A parser that asks whether a similar word was meant."""
 
     known: Any = ()
+
+    def refuse_unknown(self, words):
+        """Say that an option is mistyped, before it is said that the right one is missing."""
+        for name in (word.split("=")[0] for word in words):
+            if name.startswith("--") and not any(one.startswith(name) for one in self.known):
+                self.error(f"unrecognized arguments: {name}")
 
     def error(self, message):
         wrong = re.search(r"unrecognized arguments: (\S+)|invalid choice: '([^']*)'", message)

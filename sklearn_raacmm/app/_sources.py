@@ -87,13 +87,9 @@ def _find_sheet(path, n_numbers, wanted):
             if others:
                 what += f" (--sheet takes another: {', '.join(others)})"
             read = partial(_with_book, path, lambda book, name=name: _rows_of(book[name]))
-            dialect = Dialect(path, decimal=decimal, what=what, read=read)
-            if decimal == ",":
-                dialect = Dialect(path, "utf-8-sig", ";", ",", what, read)
-            counts = [
-                sum(dialect.number(cell) is not None for cell in cells)
-                for _, cells in islice(dialect.rows(), _LOOKED_AT)
-            ]
+            separator = ";" if decimal == "," else ","
+            dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
+            counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
             found = sum(count for count in counts if count >= n_numbers)
             if found > most:
                 best, most = dialect, found

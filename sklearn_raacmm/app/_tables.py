@@ -128,20 +128,19 @@ def read_table(
     blocks = list(layout.blocks(100_000))
     parts = ("angles", "positions", "points", "rows")
     whole: dict[str, Any] = {
-        part: None
-        if getattr(blocks[0], part) is None
-        else np.concatenate([getattr(block, part) for block in blocks])
-        for part in parts
+        part: _joined([getattr(block, part) for block in blocks]) for part in parts
     }
-    found = {
-        name: np.concatenate([block.others[name] for block in blocks]) for name in layout.others
-    }
+    found = {name: _joined([block.others[name] for block in blocks]) for name in layout.others}
     table = Table(**whole, angle_unit=layout.angle_unit, notes=layout.notes, others=found)
     if isinstance(points, str | PathLike):
         return _with_points(path, table, layout, points)
     if labelled and points is None:
         _refuse_lonely_labels(path, table)
     return table
+
+
+def _joined(parts):
+    return None if parts[0] is None else np.concatenate(parts)
 
 
 def _refuse_lonely_labels(path, table):
@@ -159,24 +158,9 @@ def _refuse_lonely_labels(path, table):
 
 
 def read_points(path):
-    """Read points with their names, as trackers and SpatialAnalyzer export them.
+    """Names, None if no column holds any, and points (n, 3), mm, as trackers export them.
 
-    Parameters
-    ----------
-    path : str or path-like
-        Columns x, y and z by name, or names and then three numbers in each row.
-
-    Returns
-    -------
-    names : list of str or None
-        None if no column holds names.
-    points : ndarray of shape (n, 3)
-        In mm.
-
-    Raises
-    ------
-    TableError
-        If the three columns cannot be told.
+    The columns are x, y and z by name, or else names and then three numbers in each row.
     """
     dialect = find_source(path, 3)
     header, header_row, rows = find_header(dialect, 3)
@@ -205,18 +189,15 @@ def read_points(path):
 def _with_points(path, table, layout, source):
     """The table with points of another file: matched by their names, or else by their order."""
     names, points = read_points(source)
-    order = np.arange(len(points))
-    if names is not None and len(set(names)) == len(names):
-        for column in range(len(layout.header)):
-            cells = [str(cells[column]) for _, cells in layout.raw_rows()]
-            if set(cells) <= set(names) and len(set(cells)) == len(cells):
-                order = np.array([names.index(cell) for cell in cells])
-                how = f"matched by the column {layout.header[column]}"
+    order, how = np.arange(len(points)), "in the order of the rows"
+    place = {name: i for i, name in enumerate(names or ())}
+    if len(place) == len(points):
+        columns = zip(*(map(str, cells) for _, cells in layout.raw_rows()), strict=True)
+        for header, cells in zip(layout.header, columns, strict=True):
+            if place.keys() >= set(cells) and len(set(cells)) == len(cells):
+                order = np.array([place[cell] for cell in cells])
+                how = f"matched by the column {header}"
                 break
-        else:
-            how = "in the order of the rows"
-    else:
-        how = "in the order of the rows"
     if len(order) != len(table.angles):
         raise TableError(
             f"{source} holds {len(points)} points, {path} {len(table.angles)} rows, and no column "
@@ -273,9 +254,6 @@ class Layout:
                 self.notes.append(note)
 
     def _has_no_angle(self, cells):
-        first = self.angle_columns[0]
-        if first < len(cells) and self.dialect.number(cells[first]) is not None:
-            return False
         return not any(
             i < len(cells) and self.dialect.number(cells[i]) is not None for i in self.angle_columns
         )

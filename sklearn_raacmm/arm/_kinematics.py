@@ -49,16 +49,21 @@ def carried(arm: Any, theta: np.ndarray, fixed: list[Any]) -> np.ndarray:
     return points
 
 
-def probe_points(arm: Any, theta: np.ndarray) -> np.ndarray:
-    """Probe points (3, n_samples), in mm."""
-    return carried(arm, theta, [(len(arm.a), arm.probe.tolist())])[0]
+def probe_points(arm: Any, theta: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
+    """Probe points (3, n_samples), in mm; `probes` as of `points_of`."""
+    own: Any = arm.probe.tolist() if probes is None else probes.T
+    return carried(arm, theta, [(len(arm.a), own)])[0]
 
 
-def points_of(arm: Any, angles: np.ndarray) -> np.ndarray:
-    """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time."""
+def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
+    """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time.
+
+    `probes` (n_samples, 3) are those of the rows in the last frame, mm; None: all have the arm's.
+    """
     points = np.empty((len(angles), 3))
     for rows in chunks(len(angles), CHUNK_ROWS):
-        points[rows] = probe_points(arm, dh_theta(arm, angles[rows])).T
+        own = None if probes is None else probes[rows]
+        points[rows] = probe_points(arm, dh_theta(arm, angles[rows]), own).T
     return points
 
 
@@ -92,10 +97,11 @@ def frame_columns(arm: Any, theta: np.ndarray) -> np.ndarray:
     return out
 
 
-def probe_of(arm, frames):
-    """Probe points (3, n_samples) from `frame_columns`."""
+def probe_of(arm, frames, probes=None):
+    """Probe points (3, n_samples) from `frame_columns`; `probes` as of `points_of`."""
     x, y, z, origin = frames[-1]
-    return origin + (arm.probe[0] * x + arm.probe[1] * y + arm.probe[2] * z)
+    own = arm.probe if probes is None else probes.T
+    return origin + (own[0] * x + own[1] * y + own[2] * z)
 
 
 def cross(u, v):
@@ -105,7 +111,9 @@ def cross(u, v):
     )
 
 
-def axis_vectors(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def axis_vectors(
+    arm: Any, angles: np.ndarray, probes: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """What turns and shifts by every axis of every frame do to the probe, and where things are.
 
     Of angles (n, n_joints) in rad: what a turn about each axis, x, y and z of the base, of frame 1
@@ -113,7 +121,7 @@ def axis_vectors(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     and y of the frames' origins and of the probe, (n, 2, n_frames + 1) mm.
     """
     frames = frame_columns(arm, dh_theta(arm, angles))
-    probe = probe_of(arm, frames)
+    probe = probe_of(arm, frames, probes)
     axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
     lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
     n_axes = 3 * len(frames)

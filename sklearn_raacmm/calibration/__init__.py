@@ -6,7 +6,7 @@
 from sklearn_raacmm.calibration._calibrate import calibrate
 from sklearn_raacmm.calibration._checks import SHARE_OF_REACH, check_length
 from sklearn_raacmm.calibration._places import lengths_of_places
-from sklearn_raacmm.calibration._priors import (
+from sklearn_raacmm.calibration._problem import (
     ANGLE_RAD,
     LENGTH_MM,
     REGISTERED_PLACE_MM,

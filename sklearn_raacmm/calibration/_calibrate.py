@@ -34,14 +34,14 @@ from sklearn_raacmm.calibration._gate import (
 )
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._orientation import turn_vectors
-from sklearn_raacmm.calibration._priors import (
+from sklearn_raacmm.calibration._problem import (
     ANGLES_RAD,
     LONG_MM,
     SHORT_MM,
     UNKNOWN_PLACE_MM,
     are_long,
+    pack,
 )
-from sklearn_raacmm.calibration._problem import pack
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
 from sklearn_raacmm.utils import (
     Finding,

@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
 from sklearn_raacmm.calibration._orientation import check_turns
-from sklearn_raacmm.calibration._problem import Problem, encode_labels
+from sklearn_raacmm.calibration._problem import Problem
 from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
@@ -47,9 +47,9 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
         raise ValueError("angles are empty: there is nothing to calibrate with.")
     if (groups is None) == (points is None):
         raise ValueError("give either groups, or points that were measured.")
-    tool_labels, tools = (None, None) if tools is None else encode_labels("tools", tools, n)
+    tool_labels, tools = (None, None) if tools is None else encode_groups(tools, n, "tools")
     station_labels, stations = (
-        (None, None) if stations is None else encode_labels("stations", stations, n)
+        (None, None) if stations is None else encode_groups(stations, n, "stations")
     )
     if points is not None:
         points = _check_points(points, n, lengths)

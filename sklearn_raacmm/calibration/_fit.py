@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
 from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
-from sklearn_raacmm.calibration._priors import are_long
-from sklearn_raacmm.calibration._problem import left_jacobian, points_and_jacobian, unpack
+from sklearn_raacmm.calibration._problem import are_long, left_jacobian, points_and_jacobian, unpack
 from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.utils import align, robust_scale
 

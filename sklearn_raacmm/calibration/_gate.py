@@ -10,7 +10,13 @@ import numpy as np
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._orientation import flange_turns
 from sklearn_raacmm.calibration._problem import points_and_jacobian
-from sklearn_raacmm.measurements import coarse_angles, find_poses, moved_positions, moved_set_up
+from sklearn_raacmm.measurements import (
+    base_motions,
+    coarse_angles,
+    find_poses,
+    moved_positions,
+    moved_set_up,
+)
 from sklearn_raacmm.utils import Finding, say_findings, slip_factors
 
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
@@ -131,10 +137,8 @@ def set_up_moved(fit, mask, poses):
         return
     points, columns = points_and_jacobian(fit.nominal_arm, fit.angles, fit.x[:n], problem)
     turns = flange_turns(fit.arm(), fit.angles)[0]
-    around = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
-    base = np.broadcast_to(np.eye(3), columns[:, :, :3].shape)
-    columns = np.concatenate([columns[:, :, mask[:n]], base, around], axis=2)
-    ridge = np.r_[np.square(fit.sigma / fit.prior_sd[:n][mask[:n]]), np.zeros(6)]
+    columns = columns[:, :, mask[:n]]
+    ridge = np.square(fit.sigma / fit.prior_sd[:n][mask[:n]])
     parts = fit.residuals(), columns, ridge, points, turns, fit.weights, poses.first
     yield from moved_set_up(*parts)
 
@@ -147,8 +151,7 @@ def poses_alike(fit, mask):
         return
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_TRIED, arm.n_joints))
     points, jac = parameter_jacobian(arm, angles)
-    turns = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
-    free = [jac[:, :, -3:], np.broadcast_to(np.eye(3), (_TRIED, 3, 3)), turns / reach_mm(arm)]
+    free = [jac[:, :, -3:], base_motions(points, reach_mm(arm))]
     if fit.problem.points is None:  # which cannot see the scale
         free.append(points[:, :, None] / reach_mm(arm))
     # What a registration takes away again: base and probe.

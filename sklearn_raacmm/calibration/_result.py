@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration._orientation import check_turns, turn_vectors
-from sklearn_raacmm.calibration._problem import encode_labels
 from sklearn_raacmm.utils import centred, check_points, encode_groups, slip_factors
 
 # Rows and combinations that are printed.
@@ -252,7 +251,7 @@ class CalibrationResult:
                 raise ValueError(f"The calibration has {len(known)} {name}: give {name}=labels.")
             yield slice(None), single
             return
-        found, codes = encode_labels(name, labels, n)
+        found, codes = encode_groups(labels, n, name)
         for i, label in enumerate(found.tolist()):
             if label not in known:
                 raise ValueError(

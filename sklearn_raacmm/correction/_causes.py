@@ -80,11 +80,7 @@ def usual_values(names, values):
     usual = {}
     for name, column in zip(names, values.T, strict=True):
         kind = name.split()[0]
-        if kind == "tool":  # a probe has a number
-            numbers, counts = np.unique(column, return_counts=True)
-            usual[name] = float(numbers[np.argmax(counts)])
-        else:
-            usual[name] = float({"time": column[-1], "direction": 0.0}.get(kind, column.mean()))
+        usual[name] = float({"time": column[-1], "direction": 0.0}.get(kind, column.mean()))
     return usual
 
 

@@ -108,7 +108,7 @@ def prior_of(linear, log_noise=_LOG_NOISE):
 def poses_in_range(angles, n_joints):
     """Poses whose joints stand anywhere in the ranges that some poses are from.
 
-    Extra columns, of tools perhaps, are as they were.
+    Extra columns are as they were.
     """
     low, high = angles.min(axis=0), angles.max(axis=0)
     # Of n uniform numbers the extremes lie this far inside their range on the average.

@@ -58,6 +58,7 @@ def learn_correction(
     extra: dict[str, Any] | None = None,
     in_order: bool = False,
     like: Sequence[ArmResidualRegressor] = (),
+    tools: ArrayLike | None = None,
 ) -> LearnedCorrection:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -100,6 +101,11 @@ def learn_correction(
         Models of earlier arms of the make, see :func:`transfer_correction`: what they have in
         common is where this one starts, if the evidence for it is at least 4 nats. Not with
         `model`; known lengths are then used by the calibration only.
+    tools : array-like of shape (n_samples,), default=None
+        Label of the probe of each row, where several took turns: their vectors are found, and the
+        causes are learnt from all of them. `arm` and `model` are then those of the first label,
+        and ``learned.saved.with_tool(label)`` those of another. Where balls of different sizes sit
+        in one cone, it is a position for each. Only with an :class:`ArmResidualRegressor`.
 
     Returns
     -------
@@ -158,7 +164,7 @@ def learn_correction(
 
     def inside():
         data = Data.checked(
-            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like
+            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools
         )
         calibration = _calibrated(data, angles, angle_unit)
         data = with_kept_causes(data, calibration)
@@ -242,12 +248,13 @@ def cross_validate_correction(
 
 def _say_what_moved(data, calibration, model, noise, rows):
     """Say which positions moved, and by how much the run drifted, of what a model leaves."""
+    expected = data.at_probes(model, calibration, slice(None)).predict(data.inputs)
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
-        left = calibration.residuals_mm[data.rows] - model.predict(data.inputs)
+        left = calibration.residuals_mm[data.rows] - expected
         every = np.ones(len(left))
         say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
-    left = data.residuals(calibration, rows) - model.predict(data.inputs[rows])
+    left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
     say_findings([drift_of(calibration.arm, data.angles[rows], left, codes)])
 

@@ -70,6 +70,11 @@ class LearnedCorrection:
         return self.scores.findings
 
     @property
+    def tools(self) -> dict[str, Any]:
+        """Vectors of the probes by their labels, mm."""
+        return {str(tool): arm.probe.tolist() for tool, arm in self.calibration.arms.items()}
+
+    @property
     def helps(self) -> bool:
         """Whether the correction is worth using at new positions."""
         return self.scores.helps
@@ -217,6 +222,7 @@ class LearnedCorrection:
             "coverage": scores.coverage,
             "n_rows": len(self.angles),
             "causes": self.causes,
+            "tools": self.tools,
             "n_folds": scores.n_folds,
             "summary": {name: list(values) for name, values in scores.summary.items()},
             "positions": {name: column.tolist() for name, column in scores.table.items()},

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass
 from inspect import ismethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -15,14 +15,14 @@ from sklearn.cluster import KMeans
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
+from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
 from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
 from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, listed, refuse_huge, unheard
+from sklearn_raacmm.utils import check_points, encode_groups, listed, unheard
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -37,9 +37,10 @@ class Data:
     angles: np.ndarray
     positions: np.ndarray
     points: np.ndarray | None
+    tools: np.ndarray | None  # label of the probe of each row
     lengths: list
     rows: np.ndarray  # first row of each pose among those given
-    given: tuple  # angles, positions and points of these
+    given: tuple  # angles, positions, points and tools of these
     causes: tuple  # names of the columns of `values`
     values: np.ndarray  # (n, n_causes)
     like: tuple  # models of earlier arms of the make
@@ -47,7 +48,7 @@ class Data:
     @classmethod
     def checked(
         cls, arm, angles, positions, points, lengths, angle_unit,
-        extra=None, in_order=False, like=(),
+        extra=None, in_order=False, like=(), tools=None,
     ):  # fmt: skip
         check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit)
@@ -55,10 +56,9 @@ class Data:
         angles = within_turn(angles)
         lengths = listed("lengths", lengths)
         if points is not None:
-            points = floats("points", points)
-            if points.shape != (len(angles), 3):
+            points = check_points(points, 3)
+            if len(points) != len(angles):
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
-            refuse_huge("points", points)
             if positions is None:
                 positions = _regions(points)
         labels, codes = encode_groups(positions, len(angles))
@@ -71,12 +71,19 @@ class Data:
                 )
         causes, values = checked_causes(extra, in_order, angles)
         refuse_told_time(causes, angles, codes)
-        given = angles, labels[codes], points
-        poses = find_poses(angles, codes, points)
+        kinds, like = codes, tuple(listed("like", like))
+        if tools is not None:
+            if like:
+                raise ValueError("like and tools cannot be given together.")
+            names, of_tool = encode_groups(tools, len(angles), "tools")
+            tools, kinds = names[of_tool], codes * len(names) + of_tool
+        given = angles, labels[codes], points, tools
+        poses = find_poses(angles, kinds, points)
         angles, points, first = poses.mean_angles(angles), poses.mean(points), poses.first
+        tools = None if tools is None else tools[first]
         return cls(
-            arm, angles, given[1][first], points, lengths, first, given, causes, values[first],
-            tuple(listed("like", like)),
+            arm, angles, given[1][first], points, tools, lengths, first, given, causes,
+            values[first], like,
         )  # fmt: skip
 
     @property
@@ -111,23 +118,41 @@ class Data:
 
     def calibrate(self, rows):
         """Calibrate on these rows."""
-        if self.points is not None:
-            return calibrate(self.arm, self.angles[rows], points=self.points[rows])
-        groups, lengths = self.positions[rows], self.lengths_among(rows)
-        return calibrate(self.arm, self.angles[rows], groups, lengths=lengths)
+        points, tools = _at(rows, self.points), _at(rows, self.tools)
+        data = self.angles[rows], self.positions[rows], points, tools
+        return self._calibrated(*data, self.lengths_among(rows))
 
     def calibrate_all(self):
         """Calibrate on all rows, as they were given."""
-        angles, positions, points = self.given
+        angles, positions, points, tools = self.given
+        return self._calibrated(angles, positions, points, tools, self.lengths)
+
+    def _calibrated(self, angles, positions, points, tools, lengths):
         if points is not None:
-            return calibrate(self.arm, angles, points=points)
-        return calibrate(self.arm, angles, positions, lengths=self.lengths)
+            return calibrate(self.arm, angles, points=points, tools=tools)
+        return calibrate(self.arm, angles, positions, lengths=lengths, tools=tools)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        if self.points is None:
-            return calibration.residuals(self.angles[rows], groups=self.positions[rows])
-        return calibration.residuals(self.angles[rows], self.points[rows])
+        groups = self.positions[rows] if self.points is None else None
+        points, tools = _at(rows, self.points), _at(rows, self.tools)
+        return calibration.residuals(self.angles[rows], points, groups, tools=tools)
+
+    def shown(self, calibration, rows):
+        """Points of the calibrated arm with the probe of each of these rows, (n, 3) mm."""
+        return points_of(calibration.arm, self.angles[rows], self._probes(calibration, rows))
+
+    def at_probes(self, model, calibration, rows):
+        """The model as it predicts these rows, each with its own probe."""
+        if self.tools is None:
+            return model
+        moved = {tool: model.with_arm(arm) for tool, arm in calibration.arms.items()}
+        return _OfTools(moved, self.tools[rows])
+
+    def _probes(self, calibration, rows):
+        """Probe of each of these rows, (n, 3) in mm; None where all have the arm's."""
+        tools = _at(rows, self.tools)
+        return None if tools is None else np.array([calibration.arms[t].probe for t in tools])
 
     def outliers(self, calibration):
         """Rows far from where the calibrated arm has them, which its error model cannot explain.
@@ -141,8 +166,9 @@ class Data:
         rows, lonely = self.without_lonely(every)
         model = model_for(None, calibration.arm, self.causes)
         y = self.residuals(calibration, rows)
+        probes = self._probes(calibration, rows)
         with unheard():  # what there is to say is said of the rows that are learnt from
-            model.fit(self.inputs[rows], y, groups=self.positions[rows])
+            model.fit(self.inputs[rows], y, groups=self.positions[rows], probes=probes)
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -152,7 +178,7 @@ class Data:
             fitted = self._like_others(calibration.arm, rows, y)
         else:
             fitted = self._fit_alone(model, calibration, rows, y)
-        left = y - fitted.predict(self.inputs[rows])
+        left = y - self.at_probes(fitted, calibration, rows).predict(self.inputs[rows])
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
@@ -172,12 +198,35 @@ class Data:
         # A tracker knows where the positions are: lengths between them tell the model nothing.
         lengths = [] if self.points is not None else self.lengths_among(rows)
         extra = {"groups": self.positions[rows], "lengths": lengths}
+        if self.tools is not None:
+            if not (last is fitted and has_fit_parameter(last, "probes")):
+                raise ValueError("tools need an ArmResidualRegressor as the model, not a part.")
+            extra["probes"] = self._probes(calibration, rows)
         extra = {
             f"{prefix}{name}": value
             for name, value in extra.items()
             if len(value) and has_fit_parameter(last, name)
         }
         return fitted.fit(self.inputs[rows], y, **extra)
+
+
+def _at(rows, values):
+    return None if values is None else values[rows]
+
+
+class _OfTools(NamedTuple):
+    """A model at the probes of several tools, for rows in this order."""
+
+    models: dict  # by the label of the tool
+    tools: np.ndarray  # (n,) label of each row
+
+    def predict(self, X, return_std=False):
+        """As of one model."""
+        found = np.empty((1 + return_std, len(X), 3))
+        for tool, model in self.models.items():
+            if (rows := self.tools == tool).any():
+                found[:, rows] = model.predict(X[rows], return_std)
+        return tuple(found) if return_std else found[0]
 
 
 def _regions(points):

@@ -122,7 +122,7 @@ def next_poses(
     noise_sd = _NOISE_MM if linear is None else linear.noise_sd
     if free is not None:  # priors of millimetres beside no noise at all
         noise_sd = max(noise_sd, 1e-9)
-    offsets = linear.offsets if free is None else groups is not None
+    offsets = groups is not None if linear is None or free is not None else linear.offsets
     X = _check_poses(model, X)
     if groups is None:
         if offsets:

@@ -120,16 +120,16 @@ def plan_poses(
             f"{n_poses} poses, and {n_positions} are needed: give another region, a larger "
             "lean_deg, or wider limits."
         )
-    places = np.array(places)
-    chosen = np.array(_spread(places, n_positions))
-    chosen = chosen[_short_way(places[chosen], 0)]
+    cones = np.array(places)
+    chosen = np.array(_spread(cones, n_positions))
+    chosen = chosen[_short_way(cones[chosen], 0)]
     angles: list[np.ndarray] = []
     for own in (poses[cone] for cone in chosen):
         first = int(np.argmin(_travel(own, angles[-1][-1]))) if angles else 0
         angles.append(own[_short_way(own, first)])
     minutes = n_positions * (_PER_CONE_S + n_poses * _PER_POSE_S) / 60
     groups = np.repeat(np.arange(1, n_positions + 1), n_poses)
-    return PosePlan(places[chosen], np.concatenate(angles), groups, minutes)
+    return PosePlan(cones[chosen], np.concatenate(angles), groups, minutes)
 
 
 def _place(rng, reach, region):

@@ -133,6 +133,23 @@ class SavedCorrection:
         contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
         return write_correction(folder, self.facts | {"base": base}, contents)
 
+    def with_tool(self, tool: str) -> Self:
+        """The same with another of the probes that it was learnt with.
+
+        Raises
+        ------
+        ValueError
+            If there is none of this label.
+        """
+        tools = self.facts.get("tools", {})
+        if str(tool) not in tools:
+            known = ", ".join(tools) or "one only"
+            raise ValueError(
+                f"the correction knows no tool {str(tool)!r}; it was learnt with {known}."
+            )
+        arm = self.arm.replace(probe=tools[str(tool)])
+        return replace(self, arm=arm, model=self.model.with_arm(arm))
+
     def inputs(self, angles: np.ndarray, extra: dict[str, Any] | None = None) -> np.ndarray:
         """What the model takes: angles in rad, (n, n_joints), then its causes."""
         return with_causes(angles, self.facts["causes"], extra)

@@ -223,6 +223,12 @@ def _folds(data, kept, cv):
     splits = list(check_cv(cv).split(data.angles, groups=blocks))
     times = np.zeros(len(codes), dtype=int)
     for train, test in splits:
+        lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
+        if len(lost):
+            raise ValueError(
+                f"all positions of tool {lost[0].item()!r} are left out together: measure each "
+                "tool at more positions, or give cv."
+            )
         both = np.intersect1d(codes[train], codes[test])
         if len(both):
             raise ValueError(
@@ -250,9 +256,10 @@ def _one_fold(data, model, train, test):
     with unheard():  # whatever there is to say is said of all rows
         calibration = data.calibrate(np.sort(np.r_[train, lonely]))
         fitted, noise = data.fit(model, calibration, train)
+        fitted = data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
         unknown = _of_unknown_directions(data, fitted, test, correction)
-    points = calibration.arm.forward(data.angles[test])
+    points = data.shown(calibration, test)
     labels = data.positions[test]
     lengths = []
     # A length is judged by another: without any, the scale would be that of the nominal table.

@@ -112,15 +112,16 @@ def search_table(
     few = None if positions is None else encode_groups(np.asarray(positions)[rows])[1]
     few_points = None if points is None else np.asarray(points, dtype=float)[rows]
     ranked = []
-    for n_changes, change, *other in _candidates(arm, angle_unit, np.abs(raw).max()):
-        size = _quick_scatter(*other, raw[rows], few, few_points)
-        ranked.append((size, n_changes, change, other))
+    for n_changes, change, other, columns, unit in _candidates(arm, angle_unit, np.abs(raw).max()):
+        radians = np.deg2rad(raw[rows]) if unit == "deg" else raw[rows]
+        size = _quick_scatter(other, radians[:, columns], few, few_points)
+        ranked.append((size, n_changes, change, other, columns, unit))
     ranked.sort(key=lambda entry: entry[:2])
     # Of those that coincide about as well as the best, the simple ones first.
     best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
     best = sorted(best, key=lambda entry: entry[1:3])[:_CALIBRATED]
     found = []
-    for _, _, change, (other, columns, unit) in [*best, *ranked[:1]]:
+    for _, _, change, other, columns, unit in [*best, *ranked[:1]]:
         scatter = _scatter(other, raw[:, columns], positions, points, unit)
         found.append(TableChange(change, scatter, given, other, tuple(columns), unit))
     least = min(entry.scatter_mm for entry in found)
@@ -176,10 +177,9 @@ def _candidates(arm, unit, largest):
         yield sum(p[0] for p in parts), " and ".join(words), changed, order[2], angle_unit[2]
 
 
-def _quick_scatter(arm, columns, unit, angles, codes, points):
+def _quick_scatter(arm, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
-    radians = (np.deg2rad(angles) if unit == "deg" else angles)[:, columns]
-    frames = frame_columns(arm, dh_theta(arm, radians))[-1]
+    frames = frame_columns(arm, dh_theta(arm, angles))[-1]
     # Points are linear in the probe: origin + turn @ probe.
     turn, origin = frames[:3].transpose(2, 1, 0), frames[3].T
     if points is None:

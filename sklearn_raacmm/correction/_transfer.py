@@ -74,7 +74,7 @@ def transfer_correction(
     ----------
     models : ArmResidualRegressor or list of them
         Fitted models of earlier arms, one for each arm. They may have the same extra columns, which
-        count from the mean over the rows of each arm; but no numbers of tools.
+        count from the mean over the rows of each arm.
     arm : Arm
         The new arm, calibrated.
     X : array-like of shape (n_samples, n_joints + n_extra), default=None
@@ -185,11 +185,6 @@ def _checked(models, arm):
         raise ValueError("models are empty: give the fitted models of one earlier arm or more.")
     linears = [linear_model_of(model, "transferred") for model in models]
     for i, linear in enumerate(linears):
-        if "tool" in dict(linear.terms.extra):
-            raise ValueError(
-                f"models[{i}] has tools among its extra columns: their offsets are those of one "
-                "arm. Fit the models without them."
-            )
         old, new = ((a.n_joints, a.convention) for a in (linear.arm, arm))
         if old != new:
             raise ValueError(

@@ -78,8 +78,7 @@ def update_correction(
         If the model holds no linear model in use: such a one can be registered, not updated.
     ValueError
         If shapes do not fit, something is NaN or infinite, groups are missing though the model has
-        offsets, X has a tool that the model does not know, or orientations are given to a model
-        that was fitted without.
+        offsets, or orientations are given to a model that was fitted without.
 
     Warns
     -----

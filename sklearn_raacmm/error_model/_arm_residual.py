@@ -74,7 +74,7 @@ class ArmResidualRegressor(
         What the columns of `X` after the angles are, in any unit: "temperature" of the arm or
         "temperature J" near joint J (from 1); "time"; "direction J", from which joint J came (1
         from smaller angles, -1 from larger ones); "payload"; "force x", "force y", "force z" on the
-        probe in the base frame; "tool", the number of the probe.
+        probe in the base frame.
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. A joint is offered no more orders than it shows different
@@ -216,6 +216,7 @@ class ArmResidualRegressor(
         groups: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
         orientation_residuals: ArrayLike | None = None,
+        probes: ArrayLike | None = None,
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
@@ -237,6 +238,10 @@ class ArmResidualRegressor(
             Rotation vectors in rad from the measured orientation to that which the arm shows, in
             its base frame, as :meth:`CalibrationResult.orientation_residuals` gives them: three
             more rows of each pose, weighed by the noise that they show beside that of the points.
+        probes : array-like of shape (n_samples, 3), default=None
+            Vector of the probe of each row in the last frame, mm, where several took turns:
+            ``result.arms[label].probe`` of a calibration with `tools`. The causes are then learnt
+            from all of them; `predict` is for the probe of `arm`, and `with_arm` for others.
 
         Returns
         -------
@@ -249,7 +254,7 @@ class ArmResidualRegressor(
             If shapes, labels, weights, causes or lengths do not fit together, something is NaN or
             infinite, the model has no columns at all, ``offsets=True`` comes without `groups`, or
             orientations come with offsets; if `y` are the probe's points, or half of them longer
-            than a twentieth of the arm's reach.
+            than a twentieth of the arm's reach; if `probes` come with a second stage.
 
         Warns
         -----
@@ -258,13 +263,14 @@ class ArmResidualRegressor(
             calibrated, or a reference in another frame; see `findings_`. Rows in which the arm
             stood still are merged to one pose.
         """
-        rows, positions = check_fit(self, X, y, sample_weight, groups, lengths)
+        rows, positions = check_fit(self, X, y, sample_weight, groups, lengths, probes)
         arm, used = rows.arm, rows.weights > 0
         turns = check_turns(orientation_residuals, len(used), rows.codes)
         rows, turns = rows.at(used), None if turns is None else turns[used]
         dwells, rows, turns = poses_of(rows, self.extra, turns)
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
-        extra = with_references(tuple(self.extra), rows.X[:, arm.n_joints :], rows.weights)
+        values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
+        extra = with_references(tuple(self.extra), values, rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
@@ -322,10 +328,6 @@ class ArmResidualRegressor(
     @property
     def coef_(self) -> Any:
         return self.linear_model_.coef
-
-    @property
-    def coef_sd_(self) -> Any:
-        return self.linear_model_.coef_sd
 
     @property
     def prior_sd_(self) -> Any:
@@ -390,9 +392,9 @@ class ArmResidualRegressor(
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If X does not fit the model, holds NaN or infinity, or has a tool that the training data
-            did not have; if `arm` is not the one that the model was fitted with: `with_arm` moves
-            it; if `return_std` and `return_cov` are both asked for.
+            If X does not fit the model, or holds NaN or infinity; if `arm` is not the one that the
+            model was fitted with: `with_arm` moves it; if `return_std` and `return_cov` are both
+            asked for.
 
         Warns
         -----

@@ -43,7 +43,7 @@ _LARGEST_TURN = 0.5
 _BY_CHANCE = 1e-3
 
 
-def check_fit(estimator, X, y, sample_weight, groups, lengths):
+def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     """Rows of all that `fit` of an estimator is given, those of weight 0 among them.
 
     And the position of each row, (n,) from 0; without groups each row is one.
@@ -64,8 +64,21 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths):
     targets = Targets(y, weights, arm, X[:, : arm.n_joints], positions, codes is not None)
     say_findings(check_targets(targets))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
+    if probes is not None:
+        X = np.hstack([X, _check_probes(probes, len(X), estimator.regressor)])
     rows = Rows(arm, X, y, weights, codes, tuple(lengths))
     return rows, np.arange(len(y)) if groups is None else positions
+
+
+def _check_probes(probes, n_rows, regressor):
+    """Probe of each row, (n, 3) in mm."""
+    probes = floats("probes", probes)
+    if probes.shape != (n_rows, 3):
+        raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
+    if regressor is not None:
+        raise ValueError("A second stage sees one probe only: probes go with regressor=None.")
+    refuse_huge("probes", probes)
+    return probes
 
 
 def _check_repeats(weights):
@@ -152,11 +165,12 @@ def _deviations_of_other_rows(share, n_outputs, codes, weights):
 def poses_of(rows, extra, *others):
     """Rows (of weights above 0) in which the arm stood still as one pose each.
 
-    A pose has one tool and one direction, which `extra` names. Returns the `Dwells`, the `Rows`,
+    A pose has one probe, and one direction, which `extra` names. Returns the `Dwells`, the `Rows`,
     and of each of the others, (n, ...) or None, the mean of each pose.
     """
     n_joints = rows.arm.n_joints
-    kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith(("tool", "direction"))]
+    kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith("direction")]
+    kinds += range(n_joints + len(extra), rows.X.shape[1])
     codes = np.zeros(len(rows.X)) if rows.codes is None else rows.codes
     codes = np.unique(np.column_stack([codes, rows.X[:, kinds]]), axis=0, return_inverse=True)[1]
     dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)

@@ -13,20 +13,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, reach_mm
+from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, points_of, reach_mm
 from sklearn_raacmm.error_model._extra import force_on_probe, parsed
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own; then that of harmonics that are taken for
 # themselves, and that of all low orders together.
-GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, TOOL = range(7)
+GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE = range(6)
 FAMILIES = (
-    "gravity", "kinematics", "wobble", "temperature", "direction", "force", "tool", "harmonics",
-    "smooth",
+    "gravity", "kinematics", "wobble", "temperature", "direction", "force", "harmonics", "smooth",
 )  # fmt: skip
 # The families that `ArmResidualRegressor` names in `causes`.
 CAUSES = ("gravity", "kinematics", "wobble")
-FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, TOOL)
+FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE)
 # Kinds of columns: a small turn about an axis of a frame, a small shift along it, or a turn about
 # it in proportion to the torque about that axis of a load, or of a force on the probe.
 TURN, SHIFT, LOAD, PUSH = range(4)
@@ -70,7 +69,7 @@ class Column(NamedTuple):
     of: int = 0  # joint of the wave from 0; for LOAD the frame of the load, n_joints + 1: the probe
     order: int = 0  # of the wave: cosine if positive, sine if negative, none if 0
     by: int = -1  # the extra column that multiplies it, from 0; -1: none
-    reference: float = 0.0  # what is taken off that column before; the number of a tool
+    reference: float = 0.0  # what is taken off that column before
 
 
 class ColumnTable(NamedTuple):
@@ -190,12 +189,6 @@ def _extra(arm, extra):
             unit, frame = arm.joint_signs[joint] * ARCSEC, joint + _first_frame(arm)
             of = f"joint {joint + 1} lags"
             yield Column(of, DIRECTION, TURN, frame, 2, unit, by=by, reference=reference[0])
-        elif kind == "tool":
-            unit = ARCSEC * reach_mm(arm)
-            for tool in reference:
-                for axis in range(3):
-                    of = f"probe_{'xyz'[axis]} of tool {tool:g}"
-                    yield Column(of, TOOL, SHIFT, arm.n_joints, axis, unit, by=by, reference=tool)
 
 
 def _target(arm):
@@ -242,16 +235,15 @@ class GivenFactors(NamedTuple):
 
     column: np.ndarray  # (n_given,) which columns
     by: np.ndarray  # (n_given,) extra column
-    reference: np.ndarray  # (n_given,) what is taken off before; the number of a tool
-    of_tool: np.ndarray  # (n_given,) whether the factor is 1 for this tool, 0 for others
+    reference: np.ndarray  # (n_given,) what is taken off before
 
 
 def given_factors(arm: Arm, terms: Terms) -> GivenFactors:
     """Columns that an extra column of X multiplies, see `GivenFactors`."""
     others = enumerate(other_columns(arm, terms), start=2 * len(terms.harmonics))
-    given = [(i, c.by, c.reference, c.family == TOOL) for i, c in others if c.by >= 0]
-    parts = zip(*given, strict=True) if given else [()] * 4
-    types = (int, int, float, bool)
+    given = [(i, c.by, c.reference) for i, c in others if c.by >= 0]
+    parts = zip(*given, strict=True) if given else [()] * 3
+    types = (int, int, float)
     return GivenFactors(*(np.array(v, kind) for v, kind in zip(parts, types, strict=True)))
 
 
@@ -272,6 +264,8 @@ class _Plan(NamedTuple):
     pushes: np.ndarray  # (n_pushes,) columns
     push_turn: np.ndarray  # (n_pushes,) into the vectors: what the turn does to the probe
     given: GivenFactors
+    grown: np.ndarray  # (n_grown,) columns of the growth of the probe
+    grown_axis: np.ndarray  # (n_grown,)
 
 
 @lru_cache(maxsize=64)
@@ -294,6 +288,10 @@ def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
     loads = np.flatnonzero(table.kind == LOAD)
     pushes = np.flatnonzero(table.kind == PUSH)
     given = given_factors(arm, terms)
+    growths = [
+        c.family == TEMPERATURE and c.name[:6] == "probe_" for c in other_columns(arm, terms)
+    ]
+    grown = n_waves + np.flatnonzero(growths)
     return _Plan(
         which[rest:],
         table.unit[rest:],
@@ -309,6 +307,8 @@ def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
         pushes - rest,
         axis[pushes],
         given._replace(column=given.column - rest),
+        grown - rest,
+        table.axis[grown],
     )
 
 
@@ -361,8 +361,9 @@ def factored_columns(arm, angles, terms, of_turns=False):
 def term_columns(arm: Arm, angles: np.ndarray, terms: Terms, of_turns: bool = False) -> np.ndarray:
     """Columns (n, 3, n_columns) of the model, in mm per unit coefficient.
 
-    The angles (n, n_joints + n_extra) are in rad; then come the extra columns that `terms` names.
-    Of turns: rotation vectors of the last link in the base frame, rad per unit coefficient.
+    The angles (n, n_joints + n_extra) are in rad; then come the extra columns that `terms` names;
+    then the probe of each row in the last frame, mm, where it is not the arm's. Of turns: rotation
+    vectors of the last link in the base frame, rad per unit coefficient.
     """
     plan = _plan_of(arm, terms)
     out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
@@ -384,6 +385,18 @@ def observed_columns(arm: Arm, angles: np.ndarray, terms: Terms, turn_mm: float)
     return np.concatenate([columns, turn_mm * term_columns(arm, angles, terms, True)], axis=1)
 
 
+def parts_of_rows(arm: Arm, terms: Terms, rows: np.ndarray) -> tuple[Any, Any, Any]:
+    """Angles, extra columns, and the probes (n, 3) of rows that end with them, or None."""
+    n, end = arm.n_joints, arm.n_joints + len(terms.extra)
+    return rows[:, :n], rows[:, n:end], rows[:, end:] if rows.shape[1] > end else None
+
+
+def points_of_rows(arm, terms, rows):
+    """Probe points (n, 3) of rows that `term_columns` takes, mm."""
+    angles, _, probes = parts_of_rows(arm, terms, rows)
+    return points_of(arm, angles, probes)
+
+
 def _plan_of(arm, terms):
     pairs = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
     return _planned(arm, pairs, *terms[1:])
@@ -391,9 +404,8 @@ def _plan_of(arm, terms):
 
 def _factored(arm, angles, plan, terms, of_turns, out):
     """`FactoredColumns` by a plan; its `rest` is written to `out`, where that is given."""
-    n_joints = len(arm.a)
-    angles, values = angles[:, :n_joints], angles[:, n_joints:]
-    vectors, places = axis_vectors(arm, angles)
+    angles, values, probes = parts_of_rows(arm, terms, angles)
+    vectors, places = axis_vectors(arm, angles, probes)
     effect = vectors
     if of_turns:
         n_axes = vectors.shape[2] // 2
@@ -415,11 +427,12 @@ def _factored(arm, angles, plan, terms, of_turns, out):
         factor[:, plan.loads] *= uy * x - ux * y
     factor[:, plan.waves] *= wave[:, plan.rest :]
     if terms.extra:
+        if probes is not None:  # each grows in proportion to itself
+            factor[:, plan.grown] *= probes[:, plan.grown_axis] / arm.probe[plan.grown_axis]
         force = force_on_probe(terms.extra, values)
         factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
-        columns, by, reference, of_tool = plan.given
-        given = values[:, by]
-        factor[:, columns] *= np.where(of_tool, given == reference, given - reference)
+        columns, by, reference = plan.given
+        factor[:, columns] *= values[:, by] - reference
     rest = np.multiply(np.take(effect, plan.which, axis=2), factor[:, None], out=out)
     return FactoredColumns(runs, rest)
 

@@ -1,4 +1,4 @@
-"""Columns of X after the joint angles: temperatures, directions, forces and tools."""
+"""Columns of X after the joint angles: temperatures, directions and forces."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -16,11 +16,10 @@ _KINDS = {
     "direction": ("joint",),
     "payload": ("",),
     "force": ("axis",),
-    "tool": ("",),
 }
 _FORMS = (
     '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "time", '
-    '"payload", "force x", "force y", "force z", "tool"'
+    '"payload", "force x", "force y", "force z"'
 )
 
 # Part of the range of a column in the fit by which values may lie beyond it without a word.
@@ -61,14 +60,11 @@ def with_references(extra, values, weights):
     """Names of the extra columns with what the training data (n, n_extra) say of them.
 
     Pairs of a name and numbers: the weighted mean, from which the model counts, the least and the
-    largest value; of a tool, the numbers of all tools.
+    largest value.
     """
     used, found = weights > 0, []
     for name, column in zip(extra, values[used].T, strict=True):
-        if name == "tool":
-            numbers = np.unique(column).tolist()
-        else:
-            numbers = np.average(column, weights=weights[used]), column.min(), column.max()
+        numbers = np.average(column, weights=weights[used]), column.min(), column.max()
         found.append((name, tuple(map(float, numbers))))
     return tuple(found)
 
@@ -85,19 +81,13 @@ def warn_of_constants(extra, values, weights):
 
 
 def check_values(extra, values):
-    """Refuse tools that the training data did not have, and name values far beyond the others.
+    """Name values far beyond those of the fit.
 
     `extra` is as `with_references` has made it; `values` (n, n_extra).
     """
     for (name, known), column in zip(extra, values.T, strict=True):
-        if name != "tool" and len(known) == 3 and len(column):  # not so for the mean of many arms
+        if len(known) == 3 and len(column):  # not so for the mean of many arms
             say_findings(_beyond(name, known, column))
-        new = np.setdiff1d(column, known) if name == "tool" else column[:0]
-        if len(new):
-            raise ValueError(
-                f"X has tool {new[0]:g}, of which the model knows nothing: it was fitted with "
-                f"{', '.join(f'{tool:g}' for tool in known)}."
-            )
 
 
 def _beyond(name, known, column):

@@ -36,8 +36,8 @@ _REFIT_STEPS = 5
 # Where less than this share of the poses is concerned, sums over them cost less than new ones
 # (``benchmarks/bench_fit.py``).
 _FEW_POSES = 0.4
-# Columns of the poses are kept between the rounds where they are at most so many numbers (80 MB).
-_KEPT_COLUMNS, _POSES = 10_000_000, 256
+# Poses whose columns are held at a time.
+_POSES = 256
 # Points and turns are weighed anew by what the model leaves of them, at most so often, and until
 # the ratio of their noises changes by less than this share.
 _TURN_ROUNDS, _SETTLED_TURNS = 4, 0.1
@@ -47,7 +47,7 @@ class Rows(NamedTuple):
     """What a model is fitted to."""
 
     arm: Arm
-    X: np.ndarray  # (n, n_joints + n_extra) angles in rad, then the extra columns
+    X: np.ndarray  # (n, n_joints + n_extra) angles in rad, extra columns, perhaps probes (n, 3)
     y: np.ndarray  # (n, 3) residuals in mm; (n, 6) with those of the orientation times `turn_mm`
     weights: np.ndarray  # (n,)
     codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
@@ -194,9 +194,9 @@ def _settled(rows, terms, structures, sums, state, factor):
     share = None if structures.share is None else structures.share[pairs]
     structures = structures._replace(price=structures.price[pairs], share=share)
     lines = np.flatnonzero(np.isin(pairs, state.lines))
-    expected, some = _expected_of(rows, few), (sums_of_pairs(sums[0], pairs), None)
+    some = (sums_of_pairs(sums[0], pairs), None)
     for _ in range(_ROUNDS):
-        old, new = factor, _pose_weights(rows, expected(state), factor)
+        old, new = factor, _pose_weights(rows, _expected(rows, few, state), factor)
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
@@ -214,30 +214,17 @@ def _pose_weights(rows, expected, factor):
     return tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
 
 
-def _expected_of(rows, terms):
-    """Rule by which states of these terms expect the residuals that they were fitted to."""
-    n_waves, n_columns = 2 * len(terms.harmonics), 3 * len(term_names(rows.arm, terms)[0])
-    parts = list(chunks(len(rows.X), _POSES))
-
-    def columns(part):
-        made = [factored_columns(rows.arm, rows.X[part], terms)]
+def _expected(rows, terms, state):
+    """Residuals (n, 3) or (n, 6) that a state of these terms expects at the rows."""
+    coef = np.roll(state.coef, 2 * len(terms.harmonics))
+    found = np.empty_like(rows.y)
+    for part in chunks(len(rows.X), _POSES):
+        poses = rows.arm, rows.X[part], terms
+        found[part, :3] = factored_columns(*poses).dot(coef)
         if rows.turn_mm:
-            made.append(factored_columns(rows.arm, rows.X[part], terms, of_turns=True))
-        return made
-
-    small = len(rows.X) * (n_waves + n_columns) <= _KEPT_COLUMNS
-    kept = [columns(part) for part in parts] if small else None
-
-    def expected(state):
-        coef = np.roll(state.coef, n_waves)
-        found = []
-        for i, part in enumerate(parts):
-            made = columns(part) if kept is None else kept[i]
-            both = [one.dot(coef) * (rows.turn_mm if j else 1.0) for j, one in enumerate(made)]
-            found.append(np.hstack(both))
-        return np.concatenate(found)
-
-    return expected
+            turns = factored_columns(*poses, of_turns=True)
+            found[part, 3:] = rows.turn_mm * turns.dot(coef)
+    return found
 
 
 def model_of(rows, terms, state):

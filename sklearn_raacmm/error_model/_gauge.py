@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, points_of
-from sklearn_raacmm.error_model._columns import Terms, scale_direction, term_columns, term_names
+from sklearn_raacmm.error_model._columns import (
+    Terms,
+    points_of_rows,
+    scale_direction,
+    term_columns,
+    term_names,
+)
 from sklearn_raacmm.inference import Extra
 from sklearn_raacmm.utils import chunks, group_means, group_sums, group_weights
 
@@ -46,9 +52,8 @@ def without_motions(sums, arm, terms):
         return sums
     terms = terms._replace(harmonics=np.empty((0, 2), dtype=int))
     names, _ = term_names(arm, terms)
-    moving = ["base_x", "base_y", "base_alpha", "base_beta", "d1", "theta_offset1"]
-    if arm.convention == "modified":  # these come before the first joint
-        moving += ["a1", "alpha1", "beta1"]
+    # The latter come before the first joint.
+    moving = [*_BASE_MOTIONS, *["a1", "alpha1", "beta1"] * (arm.convention == "modified")]
     columns = np.eye(len(names))[:, [names.index(name) for name in moving]]
     motions = np.linalg.qr(np.column_stack([columns, scale_direction(arm, terms)]))[0]
     keep = np.eye(len(motions)) - motions @ motions.T
@@ -70,7 +75,7 @@ def length_equations(arm, angles, weights, codes, terms, lengths):
     rows = np.isin(codes, used)
     angles, weights, codes = angles[rows], weights[rows], np.searchsorted(used, codes[rows])
     total = group_weights(codes, weights)
-    points = group_means(points_of(arm, angles[:, : arm.n_joints]), codes, weights)
+    points = group_means(points_of_rows(arm, terms, angles), codes, weights)
     columns = _mean_columns(arm, angles, weights, codes, terms)
     line = points[ends[1]] - points[ends[0]]
     measured = np.linalg.norm(line, axis=1)
@@ -117,7 +122,7 @@ def constrained(
     arm, terms = model.arm, model.terms
     columns = _mean_columns(arm, X, weights, codes, terms)
     if keep_scale and terms.kinematics:
-        points = group_means(points_of(arm, X[:, : arm.n_joints]), codes, weights)
+        points = group_means(points_of_rows(arm, terms, X), codes, weights)
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if size > 0:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.cluster import KMeans
 
-from sklearn_raacmm.arm import points_of
+from sklearn_raacmm.error_model._columns import points_of_rows
 from sklearn_raacmm.error_model._fit import model_of
 from sklearn_raacmm.error_model._structures import HIGHEST_OF_FEW, structures_of
 from sklearn_raacmm.inference import Problem, combined, interval_scales, search_at
@@ -70,7 +70,7 @@ def leave_out(fitted, terms, positions, weights):
     are at one place, or all weight is in one block.
     """
     model, state, rows = fitted.model, fitted.state, fitted.rows
-    points = points_of(rows.arm, rows.X[:, : rows.arm.n_joints])
+    points = points_of_rows(rows.arm, terms, rows.X)
     blocks = _blocks(points, positions, weights)
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:

@@ -49,10 +49,9 @@ def angles_for(
 
 def limits_of(arm: Arm) -> Any:
     """Lowest and highest angle of each joint in rad, infinite where the arm has no limits."""
-    limits = getattr(arm, "limits", None)
-    if limits is None:
+    if arm.limits is None:
         return np.full(arm.n_joints, -np.inf), np.full(arm.n_joints, np.inf)
-    return np.asarray(limits, dtype=float).T
+    return np.asarray(arm.limits, dtype=float).T
 
 
 def _bare(arm, aim, angles, low, high):

@@ -39,7 +39,8 @@ _CHUNK = 1024
 _LARGEST_BATCH = 192
 # Divides the sums of positions without weight.
 _TINY = 1e-300
-# Orders and poses from which on the grid is faster: ``benchmarks/bench_fit.py`` with 96 columns.
+# Orders and poses from which on the grid is faster: a fit of 3000 poses of the UR10 takes 1.3 times
+# as long without it.
 _MANY_ORDERS, _MANY_POSES = 128, 256
 # Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
 # beside the sharpest that the grid allows (``tests/error_model/test_waves.py``).

@@ -10,13 +10,13 @@ from sklearn_raacmm.export._export import (
     export_c,
     fingerprint,
     from_json,
-    register_onnx,
     to_json,
     to_onnx,
 )
 from sklearn_raacmm.export._json import ExportedModel
 from sklearn_raacmm.export._load_c import CompiledModel, load_c
 from sklearn_raacmm.export._model_card import ModelCard, describe
+from sklearn_raacmm.export._onnx import register_onnx
 
 __all__ = [
     "TRUSTED_TYPES",

@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
-
 import numpy as np
 
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -14,14 +12,10 @@ from sklearn_raacmm.export._steps import check_fitted, typical_rows
 _LENGTHS = (0.5, 4.0)
 
 
-class AnyProbe(NamedTuple):
-    """What an export of `any_probe` is compared with."""
+class AnyProbe:
+    """What an export of `any_probe` is compared with. Refuses models that cannot be moved."""
 
-    model: ArmResidualRegressor
-
-    @classmethod
-    def of(cls, model):
-        """Refuse models that cannot be moved by a few numbers."""
+    def __init__(self, model):
         check_fitted(model)
         if not isinstance(model, ArmResidualRegressor) or model.regressor_ is not None:
             raise ValueError(
@@ -33,7 +27,7 @@ class AnyProbe(NamedTuple):
                 "any_probe=True does not go with temperatures, by which a probe grows in "
                 "proportion to its length: export a model for each probe, model.with_arm(arm)."
             )
-        return cls(model)
+        self.model = model
 
     def rows(self, poses=None):
         """Rows of the model with a probe each, between half and four times as long as its own."""

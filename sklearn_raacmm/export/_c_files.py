@@ -109,20 +109,20 @@ def _functions(program, name, real):
     """Public functions."""
     about, n, q = program.about, program.n_inputs, program.n_outputs
     corrects, fades, upper = about["corrects"], "trust" in program.outputs, name.upper()
-    argument = "joint_angles" if "arm" in about else "features"
+    x = "joint_angles" if "arm" in about else "features"
     verb, out, spread = "predict", "prediction", "std"
     if corrects:
         verb, out, spread = "correct", "correction_mm", "std_mm"
-    given, result = f"const {real} {argument}[{n}]", f"{real} {out}[{q}]"
+    given, result = f"const {real} {x}[{n}]", f"{real} {out}[{q}]"
     # What evaluate() computes beside the result.
-    local = [f"{real} point_mm[3]"] * corrects + [f"{real} trust[1]"] * fades
-    call = ", ".join([argument, out, *["point_mm"] * corrects, *["trust"] * fades])
+    point, trust = [f"{real} point_mm[3];"] * corrects, [f"{real} trust[1];"] * fades
+    call = f"evaluate({', '.join([x, out, *['point_mm'] * corrects, *['trust'] * fades])});"
+    found = []
 
-    def body(*declared, then=""):
-        lines = [*declared, *then.splitlines()]
-        return "".join(f"    {line}\n" for line in lines)
+    def add(head, about, *lines):
+        found.append(Function(head, about, "".join(f"    {line}\n" for line in lines)))
 
-    what = f"What the model predicts from {argument.replace('_', ' ')}."
+    what = f"What the model predicts from {x.replace('_', ' ')}."
     if corrects:
         unit = "degrees" if about["angle_unit"] == "deg" else "rad"
         then = f";\n   then {', '.join(map(plain, about['extra']))}" if about["extra"] else ""
@@ -139,66 +139,38 @@ def _functions(program, name, real):
             f" {upper}_FADED: the model\n   is less certain of this pose than the residuals that "
             "it was fitted on are large."
         )
-    evaluate = f"return evaluate({call});"
-    found = [
-        Function(
-            f"int {name}_{verb}({given}, {result})",
-            f"{what}\n   {status}",
-            body(*(f"{one};" for one in local), then=evaluate),
-        ),
-        Function(
-            f"int {name}_{verb}_n(const {real} *{argument}, {real} *{out}, size_t n)",
-            f"The same for n rows of {n} numbers, one after the other; {out} has n rows of {q}.\n"
-            "   Returns the largest status of a row.",
-            body(
-                "int status = 0;",
-                "for (size_t i = 0; i < n; ++i) {",
-                f"    const int one = {name}_{verb}({argument} + i * {n}, {out} + i * {q});",
-                "    status = one > status ? one : status;",
-                "}",
-                "return status;",
-            ),
-        ),
-    ]
+    head = f"int {name}_{verb}({given}, {result})"
+    add(head, f"{what}\n   {status}", *point, *trust, f"return {call}")
+    add(
+        f"int {name}_{verb}_n(const {real} *{x}, {real} *{out}, size_t n)",
+        f"The same for n rows of {n} numbers, one after the other; {out} has n rows of {q}.\n"
+        "   Returns the largest status of a row.",
+        "int status = 0;",
+        "for (size_t i = 0; i < n; ++i) {",
+        f"    const int one = {name}_{verb}({x} + i * {n}, {out} + i * {q});",
+        "    status = one > status ? one : status;",
+        "}",
+        "return status;",
+    )
     if corrects:
-        declared = [f"{result};", *(f"{one};" for one in local[1:])]
-        found.append(
-            Function(
-                f"int {name}_point({given}, {real} point_mm[3])",
-                "The corrected centre of the probe in the base frame, mm; status and NaN as above.",
-                body(*declared, then=evaluate),
-            )
-        )
+        head = f"int {name}_point({given}, {real} point_mm[3])"
+        what = "The corrected centre of the probe in the base frame, mm; status and NaN as above."
+        add(head, what, f"{result};", *trust, f"return {call}")
     if fades:
-        found.append(
-            Function(
-                f"{real} {name}_trust({given})",
-                "The share of the correction that the fading leaves, of its stages the smallest: 1 "
-                "where\n   the model knows the pose, 0 far away, NaN as above.",
-                body(
-                    f"{result};",
-                    *(f"{one};" for one in local),
-                    then=f"(void)evaluate({call});\nreturn trust[0];",
-                ),
-            )
+        what = (
+            "The share of the correction that the fading leaves, of its stages the smallest: 1 "
+            "where\n   the model knows the pose, 0 far away, NaN as above."
         )
+        lines = [f"{result};", *point, *trust, f"(void){call}", "return trust[0];"]
+        add(f"{real} {name}_trust({given})", what, *lines)
     if "std" in program.outputs:
-        call = ", ".join([argument, out, *["trust"] * fades, spread])
-        found.append(
-            Function(
-                f"int {name}_{verb}_std({given}, {result}, {real} {spread}[{q}])",
-                "The same with its standard deviation, as predict(return_std=True) gives it: it "
-                "grows\n   away from the poses that the model was fitted on."
-                + _DEVIATIONS.format(upper=upper)
-                * corrects,
-                body(*[f"{real} trust[1];"] * fades, then=f"return evaluate_std({call});"),
-            )
+        what = (
+            "The same with its standard deviation, as predict(return_std=True) gives it: it grows\n"
+            "   away from the poses that the model was fitted on."
         )
-    return [
-        *found,
-        Function(
-            f"const char *{name}_fingerprint(void)",
-            "SHA-256 of what the model computes: the same for the same model.",
-            f"    return {upper}_FINGERPRINT;\n",
-        ),
-    ]
+        call = f"evaluate_std({', '.join([x, out, *['trust'] * fades, spread])});"
+        head = f"int {name}_{verb}_std({given}, {result}, {real} {spread}[{q}])"
+        add(head, what + _DEVIATIONS.format(upper=upper) * corrects, *trust, f"return {call}")
+    what = "SHA-256 of what the model computes: the same for the same model."
+    add(f"const char *{name}_fingerprint(void)", what, f"return {upper}_FINGERPRINT;")
+    return found

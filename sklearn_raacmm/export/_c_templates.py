@@ -143,34 +143,20 @@ static inline {real} falling_exp({real} x)
 # high + low = log 2; high has so few digits that its product with n is exact (W. J. Cody, W. Waite,
 # "Software manual for the elementary functions", 1980). The first term left out of the series is
 # 4e-18 and 5e-9 of the sum. The tests measure the error against decimals of 40 digits.
-EXP = {
-    "double": {
-        "least": -708.0,  # the smallest normal number is exp(-708.4)
-        "error": "3e-16",
-        "digits_macro": "DBL_MANT_DIG",
-        "digits": 53,
-        "bits": 64,
-        "shifter": 1.5 * 2.0**52,
-        "high": 6.93147180369123816490e-01,
-        "low": 1.90821492927058770002e-10,
-        "degree": 13,
-        "bias": 1023,
-        "shift": 52,
-    },
-    "float": {
-        "least": -87.0,
-        "error": "2e-7",
-        "digits_macro": "FLT_MANT_DIG",
-        "digits": 24,
-        "bits": 32,
-        "shifter": 1.5 * 2.0**23,
-        "high": 0.693359375,
-        "low": -2.12194440e-4,
-        "degree": 7,
-        "bias": 127,
-        "shift": 23,
-    },
+_FACTS = {
+    "least": (-708.0, -87.0),  # the smallest normal number is exp(-708.4)
+    "error": ("3e-16", "2e-7"),
+    "digits_macro": ("DBL_MANT_DIG", "FLT_MANT_DIG"),
+    "digits": (53, 24),
+    "bits": (64, 32),
+    "shifter": (1.5 * 2.0**52, 1.5 * 2.0**23),
+    "high": (6.93147180369123816490e-01, 0.693359375),
+    "low": (1.90821492927058770002e-10, -2.12194440e-4),
+    "degree": (13, 7),
+    "bias": (1023, 127),
+    "shift": (52, 23),
 }
+EXP = {real: {k: v[i] for k, v in _FACTS.items()} for i, real in enumerate(("double", "float"))}
 
 
 def exponential(numbers):

@@ -47,6 +47,8 @@ def _rows_of(model, poses, std, n_inputs, dtype="double"):
                 f"poses must be rows of {n_inputs} finite numbers, at least one; got shape "
                 f"{poses.shape}{'' if finite else ' with NaN or infinity'}."
             )
+    if isinstance(model, AnyProbe):
+        poses = model.rows(poses)
     rows = rows_to_test(model, poses, std)
     if dtype == "float":
         rows = answered(model, rows["X"].astype(np.float32).astype(float), std)
@@ -177,12 +179,9 @@ def export_c(
     _check(std, card, dtype)
     check_flags(any_probe=any_probe)
     given = None if isinstance(poses, str) and poses == "random" else poses
-    judge = model
-    if any_probe:
-        judge = AnyProbe.of(model)
-        given = judge.rows(given)
+    judge = AnyProbe(model) if any_probe else model
     program = program_of(model, std, any_probe)
-    rows = _rows_of(judge, given, std, program.n_inputs, dtype)
+    rows = _rows_of(judge, given, std, program.n_inputs - 3 * any_probe, dtype)
     extra = {}
     if poses is not None:
         gap = np.abs(run(program, rows["X"])["y"] - rows["y"])
@@ -343,20 +342,6 @@ def fingerprint(model: Any) -> str:
         If the model cannot be exported.
     """
     return fingerprint_of(program_of(model))
-
-
-def register_onnx() -> None:
-    """Register the package's converters with skl2onnx, as the import of this module does.
-
-    After that ``skl2onnx.to_onnx`` converts this package's estimators wherever they stand: in
-    pipelines, searches, column transformers. To call it again does no harm.
-
-    Raises
-    ------
-    ImportError
-        Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
-    """
-    _onnx.register()
 
 
 def to_onnx(

@@ -59,11 +59,8 @@ class ExportedModel:
 
         Returns
         -------
-        y : ndarray of shape (n_samples, n_outputs), or (n_samples,)
-            NaN in rows where ``predict`` raises.
-
-        std : ndarray of the same shape
-            Where asked for.
+        y, std : ndarray of shape (n_samples, n_outputs), or (n_samples,)
+            NaN in rows where ``predict`` raises; std where asked for.
 
         Raises
         ------
@@ -118,18 +115,15 @@ def text_of(program, rows):
         "operations": operations,
         "arrays": arrays,
     }
-    lines = [f" {json.dumps(key)}: {_lines(key, value)}" for key, value in _checked(head).items()]
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+    lines = {key: json.dumps(value, allow_nan=False) for key, value in checked(head).items()}
+    for key in ("operations", "arrays"):  # a line for each of them
+        entries = (json.dumps(entry, allow_nan=False) for entry in head[key])
+        lines[key] = "[\n  " + ",\n  ".join(entries) + "\n ]"
+    return "{\n" + ",\n".join(f' "{key}": {line}' for key, line in lines.items()) + "\n}\n"
 
 
-def _lines(key, value):
-    """One line for each operation and each array."""
-    if key not in ("operations", "arrays"):
-        return json.dumps(value, allow_nan=False)
-    return "[\n  " + ",\n  ".join(json.dumps(entry, allow_nan=False) for entry in value) + "\n ]"
-
-
-def _checked(head):
+def checked(head):
+    """The content with its checksum."""
     return {**head, "checksum": _checksum(head)}
 
 
@@ -140,7 +134,7 @@ def _checksum(head):
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def content_of(text, where="the JSON text"):
+def _content(text, where):
     """The content of a file, if it is whole."""
     try:
         head = json.loads(text, parse_constant=_refuse_constant)
@@ -164,7 +158,7 @@ def content_of(text, where="the JSON text"):
 
 def program_of_text(text, where="the JSON text"):
     """Program and test rows of a JSON text; ValueError with one sentence."""
-    head = content_of(text, where)
+    head = _content(text, where)
     try:
         program, rows = _program(head), rows_of_dict(head["test_rows"])
     except _UNREADABLE as error:

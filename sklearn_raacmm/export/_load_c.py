@@ -63,9 +63,11 @@ class CompiledModel:
         self._verb = "correct" if self._about["corrects"] else "predict"
         self._real = np.float64 if dtype == "double" else np.float32
         library = _library(text, compiler, folder, flags)
-        names = (self._verb, "point", f"{self._verb}_std")
-        names = [name for name in names if hasattr(library, f"{NAME}_{name}")]
-        self._functions = {name: getattr(library, f"{NAME}_{name}") for name in names}
+        self._functions = {
+            name: getattr(library, f"{NAME}_{name}")
+            for name in (self._verb, "point", f"{self._verb}_std")
+            if hasattr(library, f"{NAME}_{name}")
+        }
         self._many = getattr(library, f"{NAME}_{self._verb}_n")
         self._many.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
         self._local = threading.local()
@@ -98,7 +100,7 @@ class CompiledModel:
             If X has another number of columns.
         """
         X = X if isinstance(X, np.ndarray) else np.asarray(X)
-        out = self._rows(X) if X.ndim == 2 else self._row(X, self._verb)[1][0]
+        out = self._rows(X) if X.ndim == 2 else self._row(X, self._verb)[1].copy()
         return out[..., 0] if self._about["flat"] else out
 
     def correct(self, angles: ArrayLike) -> np.ndarray:
@@ -111,7 +113,7 @@ class CompiledModel:
         """Corrected centre of the probe at one pose, base frame, mm, (3,)."""
         if "point" not in self._functions:
             raise ValueError("The model has no arm and three outputs, so it has no point.")
-        return self._row(angles, "point")[1][0]
+        return self._row(angles, "point")[1].copy()
 
     def status(self, angles: ArrayLike) -> int:
         """What the C function returns for one row: 0 fine, 1 faded, 2 not finite."""
@@ -121,31 +123,31 @@ class CompiledModel:
         """Prediction and standard deviation of one row, (n_outputs,) each."""
         if f"{self._verb}_std" not in self._functions:
             raise ValueError("The model was compiled without standard deviation: std=True.")
-        mean, std = self._row(X, f"{self._verb}_std")[1]
-        return mean, std
+        _, mean, std = self._row(X, f"{self._verb}_std")
+        return mean.copy(), std.copy()
 
     def _row(self, row: Any, name: str) -> Any:
-        """Status and results (2, n_outputs) of one row, through buffers of the thread's own."""
+        """Status of one row, and the thread's own buffers with prediction and deviation."""
         try:
-            given, results, calls = self._local.buffers
+            given, out, spread, calls = self._local.buffers
         except AttributeError:
-            given, results, calls = self._buffers()
+            given, out, spread, calls = self._buffers()
         row = row if isinstance(row, np.ndarray) else np.asarray(row)
         if row.shape != given.shape:
             self._refuse(row)
         given[:] = row
-        return calls[name](), results.copy()
+        return calls[name](), out, spread
 
     def _buffers(self):
         """Arrays of this thread, and the functions bound to them."""
-        given = np.empty(self.n_features_in_, dtype=self._real)
-        results = np.empty((2, self.n_outputs_), dtype=self._real)
-        places = [ctypes.c_void_p(array.ctypes.data) for array in (given, *results)]
+        sizes = self.n_features_in_, self.n_outputs_, self.n_outputs_
+        buffers = [np.empty(n, dtype=self._real) for n in sizes]
+        places = [ctypes.c_void_p(array.ctypes.data) for array in buffers]
         calls = {
             name: partial(function, *(places if name.endswith("_std") else places[:2]))
             for name, function in self._functions.items()
         }
-        self._local.buffers = given, results, calls
+        self._local.buffers = *buffers, calls
         return self._local.buffers
 
     def _rows(self, X):
@@ -194,8 +196,7 @@ def load_c(
     Returns
     -------
     CompiledModel
-        Has ``predict(X)``, ``correct(angles)``, ``point(angles)``, ``status(angles)`` and
-        ``predict_std(X)``: on one row, the first two on many rows, too. Threads may share it; a
+        For one row; its ``predict`` and ``correct`` take many rows, too. Threads may share it; a
         pickle holds the source and compiles it where it is loaded.
 
     Raises
@@ -237,9 +238,9 @@ def answers_in_c(program, dtype, X):
         return None
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         model = _compiled(program, dtype, compiler, folder, _FAST)
-        calls = {"y": (model._verb, 0), "point": ("point", 0), "std": (f"{model._verb}_std", 1)}
+        calls = {"y": (model._verb, 1), "point": ("point", 1), "std": (f"{model._verb}_std", 2)}
         return {
-            name: np.array([model._row(row, verb)[1][place] for row in X], dtype=float)
+            name: np.array([model._row(row, verb)[place].copy() for row in X], dtype=float)
             for name, (verb, place) in calls.items()
             if name in program.outputs
         }

@@ -288,7 +288,7 @@ def _training(X, codes, arm, unit, extra):
     return facts
 
 
-def _error(model, X, y, codes, groups, n_folds):
+def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) -> dict[str, Any]:
     """Errors before and after; the latter at positions that a copy of the model has not seen."""
     n_outputs = np.shape(model.predict(safe_indexing(X, [0])).ravel())[0]
     if y.size != len(y) * n_outputs:
@@ -296,7 +296,7 @@ def _error(model, X, y, codes, groups, n_folds):
             f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
         )
     predicted = np.empty_like(y)
-    folds = 0 if codes is None else min(n_folds, int(codes.max()) + 1)
+    folds = 0 if groups is None else min(n_folds, int(codes.max()) + 1)
     if folds >= 2:
         takes_groups = has_fit_parameter(model, "groups")
         groups = np.asarray(groups)
@@ -310,7 +310,7 @@ def _error(model, X, y, codes, groups, n_folds):
         seen = (
             "these rows; if the model was fitted on them, this is better than it will be on others"
         )
-    spatial = codes is not None and y.ndim == 2 and y.shape[1] == 3
+    spatial = groups is not None and y.ndim == 2 and y.shape[1] == 3
     relative = spatial and share_of_means(y, codes, np.ones(len(y))) < CENTRED
     facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}
     for when, left in (("before", y), ("after", y - predicted)):

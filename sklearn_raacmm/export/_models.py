@@ -168,7 +168,7 @@ def _needs_angles(chain, path, x):
 
 def _regressor(chain, path, step, x):
     if isinstance(step, RBFNetRegressor):
-        return network(chain.p, step, x, chain.std, with_noise=True)
+        return network(chain.p, step, x, chain.std)
     if isinstance(step, ArmResidualRegressor):
         _needs_angles(chain, path, x)
         return arm_model(chain, step)
@@ -184,27 +184,30 @@ def _regressor(chain, path, step, x):
 
 def _cylindrical(chain, path, step, rest, x):
     """A regressor in the cylindrical frame of the probe's azimuth."""
-    p, direction = chain.p, None
     if any(isinstance(inner, CylindricalResidualTarget) for _, inner in rest):
         raise ValueError(f"{rest[0].path} is the second of its kind, which cannot be exported.")
-    if step._drops_direction:
-        n = step.n_features_in_ - 2
-        direction, x = given_direction(p, p.take(x, [n, n + 1])), p.take(x, np.arange(n))
-    elif step._rotates:
-        if x != chain.x:
-            raise ValueError(
-                f"{path} takes its azimuth from the joint angles but comes after a transformer, "
-                "which cannot be exported."
-            )
-        direction = chain.direction()[0]
+    if step._rotates and not step._drops_direction and x != chain.x:
+        raise ValueError(
+            f"{path} takes its azimuth from the joint angles but comes after a transformer, "
+            "which cannot be exported."
+        )
+    direction, x = _direction(chain, step, x)
     y, v = _read(chain, rest, x)
-    return (y, v) if direction is None else to_cartesian(p, direction, y, v)
+    return (y, v) if direction is None else to_cartesian(chain.p, direction, y, v)
 
 
-def given_direction(p, direction):
-    """A direction that comes with the features, NaN where its norm is not 1."""
-    norm = p.length(direction)
-    return p("within", direction, norm, low=1 - NORM_TOLERANCE, high=1 + NORM_TOLERANCE)
+def _direction(chain, step, x):
+    """Cosine and sine of the azimuth to turn by, or None, and the columns that are left.
+
+    A direction that comes with the features becomes NaN where its norm is not 1.
+    """
+    p, n = chain.p, step.n_features_in_ - 2
+    if step._drops_direction:
+        given = p.take(x, [n, n + 1])
+        low, high = 1 - NORM_TOLERANCE, 1 + NORM_TOLERANCE
+        direction = p("within", given, p.length(given), low=low, high=high)
+        return direction, p.take(x, np.arange(n))
+    return (chain.direction()[0] if step._rotates else None), x
 
 
 def to_cartesian(p, direction, y, v=None):
@@ -239,21 +242,13 @@ def step_program(step):
     return p.program({"y": p("finite", y, p.x)}, {})
 
 
-def direction_program(step):
-    """Cosine and sine of the azimuth that a `CylindricalResidualTarget` turns by."""
+def turning_program(step):
+    """From columns of a `CylindricalResidualTarget` and what its regressor gives to x, y and z."""
     n = step.n_features_in_
-    p = Builder(n)
-    if step._drops_direction:
-        direction = given_direction(p, p.take(p.x, [n - 2, n - 1]))
-    else:
-        direction = _Chain(step, p, False).direction()[0]
-    return p.program({"y": p("finite", direction, p.x)}, {})
-
-
-def turning_program():
-    """From a direction, then radial, tangential and axial numbers, to x, y and z."""
-    p = Builder(5)
-    y, _ = to_cartesian(p, p.take(p.x, [0, 1]), p.take(p.x, [2, 3, 4]))
+    p = Builder(n + 3)
+    x = p.take(p.x, np.arange(n))
+    direction, _ = _direction(_Chain(step, p, False, x), step, x)
+    y, _ = to_cartesian(p, direction, p.take(p.x, n + np.arange(3)))
     return p.program({"y": p("finite", y, p.x)}, {})
 
 
@@ -336,23 +331,8 @@ def arm_model(chain, step):
             size = fading.size_mm**2
             share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
         chain.trust, y = share, p("mul", y, share)
-    y = _known_tools(chain, linear.terms.extra, y)
     v = p("mul", v, linear.std_scale**2) if chain.std else None
     return y, v if step.helps_ or v is None else p("max", v, fading.size_mm**2 / 3)
-
-
-def _known_tools(chain, extra, y):
-    """NaN where a tool is none of the fit's, which predict refuses."""
-    p = chain.p
-    for i, (name, known) in enumerate(extra):
-        if name == "tool":
-            off = p("sub", p.take(chain.x, [chain.arm.n_joints + i]), np.array(known))
-            off = p("max", off, p("mul", off, -1.0))
-            least = p.take(off, [0])
-            for tool in range(1, len(known)):
-                least = p("min", least, p.take(off, [tool]))
-            y = p("within", y, least, low=0.0, high=0.0)
-    return y
 
 
 def linear_model(chain, linear, fades):
@@ -445,14 +425,11 @@ def _sizes(chain, linear, table, vectors):
         at = np.arange(3) * 2 * n_axes + turns[:, None]
         torque = p("dots", p.take(vectors, at.ravel()), force)
         sizes = p("mul", sizes, _at_columns(p, m, pushed, torque))
-    factors = given_factors(arm, linear.terms)
-    for of_tool in np.unique(factors.of_tool):
-        column, by, reference, _ = (field[factors.of_tool == of_tool] for field in factors)
-        given = p("sub", p.take(values, by), reference)
-        if of_tool:  # 1 for this tool, 0 for others
-            given = p("less", p("mul", given, given), _TINY)
-        sizes = p("mul", sizes, _at_columns(p, m, column, given))
-    return sizes
+    column, by, reference = given_factors(arm, linear.terms)
+    if not len(column):
+        return sizes
+    given = p("sub", p.take(values, by), reference)
+    return p("mul", sizes, _at_columns(p, m, column, given))
 
 
 def _force_of(extra):

@@ -13,9 +13,9 @@ MOST_CENTERS = 2000
 _CLEAR = 1e-6
 
 
-def network(p, step, x, std, with_noise):
+def network(p, step, x, std):
     """Prediction and variance (or None) of an `RBFNetRegressor`."""
-    found = [_one_network(p, part, x, std, with_noise) for part in step.networks_]
+    found = [_one_network(p, part, x, std) for part in step.networks_]
     if len(found) == 1:
         return found[0]
     place = np.argsort(np.concatenate([part.outputs for part in step.networks_]))
@@ -23,7 +23,7 @@ def network(p, step, x, std, with_noise):
     return y, p.take(p("join", *(v for _, v in found)), place) if std else None
 
 
-def _one_network(p, net, x, std, with_noise):
+def _one_network(p, net, x, std):
     """Prediction and variance (or None) of outputs that share centres."""
     k, phi = len(net.centers), None
     linear = net.polynomial[1:].T
@@ -42,10 +42,10 @@ def _one_network(p, net, x, std, with_noise):
             y = p("add", y, p("affine", phi, matrix=net.coef.T, shift=nothing))
         else:
             y = p("affine", phi, matrix=net.coef.T, shift=net.polynomial[0])
-    return y, _network_variance(p, net, x, phi, with_noise) if std else None
+    return y, _network_variance(p, net, x, phi) if std else None
 
 
-def _network_variance(p, net, x, phi, with_noise):
+def _network_variance(p, net, x, phi):
     """Variances of a network's outputs, as `Network` has them, by the same two matrices.
 
     The first of them has rows of very different sizes where data have little noise. It must not be
@@ -65,7 +65,7 @@ def _network_variance(p, net, x, phi, with_noise):
             f"max_centers={MOST_CENTERS}."
         )
     if k and np.all(net.noise_variance > _CLEAR * net.signal_variance):
-        return _variance_by_one_matrix(p, net, x, phi, with_noise)
+        return _variance_by_one_matrix(p, net, x, phi)
     columns = [phi] if k else []
     if len(net.tail_map):
         slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
@@ -74,7 +74,7 @@ def _network_variance(p, net, x, phi, with_noise):
         columns.insert(0, tail)
     for output in range(len(net.outputs)):
         of_prior, of_weights = net.roots(output)
-        variance = p.constant(float(with_noise))
+        variance = p.constant(1.0)
         if len(of_weights):
             # From the last row to the first, so that each column ends where its zeros begin.
             seen = p(
@@ -90,7 +90,7 @@ def _network_variance(p, net, x, phi, with_noise):
     return p("join", *parts)
 
 
-def _variance_by_one_matrix(p, net, x, phi, with_noise):
+def _variance_by_one_matrix(p, net, x, phi):
     r"""The same of data with noise, in a half or a third of the time.
 
     With g the radial functions in coordinates in which prior and data are diagonal, 1 and s_i, and
@@ -106,7 +106,7 @@ def _variance_by_one_matrix(p, net, x, phi, with_noise):
     spectrum[: len(singular)] = np.square(singular)
     known = np.maximum(spectrum + net.alpha[:, None], np.finfo(float).tiny)
     D, turn = D @ turn.T, turn @ whiten
-    variance = p.constant(noise * float(with_noise))
+    variance = p.constant(noise)
     if size:
         tails = [
             _of_polynomial(p, net, x, phi, T, D, turn, *ridge)

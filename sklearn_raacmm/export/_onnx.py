@@ -93,8 +93,10 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **_: Any) -> Any:
         name = ufunc.__name__
-        if name in ("cos", "arctan2"):
-            return {"cos": _cosine, "arctan2": _elevation}[name](*inputs)
+        if name == "cos":
+            return _cosine(*inputs)
+        if name == "arctan2":
+            return _elevation(*inputs)
         return self._node(ufunc(*map(_like, inputs)), _OPERATORS[name], *inputs)
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
@@ -211,8 +213,17 @@ def run_onnx(model, X):
 # -- skl2onnx -------------------------------------------------------------------------------------
 
 
-def register():
-    """Make this package's estimators known to skl2onnx; more than once does no harm."""
+def register_onnx() -> None:
+    """Register the package's converters with skl2onnx, as the import of this module does.
+
+    After that ``skl2onnx.to_onnx`` converts this package's estimators wherever they stand: in
+    pipelines, searches, column transformers. To call it again does no harm.
+
+    Raises
+    ------
+    ImportError
+        Without skl2onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
+    """
     try:
         from skl2onnx import update_registered_converter
     except ImportError as error:
@@ -225,7 +236,7 @@ def register():
 
 def by_skl2onnx(model, dtype, target_opset):
     """A chain that is no program, converted by skl2onnx; ValueError with one sentence."""
-    register()
+    register_onnx()
     _version(target_opset)
     from skl2onnx import to_onnx
     from skl2onnx.common.data_types import DoubleTensorType, FloatTensorType
@@ -270,8 +281,8 @@ def _refuse_infinity(made):
 
     (given,), (out,) = made.input, made.output
     name = out.name
-    for node in made.node:
-        for names in (node.input, node.output):
+    for one in made.node:
+        for names in (one.input, one.output):
             for i, text in enumerate(names):
                 if text == name:
                     names[i] = f"{name}_raacmm"
@@ -353,8 +364,6 @@ def _convert_target(scope, operator, container):
     inner.outputs.append(predicted)
     y = graph.double(predicted.full_name)
     if step._rotates:
-        x = graph.double(given.full_name)
-        direction = graph.program(_models.direction_program(step), x)["y"]
-        both = graph("Concat", direction, y, axis=1)
-        y = graph.program(_models.turning_program(), both)["y"]
+        both = graph("Concat", graph.double(given.full_name), y, axis=1)
+        y = graph.program(_models.turning_program(step), both)["y"]
     _put(graph, y, operator.outputs[0])

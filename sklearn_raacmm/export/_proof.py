@@ -56,7 +56,12 @@ def answered(model, X, std=False):
                     answer = model.predict(row[None], **({"return_std": True} if std else {}))
             found.append(None if answer is None else np.reshape(answer, (1 + std, -1)))
     known = [answer for answer in found if answer is not None]
-    nothing = np.full(known[0].shape if known else (1 + std, 1), np.nan)
+    if not known:
+        raise ValueError(
+            f"predict refuses all of {len(X)} rows, so the export cannot be compared with it: give "
+            "poses that the model takes."
+        )
+    nothing = np.full(known[0].shape, np.nan)
     y = np.stack([nothing if answer is None else answer for answer in found], axis=1)
     return {"X": X, "y": y[0], **({"std": y[1]} if std else {})}
 

@@ -67,9 +67,9 @@ def condition(
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
-    With A the `columns` (n, c, p) and B the `free` ones (n, c, q), each row of c coordinates, ``y -
-    A mean = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each part,
-    ``b ~ N(0, free_sd^2)`` and e of one variance over the `weights` (n,). The taus and that
+    With A the `columns` (n, c, p) and B the `free` ones (n, c, q), each row of c coordinates,
+    ``y - A mean = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each
+    part, ``b ~ N(0, free_sd^2)`` and e of one variance over the `weights` (n,). The taus and that
     variance have the highest marginal likelihood times log-normal priors (MacKay, Neural Comput. 4,
     1992). Rows that stay far from this posterior are weighed down (Tukey's biweight), and it is
     found again: rows far from the prior alone show the change.

@@ -3,11 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.measurements._angles import coarse_angles
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._moved_seats import find_steps, moved_positions
-from sklearn_raacmm.measurements._order import MOST_TOLD, directions_of, drift_of, order_told_by
-from sklearn_raacmm.measurements._set_ups import moved_set_up
+from sklearn_raacmm.measurements._order import (
+    MOST_TOLD,
+    coarse_angles,
+    directions_of,
+    drift_of,
+    order_told_by,
+)
+from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import Targets, check_targets
 from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
@@ -18,6 +23,7 @@ __all__ = [
     "FindingError",
     "FindingWarning",
     "Targets",
+    "base_motions",
     "check_targets",
     "coarse_angles",
     "directions_of",

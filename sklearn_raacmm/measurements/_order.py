@@ -1,7 +1,9 @@
-"""The order of measurement: where each joint came from, and what drifted during a run."""
+"""What angles and their order say: where joints came from, rounded angles, drift of a run."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +12,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from sklearn_raacmm.arm import Arm, check_angles, points_of
+from sklearn_raacmm.measurements._dwells import within_turn
 from sklearn_raacmm.utils import Finding, centred
 
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad.
@@ -20,6 +23,12 @@ MOST_TOLD = 0.2
 _TREES, _FOLDS = 100, 5
 # Chance that a run without drift is said to drift.
 _BY_CHANCE = 0.01
+
+# Steps that angles are rounded to, deg, and how far a multiple may be off, as a part of it.
+_STEPS, _OFF = (1.0, 0.5, 0.1, 0.05, 0.01), 1e-4
+# Different angles of a joint that may lie on a grid by intention, and the error of rounding at the
+# stretched arm that is worth a word, mm.
+_LEAST_DIFFERENT, _LARGE_MM = 10, 0.02
 
 
 def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.ndarray:
@@ -56,9 +65,8 @@ def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.nd
         raise ValueError(
             f"previous must hold {angles.shape[1]} angles, one for each joint, got {first.size}."
         )
-    steps = np.diff(angles, axis=0, prepend=first)
     # From 359 to 1 degree a joint has most likely gone the short way.
-    steps = np.remainder(steps + np.pi, 2 * np.pi) - np.pi
+    steps = within_turn(np.diff(angles, axis=0, prepend=first))
     moved = np.where(np.abs(steps) > _STANDS_STILL, np.sign(steps), 0.0)
     last = np.maximum.accumulate(np.where(moved != 0, np.arange(len(moved))[:, None], 0), axis=0)
     return np.take_along_axis(moved, last, axis=0)
@@ -105,3 +113,25 @@ def drift_of(arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray |
     said = f"This run drifted by {1000 * size:.0f} um from its first row to its last"
     said += "." if by_chance < _BY_CHANCE else ", no more than noise explains."
     return Finding("drift-of-run", said, weight="note", size_mm=size)
+
+
+def coarse_angles(angles: np.ndarray, reach: float) -> Iterator[Finding]:
+    """All angles (n, n_joints), in rad, are multiples of a coarse step; `reach` in mm."""
+    degrees = np.rad2deg(angles)
+    if not any(
+        len(np.unique(column)) >= _LEAST_DIFFERENT
+        for column in degrees.T[:, : 10 * _LEAST_DIFFERENT]
+    ):
+        return
+    for step in _STEPS:
+        size = np.deg2rad(step) / np.sqrt(12) * reach
+        parts = degrees / step
+        if np.abs(parts - np.round(parts)).max() < _OFF and size > _LARGE_MM:
+            yield Finding(
+                "coarse-angles",
+                f"All angles are multiples of {step:g} degrees: rounding alone moves the probe by "
+                f"{size:.2g} mm.",
+                "Take them with all digits that the encoders have.",
+                size_mm=size,
+            )
+            return

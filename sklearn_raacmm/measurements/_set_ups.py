@@ -20,6 +20,12 @@ _LEAST_MM = 0.005
 _RIDGE = 1e-4
 
 
+def base_motions(points: np.ndarray, reach: float) -> np.ndarray:
+    """What shifts of the base, and turns of one over the reach in mm, do to points: (n, 3, 6)."""
+    turns = np.stack([np.cross(axis, points) / reach for axis in np.eye(3)], axis=2)
+    return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+
+
 def moved_set_up(
     left: np.ndarray,
     columns: np.ndarray,
@@ -37,16 +43,16 @@ def moved_set_up(
     :math:`S = E'E - E'C H^{-1} C'E`.
 
     `left` (n, 3) is what calibration leaves of measured points, mm, `columns` (n, 3, p) their
-    derivatives by what was fitted, `ridge` (p,) what the priors add to the normal matrix. `points`
-    (n, 3) are the arm's, mm, `turns` (n, 3, 3) the orientations of the last link, with which a tool
-    moves. `numbers` (n,) are what the rows are called; None: from 0.
+    derivatives by what was fitted beside the base, `ridge` (p,) what the priors add to the normal
+    matrix. `points` (n, 3) are the arm's, mm, `turns` (n, 3, 3) the orientations of the last link,
+    with which a tool moves. `numbers` (n,) are what the rows are called; None: from 0.
     """
     n = len(left)
     if n < 3 * _LEAST_ROWS:
         return
-    reach = np.abs(points).max()
-    around = np.stack([np.cross(axis, points) / reach for axis in np.eye(3)], axis=2)
-    base = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), around], axis=2)
+    base = base_motions(points, np.abs(points).max())
+    columns = np.concatenate([columns, base], axis=2)
+    ridge = np.r_[ridge, np.zeros(6)]
     root = np.sqrt(weights)[:, None, None]
     columns, left = root * columns, root[:, :, 0] * left
     found = {

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
+from sklearn_raacmm.measurements._set_ups import base_motions
 from sklearn_raacmm.utils import CENTRED, Finding, align, centred, share_of_means
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
@@ -53,9 +54,9 @@ class Targets(NamedTuple):
     def used(self) -> tuple[Self, np.ndarray | None]:
         """The same without rows of no weight, and with the arm's points or None."""
         kept = self.weights > 0
-        parts = (None if v is None else v[kept] for v in (self.angles, self.codes))
-        angles, codes = parts
-        some = self._replace(y=self.y[kept], weights=self.weights[kept], angles=angles, codes=codes)
+        names = [n for n in ("y", "weights", "angles", "codes") if getattr(self, n) is not None]
+        rows: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        some = self._replace(**rows)
         return some, None if self.arm is None else points_of(self.arm, some.angles)
 
 
@@ -65,8 +66,7 @@ def are_points(targets, points):
     if points is None or len(y) < _LEAST_ROWS:
         return
     rotation, shift = align(points, y)
-    left = _rms(y - points @ rotation.T - shift)
-    spread = _rms(points - points.mean(axis=0))
+    left, spread = _rms(y - points @ rotation.T - shift), _spread(points)
     # The points of a single position are residuals but for a shift.
     if left < _SHARE_OF_SPREAD * spread and spread > _SHARE_OF_REACH * targets.reach:
         yield Finding(
@@ -184,21 +184,15 @@ def are_what_calibration_takes(targets, points):
     """The arm's static parameters explain nearly all: it has not been calibrated."""
     y, arm = targets.y, targets.arm
     # In a small part of the volume a table explains whatever is smooth.
-    if (
-        points is None
-        or _rms(y) < _LARGE_MM
-        or _rms(points - points.mean(axis=0)) < _WIDE * (targets.reach)
-    ):
+    size = _rms(y)
+    if points is None or size < _LARGE_MM or _spread(points) < _WIDE * targets.reach:
         return
-    jac, n = parameter_jacobian(arm, targets.angles)[1], arm.n_joints
     # An arm without lengths has no deviations at all, but tables change by millimetres only.
-    sizes = np.repeat([_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM], [n] * 4 + [3])
-    jac = jac * sizes
+    sizes = [_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM]
+    jac = parameter_jacobian(arm, targets.angles)[1] * np.repeat(sizes, [arm.n_joints] * 4 + [3])
     if not targets.offsets:
-        turns = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
-        base = np.broadcast_to(np.eye(3), (len(y), 3, 3))
         # A base that stands elsewhere is another finding.
-        base = np.concatenate([base, turns / targets.reach], axis=2)
+        base = base_motions(points, targets.reach)
         place = np.linalg.qr(base.reshape(-1, 6))[0]
         y = y - (place @ (place.T @ y.ravel())).reshape(y.shape)
         jac = np.concatenate([jac, 1e3 * base], axis=2)
@@ -214,14 +208,14 @@ def are_what_calibration_takes(targets, points):
         columns = np.concatenate([jac[~rows].reshape(-1, n_columns), ridge])
         coef = np.linalg.lstsq(columns, np.r_[y[~rows].ravel(), np.zeros(n_columns)])[0]
         off[rows] = y[rows] - jac[rows] @ coef
-    left = _rms(off)
-    if _rms(y) > _LARGE_MM and left < _LEFT_OF_TABLE * _rms(y):
+    size, left = _rms(y), _rms(off)
+    if size > _LARGE_MM and left < _LEFT_OF_TABLE * size:
         yield Finding(
             "not-calibrated",
-            f"The residuals of {_rms(y):.3g} mm (root mean square) are nearly what a calibration "
+            f"The residuals of {size:.3g} mm (root mean square) are nearly what a calibration "
             f"of the arm takes away: other lengths and zeros leave {left:.3g} mm.",
             "Calibrate the arm first, and give its residuals and result.arm.",
-            size_mm=_rms(y),
+            size_mm=size,
         )
 
 
@@ -260,6 +254,10 @@ def check_targets(targets: Targets) -> list[Finding]:
         if found:
             return found
     return []
+
+
+def _spread(points):
+    return _rms(points - points.mean(axis=0)) if len(points) else 0.0
 
 
 def _rms(vectors):

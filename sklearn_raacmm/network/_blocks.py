@@ -154,7 +154,7 @@ def _cut(sample, seed, size):
 def _summarise(X, Y, weights, start, seed, size):
     sample = merge(X, Y, weights)
     sample, complete = _cut(sample._replace(first=start + sample.first), seed, size)
-    return _Summary(np.count_nonzero(weights > 0), weights.sum(), sample, complete)
+    return _Summary(int(np.sum(weights > 0)), weights.sum(), sample, complete)
 
 
 def _join(one, other, seed, size):

@@ -132,7 +132,7 @@ def _whiten(problem, view, factor, features, alpha):
     # The root of a Gram matrix is quick, but tells candidates apart only down to the root of
     # machine epsilon; a ridge, or a coarse factor, does not ask for more.
     trusted = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT)
-    strong, failed = alpha > 1e-8 * gram.diagonal().max(initial=0.0), True
+    strong, root, failed = alpha > 1e-8 * gram.diagonal().max(initial=0.0), gram, True
     if strong or factor.residual > COARSE or (alpha == 0 and resolution >= 1e-9):
         trusted = max(resolution, 1e-7)
         gram[np.diag_indices(rank)] += alpha

@@ -93,15 +93,11 @@ class Likelihood(NamedTuple):
     signal_gradient: np.ndarray  # (q, d + q + 1)
 
 
-def evidence_constant(data):
-    """What the values of this module leave out of the negative logarithm, for each output."""
-    n = data.n_total
-    return 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
-
-
 def log_likelihood(data, value):
-    """Logarithm of a marginal likelihood with its constants, summed over outputs."""
-    return -value - data.Y.shape[1] * evidence_constant(data)
+    """Logarithm of a marginal likelihood, with its constants, summed over outputs."""
+    n = data.n_total
+    constant = 0.5 * n * (1 + np.log(2 * np.pi / n)) - 0.5 * np.log(data.weights).sum()
+    return -value - data.Y.shape[1] * constant
 
 
 def noise_likelihood(data, ratio=0.0):

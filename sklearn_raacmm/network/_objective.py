@@ -31,10 +31,8 @@ RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 GIVEN_TO = 0.05
 # The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
 # inverse width at which further narrowness is penalised. The likelihood weighs the size of the data
-# by itself; what it does not know is from how many features one was picked. With A of 0.45
-# (log(n) / 2 + log(d) + 1) the weak interaction of noise twice the signal, 6 features and 300 rows
-# was given up (0.66 of the deviation was left, now 0.51); noise in 5, 20 and 50 features and weak
-# signals in 20 are told apart as before (benchmarks/bench_noise.py, two or three draws each).
+# by itself; what it does not know is from how many features one was picked. A price that grows with
+# the rows gave up a weak interaction (benchmarks/bench_noise.py).
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 0.3
 
 

@@ -30,22 +30,24 @@ _SLIP = 2.0
 _TINY = 1e-300
 
 
-def encode_groups(groups: Any, n_samples: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def encode_groups(
+    groups: Any, n_samples: int | None = None, name: str = "groups"
+) -> tuple[np.ndarray, np.ndarray]:
     """Different labels, sorted (n_groups,), and the index of each row's label (n_samples,).
 
     Labels are numbers or text. The texts "nan" and "None" are labels as any others; an empty text,
     NaN, None and pandas' NA are missing, which is refused.
     """
     if groups is None:
-        raise ValueError("groups must give the position of each point, got None.")
-    refuse_masked("groups", groups)
-    groups = _labels(groups)
+        raise ValueError(f"{name} must give the position of each point, got None.")
+    refuse_masked(name, groups)
+    groups = _labels(groups, name)
     if n_samples is not None and len(groups) != n_samples:
-        raise ValueError(f"groups names {len(groups)} samples, but there are {n_samples}.")
+        raise ValueError(f"{name} names {len(groups)} samples, but there are {n_samples}.")
     missing = _missing(groups)
     if missing.any():
         raise ValueError(
-            f"groups has {missing.sum()} missing labels among {groups.size} "
+            f"{name} has {missing.sum()} missing labels among {groups.size} "
             f"(the first in row {np.flatnonzero(missing)[0]})."
         )
     try:
@@ -53,11 +55,11 @@ def encode_groups(groups: Any, n_samples: int | None = None) -> tuple[np.ndarray
     except TypeError:
         kinds = sorted({type(label).__name__ for label in groups})
         raise ValueError(
-            f"groups must be labels of one kind, got {' and '.join(kinds)} mixed."
+            f"{name} must be labels of one kind, got {' and '.join(kinds)} mixed."
         ) from None
 
 
-def _labels(groups):
+def _labels(groups, name):
     """Labels as an array of one dimension, in which what is missing can be told from text."""
     try:
         array = np.asarray(groups)
@@ -68,7 +70,7 @@ def _labels(groups):
                 array = objects
     except ValueError:
         raise ValueError(
-            "groups must be one label per point, got sequences of different lengths."
+            f"{name} must be one label per point, got sequences of different lengths."
         ) from None
     if array.ndim == 2 and array.shape[1] == 1:  # a column of a table
         array = array.ravel()
@@ -78,7 +80,7 @@ def _labels(groups):
     if array.ndim != 1 or has_parts:
         got = "sequences" if has_parts else f"an array of shape {array.shape}"
         raise ValueError(
-            f"groups must be one label per point, got {got}. Of labels that have several parts, "
+            f"{name} must be one label per point, got {got}. Of labels that have several parts, "
             "make one text each."
         )
     return array

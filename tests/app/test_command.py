@@ -14,7 +14,6 @@ from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_che
 from sklearn_raacmm.app import _commands, _files, _life, main
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._lengths import length_of, read_places
-from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -52,20 +51,6 @@ def quick_model():
             _commands, "learn_correction", functools.partial(learn_correction, model=model)
         )
         yield
-
-
-@pytest.fixture(scope="module")
-def other_make():
-    """The simulator's module, beside this one."""
-    import importlib.util
-    from pathlib import Path
-
-    spec = importlib.util.spec_from_file_location(
-        "_other_make", Path(__file__).with_name("_other_make.py")
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -362,34 +347,6 @@ def test_a_damaged_model_is_not_loaded(learned, tmp_path, capsys):
     assert "has no model.skops. Only these are loaded" in capsys.readouterr().err
 
 
-def test_help_and_usage(capsys):
-    with pytest.raises(SystemExit, match="0"):
-        main(["--help"])
-    assert "Exit codes: 0 done, 2 bad input, 3" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match="2"):
-        main(["learn"])
-
-
-def test_what_is_no_table_of_text(tmp_path, capsys):
-    table = tmp_path / "table.csv"
-    table.write_bytes(bytes(range(256)) * 8)
-    out = ["--arm", "aacmm6", "--unit", "deg", "--out", str(tmp_path / "out")]
-    assert main(["learn", str(table), *out]) == 2
-    assert "table.csv is no table of text: it holds bytes that are no" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["aacmm6", "--base", "link0"], "--base and --tip name links of a URDF"),
-        (["aacmm6", "--elbow-offset", "nan"], "belong to --lengths-222 or -223"),
-    ],
-)
-def test_what_an_arm_is_shown_without(capsys, arguments, sentence):
-    assert main(["arm", *arguments]) == 2
-    assert sentence in capsys.readouterr().err
-
-
 def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
     def full(options):
         raise OSError(28, "No space left on device", "/out/arm.svg.bba5d764bf6cf999.tmp")
@@ -397,28 +354,6 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
     monkeypatch.setattr(_commands, "arm", full)
     assert main(["arm", "aacmm6"]) == 2
     assert capsys.readouterr().err == "raacmm arm: /out/arm.svg: no space left on device.\n"
-
-
-def test_a_record_is_appended_to_records_only(tmp_path):
-    record = dict.fromkeys(("n_poses",), 20) | {"date": "2026-01-01", "suspect": "nothing"}
-    record |= dict.fromkeys(
-        ("mean_mm", "mean_low_mm", "mean_high_mm", "range_mm", "range_low_mm", "range_high_mm"), 0.1
-    )
-    record["p_value"] = 0.5
-    path = tmp_path / "checks.csv"
-    for _ in range(2):
-        append_record(path, record)
-    assert [line["n_poses"] for line in read_check_records(path)] == [20, 20]
-    for name, text in (
-        ("poses.csv", b"q1,q2\n1,2\n"),
-        ("poses.json", b"{}\n"),
-        ("a.csv", b"\xff\n"),
-    ):
-        data = tmp_path / name
-        data.write_bytes(text)
-        with pytest.raises(ValueError, match=r"is not the record of (a check|checks)"):
-            append_record(data, record)
-        assert data.read_bytes() == text
 
 
 def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
@@ -472,6 +407,8 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
         (["ur10", "--dh", "x.csv"], "give one arm: a file or name, --dh"),
         (["ur10", "--probe", "0,0,1"], "--modified and --probe belong to --dh"),
         (["ur10", "--into", "x.urdf"], "--into needs --out"),
+        (["aacmm6", "--base", "link0"], "--base and --tip name links of a URDF"),
+        (["aacmm6", "--elbow-offset", "nan"], "belong to --lengths-222 or -223"),
     ],
 )
 def test_options_of_an_arm_that_do_not_fit(capsys, arguments, sentence):

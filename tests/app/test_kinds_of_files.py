@@ -242,6 +242,9 @@ def test_damaged_files_get_a_sentence(book, tmp_path):
     (tmp_path / "old.xls").write_bytes(b"\xd0\xcf\x11\xe0")
     with pytest.raises(TableError, match=r"files \.xls are not read; save the table as \.xlsx"):
         read_table(tmp_path / "old.xls", 2)
+    (tmp_path / "bytes.csv").write_bytes(bytes(range(256)) * 8)
+    with pytest.raises(TableError, match=r"bytes\.csv is no table of text: it holds bytes that"):
+        read_table(tmp_path / "bytes.csv", 2)
     with pytest.raises(TableError, match="--sheet is for spreadsheets"):
         read_table(tmp_path / "long.csv", 2, sheet="1")
 

@@ -2,6 +2,7 @@
 
 import json
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,6 +54,12 @@ def folder(tmp_path_factory):
             test.nominal_arm, test.data, test.groups, points, model=model, cv=3
         )
         found.save(folder / name)
+    # An encoder that follows a temperature, which nobody measures later.
+    warm, extra = test.data.copy(), {"temperature 3": np.random.default_rng(0).normal(size=128)}
+    warm[:, 2] += 3e-4 * extra["temperature 3"]
+    found = learn_correction(test.nominal_arm, warm, test.groups, model=model, cv=2, extra=extra)
+    assert list(found.causes) == ["temperature 3"]
+    found.save(folder / "warm")
     long = with_probe(250)
     new = make_single_point(2, 8, machine=long, random_state=5)
     more = make_single_point(5, 8, machine=long, random_state=6)
@@ -87,7 +94,7 @@ def test_load_is_the_other_half_of_save(folder):
 
 @pytest.mark.parametrize(("learnt", "table", "more"), [
     ("cones", "new.csv", ()), ("cones", "new_points.csv", POINTS),
-    ("tracker", "new_points.csv", POINTS), ("tracker", "new.csv", ()),
+    ("tracker", "new_points.csv", POINTS), ("tracker", "new.csv", ()), ("warm", "new.csv", ()),
 ])  # fmt: skip
 def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, table, more):
     code, said = run(
@@ -128,9 +135,10 @@ def test_a_base_that_has_moved_is_named_and_registered(folder, tmp_path, capsys)
     assert run(capsys, "check", table, "--model", out, *POINTS)[0] == 0
 
 
-def test_update_keeps_a_history(folder, tmp_path, capsys):
+@pytest.mark.parametrize("learnt", ["cones", "warm"])
+def test_update_keeps_a_history(folder, tmp_path, capsys, learnt):
     code, said = run(
-        capsys, "update", folder / "more.csv", "--model", folder / "cones", "--out", tmp_path
+        capsys, "update", folder / "more.csv", "--model", folder / learnt, "--out", tmp_path
     )
     assert code == 0
     assert "mean deviation" in said
@@ -139,8 +147,9 @@ def test_update_keeps_a_history(folder, tmp_path, capsys):
     assert saved.facts["history"][-1]["n_poses"] == 40
 
 
-def test_move_by_a_known_vector(folder, tmp_path, capsys):
-    model = folder / "cones"
+@pytest.mark.parametrize("learnt", ["cones", "warm"])
+def test_move_by_a_known_vector(folder, tmp_path, capsys, learnt):
+    model = folder / learnt
     code, said = run(capsys, "move", "--model", model, "--probe", "0,0,250", "--out", tmp_path)
     assert code == 0
     assert "register the probe" in said
@@ -148,6 +157,29 @@ def test_move_by_a_known_vector(folder, tmp_path, capsys):
     code, said = run(capsys, "move", "--model", model, "--probe", "0,250", "--out", tmp_path)
     assert code == 2
     assert "three numbers" in said
+
+
+def test_each_row_is_corrected_by_its_own_probe(folder, tmp_path, capsys):
+    saved = LearnedCorrection.load(folder / "cones")
+    tools = {"1": saved.arm.probe.tolist(), "long": [0.0, 0.0, 250.0]}
+    replace(saved, facts=saved.facts | {"tools": tools}).save(tmp_path / "model")
+    head, *lines = (folder / "new.csv").read_text().splitlines()
+    names = np.resize(["long", "1"], len(lines)).tolist()
+    rows = [f"{line};{name}" for line, name in zip(lines, names, strict=True)]
+    table, out = tmp_path / "today.csv", tmp_path / "out.csv"
+    table.write_text("\n".join([f"{head};stylus", *rows]) + "\n")
+    words = ["correct", table, "--model", tmp_path / "model", "--out", out]
+    assert run(capsys, *words, "--tool", "stylus")[0] == 0
+    found = read_table(out, 6, position="cone", points=["x", "y", "z"])
+    for name, probe in tools.items():
+        of_name = np.array(names) == name
+        own = saved.arm.replace(probe=probe)
+        angles = np.deg2rad(found.angles[of_name])
+        expected = own.forward(angles) - saved.model.with_arm(own).predict(angles)
+        np.testing.assert_allclose(found.points[of_name], expected, atol=1e-3)
+    code, said = run(capsys, *words, "--tool", "cone")
+    assert code == 2
+    assert "knows no tool 'cone 0'; it was learnt with 1, long" in said
 
 
 @pytest.mark.parametrize(("words", "sentence"), [

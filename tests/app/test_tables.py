@@ -1,12 +1,9 @@
 """Tables as loggers and spreadsheets write them, and the sentences for what is wrong in them."""
 
-import datetime
-
 import numpy as np
 import pytest
 
 from sklearn_raacmm.app import TableError, read_lengths, read_table
-from sklearn_raacmm.app._sources import find_source
 
 ANGLES = np.array([[12.5, -3.25, 100.0], [13.0, -2.5, 99.125], [-170.0, 0.5, 98.0]])
 LABELS = ["Kegel 1", "Kegel 1", "Kegel 1"]
@@ -98,25 +95,6 @@ def test_points_of_a_tracker_need_no_labels(write):
     np.testing.assert_array_equal(table.points[:, 2], [5, 6])
 
 
-def test_spreadsheets(tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    book = openpyxl.Workbook()
-    sheet = book.active
-    sheet.append(["made by", "hand"])
-    sheet.append([])
-    sheet.append(["when", "q1 [deg]", "q2 [deg]", "q3 [deg]", "cone"])
-    for angles in ANGLES:
-        sheet.append([datetime.datetime(2026, 11, 21), *angles.tolist(), 4])
-    book.save(tmp_path / "log.xlsx")
-    table = read_table(tmp_path / "log.xlsx", 3)
-    np.testing.assert_array_equal(table.angles, ANGLES)
-    assert table.positions.tolist() == ["4"] * 3
-    assert table.rows.tolist() == [4, 5, 6]
-    (tmp_path / "bad.xlsx").write_bytes(b"no zip")
-    with pytest.raises(TableError, match="not a spreadsheet that can be read"):
-        read_table(tmp_path / "bad.xlsx", 3)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -158,11 +136,6 @@ def test_wrong_names_list_the_right_ones(write, options, message):
     path = write("k;q1;q2;q2\nA;100;2;3\nA;100;2;3\n")
     with pytest.raises(TableError, match=message):
         read_table(path, 2, **options)
-
-
-def test_no_file():
-    with pytest.raises(TableError, match=r"There is no file .*nowhere\.csv"):
-        find_source("nowhere.csv", 3)
 
 
 def test_lengths(write):

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm
-from sklearn_raacmm.app import main
+from sklearn_raacmm.app import TableError, main
+from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.correction import read_correction, write_correction
 from sklearn_raacmm.utils import check_places
 
@@ -193,12 +194,24 @@ def test_help_is_there_without_the_numerics():
 
 @pytest.mark.parametrize(
     ("arguments", "near"),
-    [(["lern"], "learn"), (["learn", "t", "--arm=a", "--out=b", "--limt-2s=1"], "--limit-2s")],
+    [
+        (["lern"], "learn"),
+        (["learn", "t", "--arm=a", "--out=b", "--limt-2s=1"], "--limit-2s"),
+        (["learn", "t", "--arm=a", "--ot=b"], "--out"),
+    ],
 )
 def test_a_word_nearly_right_is_named(capsys, arguments, near):
     with pytest.raises(SystemExit):
         main(arguments)
     assert f"Was {near} meant?" in capsys.readouterr().err
+
+
+def test_findings_are_said_of_the_lines_of_the_file():
+    rows = np.array([3, 4, 7, 9])
+    said = as_said("It moved between rows 1 and 2 (rows counted from 0), or in row 3.", rows)
+    assert said == "It moved between rows 4 and 7, or in row 9."
+    assert as_said('2 of 4 rows: pass angle_unit="rad".', rows) == "2 of 4 rows: say --unit rad."
+    assert as_said(TableError("row 1 is empty"), rows) == "row 1 is empty"
 
 
 def test_whoever_closes_the_pipe_has_enough(places, monkeypatch):

@@ -51,12 +51,6 @@ def test_enough_rows_are_not_doubted_and_base_and_tool_have_standard_deviations(
     assert result.rank == result.n_free == 9
 
 
-def test_few_groups_are_told():
-    data = make_single_point(n_positions=3, n_poses=4, random_state=0)
-    with pytest.warns(UserWarning, match="12 groups of points give 27 coordinates for 27 free"):
-        calibrate(ARM, data.data, data.groups)
-
-
 def test_combinations_that_nothing_shows_are_named():
     # All of the arm's later joints stand still: only joint 1 turns.
     angles = np.zeros((60, 6))

@@ -6,19 +6,13 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration._calibrate import _parameters
 from sklearn_raacmm.calibration._checks import (
     table_findings,
-    warn_of_what_no_arm_is,
     warn_of_wrong_lengths,
 )
-from sklearn_raacmm.calibration._gate import wrong_units
-from sklearn_raacmm.calibration._problem import Problem
 
 ARM = Arm.from_name("aacmm6")
-REACH = reach_mm(ARM)
-METRES = ARM.replace(a=ARM.a / 1000, d=ARM.d / 1000, probe=ARM.probe / 1000)
 
 
 def told(function, *args):
@@ -27,37 +21,6 @@ def told(function, *args):
         warnings.simplefilter("always")
         function(*args)
     return " ".join(str(warning.message) for warning in caught)
-
-
-def of_fit(arm=ARM, before=1.0, after=0.5):
-    return told(warn_of_what_no_arm_is, arm, before, after)
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({}, ""),
-        ({"before": 1e9, "after": 0.0199 * REACH}, ""),
-        ({"before": 1e9, "after": 0.0201 * REACH}, "still scatter"),
-        ({"before": 1.0, "after": 1.99}, ""),
-        ({"before": 1.0, "after": 2.01}, "still scatter"),
-        ({"before": 0.0, "after": 0.9e-6 * REACH}, ""),  # rounding
-        ({"before": 0.0, "after": 1.1e-6 * REACH}, "still scatter"),
-    ],
-)
-def test_what_no_arm_is(changes, sentence):
-    found = of_fit(**changes)
-    assert (sentence in found) if sentence else not found
-
-
-def test_the_unit_of_a_table_is_told_by_its_reach():
-    scale = 199 / reach_mm(METRES)
-    for factor, n_findings in ((1, 1), (1.01, 0)):
-        arm = METRES.replace(
-            **{f: scale * factor * getattr(METRES, f) for f in ("a", "d", "probe")}
-        )
-        found = list(wrong_units(arm, None, Problem(np.zeros(2, int), None, [])))
-        assert len(found) == n_findings
 
 
 @pytest.mark.parametrize("moved", [-62.1025, 10.1])

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.optimize import brentq
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -194,6 +195,53 @@ def test_against_a_tracker(test_data):
     left = np.linalg.norm(learned.scores.left_after, axis=1)
     means = [left[test_data.groups == i].mean() for i in range(7)]
     np.testing.assert_allclose(learned.scores.table["after"], means)
+
+
+def two_probes():
+    """Two probes of an arm CMM with an oval encoder 5, 8 positions each, simulated."""
+    arm, rng = Arm.from_name("aacmm6"), np.random.default_rng(0)
+    theta = rng.uniform(-2, 2, (320, 6))
+    turned = theta.copy()
+    turned[:, 4] += np.deg2rad(40 / 3600) * np.cos(2 * theta[:, 4] - 1)
+    tools = np.repeat(["short", "long"], 160)
+    arms = {"short": arm.replace(probe=(0, 0, 100)), "long": arm.replace(probe=(3, 0, 250))}
+    points = np.concatenate([arms[tool].forward(turned[tools == tool]) for tool in arms])
+    points = points + np.array([1000.0, 0, 0]) + rng.normal(scale=0.003, size=points.shape)
+    return theta, np.arange(320) % 8, points, tools, arms, turned
+
+
+def test_several_probes_are_learnt_together(tmp_path):
+    """The model belongs to all of them, whichever is named first; each has its own vector."""
+    theta, groups, points, tools, arms, turned = two_probes()
+    arm, model = arms["short"], ArmResidualRegressor(orders=2)
+    learned = learn_correction(arm, theta, groups, points, model=model, tools=tools)
+    assert learned.helps
+    assert learned.scores.summary["after"][0] < 0.6 * learned.scores.summary["before"][0]
+    assert set(learned.tools) == {"short", "long"}
+    learned.save(tmp_path)
+    for saved in (learned.saved, learned.load(tmp_path)):
+        for tool, own in arms.items():
+            rows, moved = tools == tool, saved.with_tool(tool)
+            assert_allclose(moved.arm.probe, own.probe, atol=0.02)
+            left = moved.correct(theta[rows])[0] - own.forward(turned[rows])
+            bare = moved.arm.forward(theta[rows]) - own.forward(turned[rows])
+            assert np.linalg.norm(left) < 0.5 * np.linalg.norm(bare)
+    with pytest.raises(ValueError, match="knows no tool 'other'; it was learnt with long, short"):
+        learned.saved.with_tool("other")
+
+
+def test_faults_of_tools_get_one_sentence():
+    theta, groups, points, tools, arms, _ = two_probes()
+    data = arms["short"], theta, groups, points
+    alone = np.where((groups == 3) & (tools == "short"), "third", tools)
+    for message, options in (
+        ("all positions of tool 'third' are left out together", {"tools": alone}),
+        (r"tools has 5 labels|tools .*320", {"tools": tools[:5]}),
+        ("like and tools cannot be given together", {"tools": tools, "like": [MODEL]}),
+        ("tools need an ArmResidualRegressor", {"tools": tools, "model": RBFNetRegressor()}),
+    ):
+        with pytest.raises(ValueError, match=message):
+            learn_correction(*data, **({"model": QUICK} | options))
 
 
 def test_tracker_points_without_labels_are_left_out_by_region():

@@ -291,17 +291,6 @@ def test_extra_columns_are_brought_up_to_date(warm_model):
     assert lags["joint 2 lags"] == pytest.approx(16, abs=1.5)
 
 
-def test_a_tool_that_the_model_does_not_know_is_refused():
-    angles, y = rows(200, 3)
-    tool = np.repeat([1.0, 2.0], 100)[:, None]
-    model = ArmResidualRegressor(ARM, orders=4, extra=["tool"])
-    model.fit(np.hstack([angles, tool]), y)
-    updated = update_correction(model, np.hstack([angles, tool])[::3], y[::3])
-    assert updated.predict(np.hstack([angles, tool])).shape == y.shape
-    with pytest.raises(ValueError, match="X has tool 3, of which the model knows nothing"):
-        update_correction(model, np.hstack([angles, tool + 1]), y)
-
-
 def turned_rows(n, seed, knock=0.0):
     """Points, and how far the last link is turned by the same encoders."""
     rng = np.random.default_rng(seed)

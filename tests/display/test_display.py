@@ -120,20 +120,6 @@ def test_repeatability_has_intervals(cone):
         RepeatabilityDisplay.from_predictions(cone.points, cone.target, interval=95, **settings)
 
 
-def test_repeatability_names_positions_in_their_order(cone):
-    names = np.array(["near", "middle", "far"])[cone.groups]
-    correction = np.zeros_like(cone.points)
-    display = RepeatabilityDisplay.from_predictions(
-        cone.points, correction, groups=names, statistic="max"
-    )
-    shown = [label.get_text() for label in display.ax_.get_xticklabels()]
-    assert shown == ["far", "middle", "near"]
-    far = cone.points[names == "far"]
-    largest = np.linalg.norm(far - far.mean(axis=0), axis=1).max()
-    assert display.before[0] == pytest.approx(largest)
-    assert f"largest deviation ({display.unit_})" in display.ax_.get_ylabel()
-
-
 def test_length_errors_each_length_on_its_axes(gauge, model):
     display = LengthErrorDisplay.from_estimator(
         model,

@@ -12,7 +12,7 @@ from sklearn_raacmm.error_model import LinearModel, Terms, term_columns
 from sklearn_raacmm.error_model._columns import factored_columns
 
 ARM = Arm.from_name("ur10", joint_signs=[1, -1, 1, 1, 1, -1], probe=(3.0, -8.0, 120.0))
-EXTRA = (("temperature", (20.0,)), ("direction 2", (0.0,)), ("tool", (1.0, 2.0)))
+EXTRA = (("temperature", (20.0,)), ("direction 2", (0.0,)), ("force x", (1.5,)))
 
 
 def some_model(n_orders, rng, triangle=True, extra=()):

@@ -55,7 +55,7 @@ def poses_at_points(arm, n_positions, n_poses, rng):
 @pytest.mark.parametrize("gravity", [False, True])
 def test_fields_are_motions_scale_and_bends(name, gravity):
     arm = Arm.from_name(name, probe=(5.0, -8.0, 120.0))
-    extra = (("temperature", (20.0,)), ("tool", (1.0, 2.0)))
+    extra = (("temperature", (20.0,)), ("payload", (1.0,)))
     terms = Terms(np.array([(1, 1), (2, 3)]), gravity, True, True, extra)
     rng = np.random.default_rng(1)
     theta, codes = poses_at_points(arm, 20, 6, rng)

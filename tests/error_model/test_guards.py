@@ -1,6 +1,5 @@
 """Guards of the arm's model: judged where it was left out, faded, and what changes nothing."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -340,18 +339,6 @@ def test_weights_are_repeats(cones):
         strict=True,
     ):
         assert_allclose(one, other, atol=1e-7)
-
-
-def test_degrees_are_warned_of_in_one_sentence_and_where_they_come_from(cones):
-    theta, y, groups, _ = cones
-    model, degrees = small(fade=0.5, regressor=kernel_ridge()), np.rad2deg(theta)
-    for use in (lambda: model.fit(degrees, y, groups=groups), lambda: model.predict(degrees)):
-        with warnings.catch_warnings(record=True) as seen:
-            warnings.simplefilter("always")
-            use()
-        said = {(str(w.message), w.filename) for w in seen}
-        assert [name for text, name in said if "degrees" in text] == [__file__]
-        model.fit(theta, y, groups=groups)
 
 
 def test_positions_are_not_taken_for_weights(cones):

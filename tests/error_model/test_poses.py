@@ -48,19 +48,3 @@ def test_degrees_give_the_same_model(poses):
     assert checks[0] == pytest.approx(checks[1], rel=1e-6)
     new = [update_correction(m, X, y) for m, X in ((rad, theta), (deg, degrees))]
     assert_allclose(new[1].predict(degrees), new[0].predict(theta), atol=1e-5)
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("rad", 60.0), ("deg", 1.0)])
-def test_the_other_unit_is_told_once(poses, unit, factor):
-    theta, y = poses
-    one = model(angle_unit=unit)
-    for use in (lambda: one.fit(factor * theta, y), lambda: one.predict(factor * theta)):
-        with pytest.warns(UserWarning, match="degrees") as seen:
-            use()
-        assert len([w for w in seen if "degrees" in str(w.message)]) == 1
-        assert seen[0].filename == __file__
-
-
-def test_other_units_are_refused(poses):
-    with pytest.raises(ValueError, match="'angle_unit' parameter"):
-        model(angle_unit="gon").fit(*poses)

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import Terms, order_price, smooth_shares
+from sklearn_raacmm.error_model import Terms, smooth_shares
 from sklearn_raacmm.error_model._columns import ARCSEC
 from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
-from sklearn_raacmm.error_model._structures import offered_harmonics, structures_of
+from sklearn_raacmm.error_model._structures import offered_harmonics
 
 ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
 
@@ -32,15 +31,6 @@ def test_offered_orders():
     assert offered.tolist() == [[0, 1], [1, 2], [1, 3], [5, 500]]
     assert offered_harmonics(theta, [7, 1]).tolist() == [[j, k] for j in range(6) for k in (1, 7)]
     assert offered_harmonics(theta, 0).shape == (0, 2)
-
-
-def test_the_higher_an_order_the_more_it_costs():
-    prices = order_price(np.arange(1, 1001))
-    assert prices[0] == 0  # every encoder is a little eccentric
-    assert np.all(np.diff(prices) > 0)
-    structures = structures_of(ARM, Terms(np.array([(0, 1), (2, 128)]), *3 * (False,)), False)
-    assert_allclose(structures.price, prices[[0, 127]])
-    assert structures.share is None
 
 
 def test_shares_of_a_smooth_function():

@@ -111,19 +111,6 @@ def close_sums(found, expected):
         assert_allclose(found.rows(asked), expected.rows(asked), atol=1e-10 * expected.own.max())
 
 
-def test_sums_of_all_blocks_less_one_are_those_of_the_others():
-    rng = np.random.default_rng(5)
-    theta, y, weights = draw_angles(80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
-    codes, block = np.arange(80) // 10, np.arange(80) // 30
-    offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
-    rows, terms = Rows(ARM, theta, y, weights, codes), Terms(offered, True, True, True)
-    parts = [rows.at(block == i).sums(terms)[0] for i in range(3)]
-    whole = combined(parts, np.ones(3))
-    for number, part in enumerate(parts):
-        others = rows.at(block != number).sums(terms)[0]
-        close_sums(combined((whole, part), (1, -1)), others)
-
-
 @pytest.mark.parametrize(
     "orders", [np.arange(1, 401), np.arange(1, 1001), np.r_[1:130, 200, 640], np.arange(3, 400, 3)]
 )
@@ -164,6 +151,19 @@ def test_sums_of_candidates_are_the_same_on_the_grid(with_offsets, monkeypatch):
         value = getattr(plain, name)
         assert_allclose(getattr(grid, name), value, atol=1e-12 * np.abs(value).max(), rtol=0)
     assert_allclose(of_grid, plain.rows([3, 250, 401]), atol=1e-12 * plain.own.max(), rtol=0)
+
+
+def test_sums_of_all_blocks_less_one_are_those_of_the_others():
+    rng = np.random.default_rng(5)
+    theta, y, weights = draw_angles(80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
+    codes, block = np.arange(80) // 10, np.arange(80) // 30
+    offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
+    rows, terms = Rows(ARM, theta, y, weights, codes), Terms(offered, True, True, True)
+    parts = [rows.at(block == i).sums(terms)[0] for i in range(3)]
+    whole = combined(parts, np.ones(3))
+    for number, part in enumerate(parts):
+        others = rows.at(block != number).sums(terms)[0]
+        close_sums(combined((whole, part), (1, -1)), others)
 
 
 def test_high_orders_are_exact():

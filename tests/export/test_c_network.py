@@ -10,8 +10,8 @@ from decimal import Context, Decimal
 import numpy as np
 import pytest
 
-from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.export import export_c
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
+from sklearn_raacmm.export import _networks, export_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
@@ -152,3 +152,21 @@ def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
     expected = model.predict(new, return_std=True)[1]
     # What such directions hold is rounding: the two ways to the variance differ by so much.
     np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=0.05)
+
+
+def test_too_many_centres_for_a_table_are_told(model, tmp_path, monkeypatch):
+    monkeypatch.setattr(_networks, "MOST_CENTERS", 10)
+    with pytest.raises(ValueError, match="a network of 11 centres would need a table of"):
+        export_c(model, tmp_path / "arm.c", std=True)
+    assert export_c(model, tmp_path / "arm.c")
+
+
+def test_the_covariance_is_written_as_a_triangle(tmp_path):
+    arm = Arm.from_name("aacmm6")
+    X = np.random.default_rng(0).uniform(-2, 2, (60, 6))
+    model = ArmResidualRegressor(arm, orders=2, causes=["kinematics", "wobble"], fade=0)
+    model.fit(X, 0.05 * np.cos(X[:, :3]))
+    text = export_c(model, tmp_path / "arm.c", std=True)[0].read_text()
+    n = len(model.coef_)
+    entries = int(re.search(r"root_\d+\[(\d+)\]", text)[1])
+    assert n * (n + 1) / 2 <= entries <= n * (n + 1) / 2 + 4 * n + 64

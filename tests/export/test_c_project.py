@@ -15,18 +15,12 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import _load_c, export_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
 STRICT += ["-Wdouble-promotion", "-Wfloat-conversion"]
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
 
 
 @pytest.fixture(scope="module")
@@ -222,3 +216,13 @@ def test_poses_are_checked(models, data, tmp_path):
     assert not list(tmp_path.iterdir())
     # One row is enough: it is its own corner.
     export_c(models["chain"], tmp_path / "arm.c", poses=data.data[:1])
+
+
+def test_rows_that_predict_refuses_prove_nothing(tmp_path):
+    rng = np.random.default_rng(0)
+    turns = rng.uniform(-3, 3, 50)
+    X = np.column_stack([rng.normal(size=(50, 2)), np.cos(turns), np.sin(turns)])
+    model = CylindricalResidualTarget(RBFNetRegressor(5)).fit(X, rng.normal(size=(50, 3)))
+    with pytest.raises(ValueError, match=r"predict refuses all of 32 rows, .* give poses"):
+        export_c(model, tmp_path / "arm.c", poses=2 * X)  # directions that are none
+    assert not list(tmp_path.iterdir())

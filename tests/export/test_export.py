@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import warnings
-from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression, Ridge
-from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import (
     MaxAbsScaler,
@@ -31,7 +29,6 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, fingerprint, from_json, to_json
 from sklearn_raacmm.network import KERNELS
 
@@ -93,11 +90,6 @@ def build(tmp_path):
         return call
 
     return compiled
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
 
 
 @pytest.fixture(scope="module")
@@ -195,39 +187,6 @@ def test_scalers(build, data, scaler):
     model = form_a(data.arm, scaler=scaler).fit(data.data, data.target)
     X = angles_everywhere(6)
     np.testing.assert_allclose(build(model)("correct", X, 3), model.predict(X), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("form", [form_a, form_b])
-@pytest.mark.parametrize("name", ["panda", "ur10"])
-def test_other_arms(build, form, name):
-    arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3, probe=(3, -8, 120))
-    rng = np.random.default_rng(1)
-    X = rng.uniform(-2, 2, (80, arm.n_joints))
-    model = form(arm).fit(X, rng.normal(size=(80, 3)))
-    X = angles_everywhere(arm.n_joints)
-    call = build(model)
-    np.testing.assert_allclose(call("correct", X, 3), model.predict(X), rtol=0, atol=1e-12)
-    points = arm.forward(X) - model.predict(X)
-    np.testing.assert_allclose(call("point", X, 3), points, rtol=0, atol=5e-12)
-
-
-def test_degrees(build, data):
-    rad = form_b(data.arm).fit(data.data, data.target)
-    X = angles_everywhere(6)
-    expected = rad.predict(X)
-    in_degrees = np.rad2deg(data.data)
-    form_b_deg = form_b(data.arm, angle_unit="deg").fit(in_degrees, data.target)
-    form_a_deg = form_a(data.arm, angle_unit="deg")
-    form_a_deg.set_params(azimuth=partial(data.arm.azimuth, angle_unit="deg"))
-    for model in (form_b_deg, form_a_deg.fit(in_degrees, data.target)):
-        got = build(model)("correct", np.rad2deg(X), 3)
-        np.testing.assert_allclose(got, model.predict(np.rad2deg(X)), rtol=0, atol=1e-12)
-        # Rounding of the features on the way to degrees and back reaches the fit.
-        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
-    linear = of_arm(data.arm, "gravity", "kinematics", angle_unit="deg")
-    linear.fit(in_degrees, data.target)
-    got = build(linear)("correct", np.rad2deg(X), 3)
-    np.testing.assert_allclose(got, linear.predict(np.rad2deg(X)), rtol=0, atol=1e-12)
 
 
 def test_network_and_linear_models_by_themselves(build):
@@ -340,16 +299,6 @@ def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
             np.testing.assert_allclose(call("correct", X, 3), model.predict(X), rtol=0, atol=1e-11)
             call("correct_std", np.concatenate([X, [[np.nan] * 6]]), 3, n_results=2)
             call("point", X, 3)
-
-
-def test_what_a_search_has_found(build, data):
-    search = GridSearchCV(
-        form_b(data.arm),
-        {"cylindricalresidualtarget__regressor__rbfnetregressor__n_centers": [5, 20]},
-        cv=GroupKFold(2),
-    ).fit(data.data, data.target, groups=data.groups)
-    got = build(search)("correct", data.data, 3)
-    np.testing.assert_allclose(got, search.predict(data.data), rtol=0, atol=1e-12)
 
 
 def test_two_models_in_one_program(build, data, tmp_path):
@@ -512,25 +461,6 @@ def test_a_stem_that_is_no_name_asks_for_one(small, tmp_path):
 def test_a_missing_folder_is_named(small, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"No such folder: .*nowhere\.$"):
         export_c(small, tmp_path / "nowhere" / "arm.c")
-
-
-def test_a_failed_write_leaves_the_old_files(data, small, tmp_path, monkeypatch):
-    paths = export_c(small, tmp_path / "arm.c")
-    before = [path.read_bytes() for path in paths]
-    other = network().fit(data.data, data.target)
-    sync, calls = os.fsync, []
-
-    def full(handle):
-        calls.append(handle)
-        if len(calls) == 2:  # the header; the source is complete
-            raise OSError(28, "No space left on device")
-        return sync(handle)
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
-        export_c(other, tmp_path / "arm.c")
-    assert [path.read_bytes() for path in paths] == before
-    assert len(list(tmp_path.iterdir())) == 2
 
 
 # -- what cannot be exported ---------------------------------------------------------------------

@@ -20,15 +20,9 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import _json, fingerprint, from_json, to_json
 
 plain_python = runpy.run_path(str(Path(__file__).parents[2] / "doc" / "read_json.py"))["run"]
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
 
 
 def network(**params):
@@ -123,10 +117,10 @@ def changed(text, change, fingerprint=True):
     if fingerprint:
         try:
             head["fingerprint"] = None
-            _json.program_of_text(json.dumps(_json._checked(head)))
+            _json.program_of_text(json.dumps(_json.checked(head)))
         except ValueError as error:
             head["fingerprint"] = str(error).rpartition(" ")[2]
-    return json.dumps(_json._checked(head))
+    return json.dumps(_json.checked(head))
 
 
 def operation(head, name):

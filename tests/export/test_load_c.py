@@ -21,7 +21,6 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import export_c, fingerprint, load_c
 
 COMPILER = next(filter(shutil.which, ("gcc", "clang", "cc")), None)
@@ -32,11 +31,6 @@ needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler is o
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("SKLEARN_RAACMM_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"
-
-
-@pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
 
 
 def network(**params):

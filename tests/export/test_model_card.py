@@ -28,11 +28,6 @@ from sklearn_raacmm.metrics import single_point_repeatability
 
 
 @pytest.fixture(scope="module")
-def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=0)
-
-
-@pytest.fixture(scope="module")
 def model(data):
     network = RBFNetRegressor(12, length_scale=1.5, alpha=0.01)
     return make_pipeline(
@@ -99,20 +94,6 @@ def test_as_json_and_markdown(model, data, tmp_path):
     source, header = export_c(model, tmp_path / "arm.c", card=card)
     assert "positions: 8" in source.read_text()
     assert "positions: 8" in header.read_text()
-
-
-def test_in_degrees(data):
-    arm, X = data.arm, np.rad2deg(data.data)
-    model = make_pipeline(
-        PoseFeatures(arm, angle_unit="deg", append_azimuth=True),
-        CylindricalResidualTarget(RBFNetRegressor(5, length_scale=1.5, alpha=0.01)),
-    ).fit(X, data.target)
-    card = describe(model, X)
-    assert card["input"] == "6 joint angles in deg"
-    points = arm.forward(data.data)
-    assert card["training"]["height_mm"] == pytest.approx([points[:, 2].min(), points[:, 2].max()])
-    assert card["training"]["largest_joint_angles_deg"] == X.max(axis=0).round(4).tolist()
-    assert "error" not in card
 
 
 def test_models_that_are_fitted_with_groups(data):

@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from sklearn_raacmm import Arm, directions_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import drift_of, order_told_by
+from sklearn_raacmm.measurements import drift_of, find_dwells, order_told_by
 
 ARM = Arm.from_name("aacmm6")
 
@@ -53,3 +53,10 @@ def test_drift_of_a_zero_angle_is_found():
     assert "noise" not in found.text
     assert found.weight == "note"
     assert "no more than noise explains" in drift_of(ARM, angles, noise, None).text
+
+
+def test_no_rows_of_a_real_series_are_merged(panda, ur10, ur10_b):
+    """Limits of a dwell: 14 352 poses of real robots, one after the other, stay poses."""
+    series = (panda("panda_2"), panda("panda_3"), ur10, ur10_b)
+    assert sum(len(data.angles) for data in series) == 14_352
+    assert not any(find_dwells(data.angles).merges for data in series)

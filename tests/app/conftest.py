@@ -4,7 +4,10 @@ Seven joints (2-2-3). Its encoders are eccentric, its upper arm sags, and its le
 of the drawing. Poses at a cone are found by Gauss-Newton from random starts.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 DRAWING = {"shoulder": 300.0, "upper": 420.0, "fore": 380.0, "probe": 120.0}
 
@@ -88,3 +91,9 @@ def write_log(path, readings, cones):
         cells = ";".join(f"{v:.5f}".replace(".", ",") for v in row)
         lines.append(f"13:{k // 60 % 60:02d}:{k % 60:02d};Kegel Süd {cone + 1};{cells}")
     path.write_bytes("\r\n".join([*lines, ""]).encode("cp1252"))
+
+
+@pytest.fixture(scope="module")
+def other_make():
+    """What stands here."""
+    return SimpleNamespace(OtherMake=OtherMake, DRAWING=DRAWING, write_log=write_log)
