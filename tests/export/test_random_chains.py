@@ -156,7 +156,9 @@ def ways_out(folder, model, X, std):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
-@pytest.mark.parametrize("seed", range(18))
+@pytest.mark.parametrize(
+    "seed", [*range(18), *(pytest.param(i, marks=pytest.mark.exhaustive) for i in range(18, 200))]
+)
 def test_every_way_gives_what_predict_gives(tmp_path, seed):
     model, X, std = random_model(np.random.default_rng(seed))
     mean = model.predict(X)
