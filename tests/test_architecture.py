@@ -31,23 +31,23 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 MAX_LINES = 600
 # Lines that a wing may have: those of today. The aim is 24 000 in all.
 LINES = {
-    "utils": 1_600,
-    "inference": 1_350,
-    "arm": 1_900,
-    "network": 4_500,
-    "residuals": 1_800,
-    "metrics": 1_000,
-    "calibration": 2_150,
-    "measurements": 1_100,
-    "error_model": 3_900,
-    "correction": 4_050,
-    "datasets": 1_700,
-    "display": 1_600,
-    "export": 4_500,
-    "app": 3_400,
+    "utils": 1_250,
+    "inference": 1_200,
+    "arm": 1_850,
+    "network": 3_550,
+    "residuals": 1_600,
+    "metrics": 950,
+    "calibration": 2_050,
+    "measurements": 1_000,
+    "error_model": 3_250,
+    "correction": 3_850,
+    "datasets": 1_500,
+    "display": 1_350,
+    "export": 4_050,
+    "app": 3_200,
 }
 # Lines of the tests; the aim is 20 000.
-TEST_LINES = 24_500
+TEST_LINES = 22_000
 # Floors of the house and of a wing, wings that import from one another, and names that they share.
 MAX_FLOORS, MAX_ARROWS, MAX_NAMES = 8, 56, 380
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sklearn.datasets import get_data_home
 
-# `sklearn.datasets.fetch_file` is this one, but for addresses of files.
+# The public `fetch_file` does the same, but refuses addresses of local files.
 from sklearn.datasets._base import RemoteFileMetadata, _fetch_remote
 
 from sklearn_raacmm.datasets._checksums import SHA256
