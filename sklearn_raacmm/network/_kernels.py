@@ -148,8 +148,8 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
 
     Each round looks at the `block_size` rows of Z (n, d) that the factor explains least, takes
     those of them that the others do not explain, and updates with matrix products: several times as
-    fast as one pivot at a time, at nearly the same rank (Harbrecht, Peters, Schneider, Appl. Numer.
-    Math. 62, 2012).
+    fast as one pivot at a time, at nearly the same rank (Harbrecht, Peters, Schneider, Applied
+    Numerical Mathematics 62, 2012).
 
     It stops at `max_rank`, or where no diagonal entry of the remainder is above `tol`, or
     `rounding` if that is more: the remainder is positive semidefinite, so that this bounds all of
