@@ -325,8 +325,8 @@ def test_saved_and_loaded(tmp_path, learned, test_data):
     saved, (one, other) = learned.load(tmp_path / "new"), np.split(test_data.data, 2)
     np.testing.assert_array_equal(saved.distances(one, other), learned.distances(one, other))
     for correction in (learned, saved):
-        with pytest.raises(ValueError, match="'temperatur', of which the model knows nothing"):
-            correction.correct(one, extra={"temperatur": 25.0})
+        with pytest.raises(ValueError, match="'temp', of which the model knows nothing"):
+            correction.correct(one, extra={"temp": 25.0})
 
 
 def test_shows_itself(learned):
