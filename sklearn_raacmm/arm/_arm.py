@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import _files, _urdf
 from sklearn_raacmm.arm._built_in import BUILT_IN
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
@@ -24,6 +23,7 @@ from sklearn_raacmm.arm._checks import (
     pair_of,
     show,
 )
+from sklearn_raacmm.arm._files import JsonMixin
 from sklearn_raacmm.arm._kinematics import (
     CHUNK_ROWS,
     cross,
@@ -33,11 +33,12 @@ from sklearn_raacmm.arm._kinematics import (
     probe_of,
 )
 from sklearn_raacmm.arm._layouts import TWISTS
+from sklearn_raacmm.arm._urdf import UrdfMixin
 from sklearn_raacmm.utils import chunks, html_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Arm:
+class Arm(JsonMixin, UrdfMixin):
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
     An immutable value: equal and hashable by content, picklable, and safe to use as a parameter
@@ -375,14 +376,6 @@ class Arm:
             d=[shoulder, 0.0, upper, 0.0, fore, 0.0, *rest],
             **{"probe": (0.0, 0.0, probe), "name": f"{layout} arm", **params},
         )
-
-    # -- files ------------------------------------------------------------------------------
-
-    from_json = classmethod(_files.from_json)
-    to_json = _files.to_json
-    from_urdf = classmethod(_urdf.from_urdf)
-    to_urdf = _urdf.to_urdf
-    update_urdf = _urdf.update_urdf
 
     # -- kinematics -------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@
 
 import math
 from os import PathLike
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,173 +24,176 @@ _SAME_MM = 1e-10
 _SAME_ARM = 0.2
 
 
-def from_urdf(
-    cls: Any,
-    source: str | PathLike[str],
-    *,
-    base: str | None = None,
-    tip: str | None = None,
-) -> Any:
-    """Read a chain of revolute joints from a URDF file.
+class UrdfMixin:
+    """Arms as URDF files, and as those of Universal Robots."""
 
-    The table follows from the common normals of the axes. Fixed joints are folded in; angles
-    such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
-    that from `base` to `tip`, their zeros and senses are the file's.
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | PathLike[str],
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+    ) -> Self:
+        """Read a chain of revolute joints from a URDF file.
 
-    Parameters
-    ----------
-    source : str or path-like
-        Path of the file, or the text itarm. Universal Robots' kinematics in YAML, as
-        ur_calibration writes them, are read as well; their base is the controller's.
-    base, tip : str, default=None
-        Names of the links where the chain begins and ends; `tip` is the probe. None: the only
-        ones there are.
+        The table follows from the common normals of the axes. Fixed joints are folded in; angles
+        such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
+        that from `base` to `tip`, their zeros and senses are the file's.
 
-    Returns
-    -------
-    Arm
-        In the modified convention. Points are in the frame of the link `base` wherever a
-        Denavit-Hartenberg table can start from it, as with a first axis along z through the
-        origin; else a warning says from where.
+        Parameters
+        ----------
+        source : str or path-like
+            Path of the file, or the text itself. Universal Robots' kinematics in YAML, as
+            ur_calibration writes them, are read as well; their base is the controller's.
+        base, tip : str, default=None
+            Names of the links where the chain begins and ends; `tip` is the probe. None: the only
+            ones there are.
 
-    Raises
-    ------
-    ValueError
-        If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
-        way is prismatic or of another kind: the sentence names it.
+        Returns
+        -------
+        Arm
+            In the modified convention. Points are in the frame of the link `base` wherever a
+            Denavit-Hartenberg table can start from it, as with a first axis along z through the
+            origin; else a warning says from where.
 
-    Warns
-    -----
-    UserWarning
-        If the base frame is another, or if axes are so nearly parallel that they are taken as
-        parallel.
+        Raises
+        ------
+        ValueError
+            If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
+            way is prismatic or of another kind: the sentence names it.
 
-    Examples
-    --------
-    >>> from sklearn_raacmm import Arm
-    >>> arm = Arm.from_name("panda")
-    >>> again = Arm.from_urdf(arm.to_urdf())
-    >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
-    True
-    """
-    joints, name, _, where = read_chain(source, base, tip)
-    return _arm_of(cls, joints, name, where)[0]
+        Warns
+        -----
+        UserWarning
+            If the base frame is another, or if axes are so nearly parallel that they are taken as
+            parallel.
 
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("panda")
+        >>> again = Arm.from_urdf(arm.to_urdf())
+        >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
+        True
+        """
+        joints, name, _, where = read_chain(source, base, tip)
+        return _arm_of(cls, joints, name, where)[0]
 
-def to_urdf(arm: Any, path: str | PathLike[str] | None = None) -> str:
-    """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
+    def to_urdf(self: Any, path: str | PathLike[str] | None = None) -> str:
+        """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
 
-    Joints have the names and limits of the arm; without limits they are continuous. Where the
-    robot has a file of its own, `update_urdf` keeps what else stands there.
+        Joints have the names and limits of the arm; without limits they are continuous. Where the
+        robot has a file of its own, `update_urdf` keeps what else stands there.
 
-    Parameters
-    ----------
-    path : str or path-like, default=None
-        File to write. None only returns the text.
+        Parameters
+        ----------
+        path : str or path-like, default=None
+            File to write. None only returns the text.
 
-    Returns
-    -------
-    str
-        The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
-    """
-    text = written(arm)
-    if path is not None:
-        write_whole({path: text})
-    return text
+        Returns
+        -------
+        str
+            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
+        """
+        text = written(self)
+        if path is not None:
+            write_whole({path: text})
+        return text
 
+    def update_urdf(
+        self: Any,
+        original: str | PathLike[str],
+        out: str | PathLike[str] | None = None,
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+    ) -> str:
+        """Write the calibrated arm back into the robot's own description.
 
-def update_urdf(
-    arm: Any,
-    original: str | PathLike[str],
-    out: str | PathLike[str] | None = None,
-    *,
-    base: str | None = None,
-    tip: str | None = None,
-) -> str:
-    """Write the calibrated arm back into the robot's own description.
+        The origins of the joints from `base` to `tip` get new numbers. Everything else stays as it
+        is in the file: names, limits, meshes, tools and comments.
 
-    The origins of the joints from `base` to `tip` get new numbers. Everything else stays as it
-    is in the file: names, limits, meshes, tools and comments.
+        Parameters
+        ----------
+        original : str or path-like
+            What `from_urdf` has read: a URDF or UR's kinematics, path or text.
+        out : str or path-like, default=None
+            File to write, which may be the original. None only returns the text.
+        base, tip : str, default=None
+            As for `from_urdf`.
 
-    Parameters
-    ----------
-    original : str or path-like
-        What `from_urdf` has read: a URDF or UR's kinematics, path or text.
-    out : str or path-like, default=None
-        File to write, which may be the original. None only returns the text.
-    base, tip : str, default=None
-        As for `from_urdf`.
+        Returns
+        -------
+        str
+            The text. Its kinematics are those of `forward`. A tool is no part of UR's kinematics:
+            there the probe's distance from the last axis is left out.
 
-    Returns
-    -------
-    str
-        The text. Its kinematics are those of `forward`. A tool is no part of UR's kinematics:
-        there the probe's distance from the last axis is left out.
+        Raises
+        ------
+        ValueError
+            If this arm was not read from the file, or the file has no place for its probe.
 
-    Raises
-    ------
-    ValueError
-        If this arm was not read from the file, or the file has no place for its probe.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm import Arm
-    >>> file = Arm.from_name("panda").to_urdf()
-    >>> arm = Arm.from_urdf(file)
-    >>> calibrated = arm.replace(a=arm.a + 0.1)
-    >>> again = Arm.from_urdf(calibrated.update_urdf(file))
-    >>> off = again.forward([[0.1] * 7]) - calibrated.forward([[0.1] * 7])
-    >>> bool(abs(off).max() < 1e-9)
-    True
-    """
-    if out is not None:
-        check_places([out])
-    joints, name, text, where = read_chain(original, base, tip)
-    nominal, placed = _arm_of(type(arm), joints, name, where)
-    same = (nominal.convention, nominal.n_joints) == (arm.convention, arm.n_joints)
-    if not same or np.any(nominal.joint_signs != arm.joint_signs):
-        raise ValueError(
-            f"{where} has {nominal.n_joints} joints in the modified convention, and the arm is "
-            f"{arm!r}: only an arm that was read from this file can be written back into it."
-        )
-    files = _frames(joints)
-    old, new = (placed @ _axis_frames(one) for one in (nominal, arm))
-    point = (new[-1] @ [*arm.probe, 1.0])[:3]
-    moving = [k for k, joint in enumerate(joints) if joint.axis is not None]
-    before, origins = np.eye(4), {}
-    for k, joint in enumerate(joints):
-        if joint.axis is None:
-            before = before @ joint.origin
-            continue
-        i = moving.index(k)
-        if np.linalg.norm(np.cross(old[i][:3, 2], new[i][:3, 2])) > _SAME_ARM:
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> file = Arm.from_name("panda").to_urdf()
+        >>> arm = Arm.from_urdf(file)
+        >>> calibrated = arm.replace(a=arm.a + 0.1)
+        >>> again = Arm.from_urdf(calibrated.update_urdf(file))
+        >>> off = again.forward([[0.1] * 7]) - calibrated.forward([[0.1] * 7])
+        >>> bool(abs(off).max() < 1e-9)
+        True
+        """
+        if out is not None:
+            check_places([out])
+        joints, name, text, where = read_chain(original, base, tip)
+        nominal, placed = _arm_of(type(self), joints, name, where)
+        same = (nominal.convention, nominal.n_joints) == (self.convention, self.n_joints)
+        if not same or np.any(nominal.joint_signs != self.joint_signs):
             raise ValueError(
-                f"{where}: the axis of joint {joint.name!r} is another one in the arm, which was "
-                "not read from this file."
+                f"{where} has {nominal.n_joints} joints in the modified convention, and the arm "
+                f"is {self!r}: only an arm that was read from this file can be written back into "
+                "it."
             )
-        # The file's frame goes where the table's frame has gone, exactly onto the new axis.
-        frame = new[i] @ np.linalg.inv(old[i]) @ files[k]
-        along = new[i][:3, 2] * np.sign(new[i][:3, 2] @ frame[:3, :3] @ joint.axis)
-        frame[:3, :3] = _turn(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
-        at = point if k == len(joints) - 1 else frame[:3, 3]
-        foot = new[i][:3, 3]
-        frame[:3, 3] = foot + ((at - foot) @ along) * along
-        origins[joint.name] = np.linalg.inv(before) @ frame
-        before = frame
-    last = joints[-1]
-    if last.axis is None:  # the probe: the last joint of the chain is fixed
-        parent = before @ np.linalg.inv(last.origin)
-        origins[last.name] = last.origin.copy()
-        origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
-    elif str(text).lstrip().startswith("<") and np.linalg.norm(point - before[:3, 3]) > _SAME_MM:
-        raise ValueError(
-            f"{where}: the probe is {np.linalg.norm(point - before[:3, 3]):.4g} mm beside the last "
-            f"axis, and no fixed joint after {last.name!r} could say so: add one with a link."
-        )
-    text = edited(text, origins)
-    if out is not None:
-        write_whole({out: text})
-    return text
+        files = _frames(joints)
+        old, new = (placed @ _axis_frames(one) for one in (nominal, self))
+        point = (new[-1] @ [*self.probe, 1.0])[:3]
+        moving = [k for k, joint in enumerate(joints) if joint.axis is not None]
+        before, origins = np.eye(4), {}
+        for k, joint in enumerate(joints):
+            if joint.axis is None:
+                before = before @ joint.origin
+                continue
+            i = moving.index(k)
+            if np.linalg.norm(np.cross(old[i][:3, 2], new[i][:3, 2])) > _SAME_ARM:
+                raise ValueError(
+                    f"{where}: the axis of joint {joint.name!r} is another one in the arm, which "
+                    "was not read from this file."
+                )
+            # The file's frame goes where the table's frame has gone, exactly onto the new axis.
+            frame = new[i] @ np.linalg.inv(old[i]) @ files[k]
+            along = new[i][:3, 2] * np.sign(new[i][:3, 2] @ frame[:3, :3] @ joint.axis)
+            frame[:3, :3] = _turn(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
+            at = point if k == len(joints) - 1 else frame[:3, 3]
+            foot = new[i][:3, 3]
+            frame[:3, 3] = foot + ((at - foot) @ along) * along
+            origins[joint.name] = np.linalg.inv(before) @ frame
+            before = frame
+        last, off_mm = joints[-1], np.linalg.norm(point - before[:3, 3])
+        if last.axis is None:  # the probe: the last joint of the chain is fixed
+            parent = before @ np.linalg.inv(last.origin)
+            origins[last.name] = last.origin.copy()
+            origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
+        elif str(text).lstrip().startswith("<") and off_mm > _SAME_MM:
+            raise ValueError(
+                f"{where}: the probe is {off_mm:.4g} mm beside the last axis, and no fixed joint "
+                f"after {last.name!r} could say so: add one with a link."
+            )
+        text = edited(text, origins)
+        if out is not None:
+            write_whole({out: text})
+        return text
 
 
 def _axis_frames(arm):
