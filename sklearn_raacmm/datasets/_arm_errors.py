@@ -16,7 +16,8 @@ from sklearn_raacmm.utils import show
 class ArmErrors:
     """Sizes of an arm's physical error sources, each in its own unit; 0 switches a source off.
 
-    Defaults are *published*, *derived* from published sizes, or *our choice*.
+    Defaults are *published*, *derived* from published sizes, or *our choice*. The force of the hand
+    is left out, for which we found no published size.
 
     Parameters
     ----------
@@ -69,17 +70,11 @@ class ArmErrors:
     slip_mm : float, default=1.0
         How far it has slipped then, in a random direction.
 
-    Notes
-    -----
-    Left out: the force of the hand, for which we found no published size.
-
     Examples
     --------
     >>> from sklearn_raacmm.datasets import ArmErrors
     >>> ArmErrors.only(sag_um=(128, 24)).seating_um
     0.0
-    >>> ArmErrors.from_name("gravity").counterbalance
-    0.8
     """
 
     length_mm: float = 0.2

@@ -235,8 +235,8 @@ def fetch_ur10_tracker(
     data : :class:`~sklearn.utils.Bunch`
         As :func:`make_single_point`: ``data`` (11911, 6), the commanded joint angles, rad,
         ``groups``, the numbers of the goal positions, ``temperature``, ``directions`` by the pose
-        that was measured before, ``points``, ``arm``, calibrated on all rows, ``nominal_arm`` and
-        names; and:
+        that was measured before, ``points``, ``arm``, calibrated on all rows (to judge a correction
+        see ``benchmarks/real_tracker.py``), ``nominal_arm`` and names; and:
 
         target : ndarray or DataFrame of shape (11911, 3)
             Residuals dx, dy, dz in the arm's base frame, mm: what the calibrated arm shows minus
@@ -255,10 +255,6 @@ def fetch_ur10_tracker(
     ------
     OSError
         If the file cannot be had, or is not byte for byte what its authors published.
-
-    Notes
-    -----
-    As of :func:`fetch_panda_ball_socket`; see ``benchmarks/real_tracker.py``.
 
     Examples
     --------

@@ -59,8 +59,8 @@ class SimulatedArm:
 
     Notes
     -----
-    Every source but the geometry moves the probe to first order: turns and shifts of the parts
-    add up. What is of second order stays below a micrometre at the default sizes.
+    Sources other than the geometry are of first order and add up: what is of second order stays
+    below a micrometre at the default sizes.
 
     With z the axis of a joint, O its origin and P the probe, a turn by a small angle e moves the
     probe by e z x (P - O). A joint i under gravity turns by its compliance times
@@ -326,7 +326,8 @@ class SimulatedArm:
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
         check_whole_number("n_poses", n_poses, 0)
-        found, arm = np.empty((0, 6)), self.nominal_arm
+        arm = self.nominal_arm
+        found = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)
             reached = _reach(arm.forward, arm, candidates, point)
