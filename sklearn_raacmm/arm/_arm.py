@@ -83,11 +83,6 @@ class Arm:
     n_joints : int
         Number of joints.
 
-    See Also
-    --------
-    Arm.from_name : The arms that are built in.
-    Arm.from_degrees : From a table whose angles are in degrees.
-
     Notes
     -----
     ``forward`` is equation (1) of Gao et al. (2020), doi 10.1177/1729881420925638, with a free
@@ -278,7 +273,6 @@ class Arm:
         Returns
         -------
         Arm
-            The arm; its attributes are in mm and rad.
         """
         alpha = np.deg2rad(floats("alpha", alpha))
         return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
@@ -331,9 +325,8 @@ class Arm:
         """Build an arm of a usual layout from the lengths of a maker's drawing.
 
         Neighbouring axes cross at right angles, or pass each other at the offsets. With all angles
-        at zero the upper arm, the forearm and the probe lie along one line; the page "Arms" of the
-        documentation has a picture. Where the encoders have their zero elsewhere, give
-        ``theta_offset``.
+        at zero upper arm, forearm and probe lie along one line, as a picture on the page "Arms" of
+        the documentation shows. For encoders with another zero give ``theta_offset``.
 
         Parameters
         ----------
@@ -346,13 +339,11 @@ class Arm:
             Distances between the two axes at the shoulder and the upper arm, and between those at
             the elbow and the forearm, mm.
         **params : dict
-            Other parameters of `Arm`, such as ``theta_offset`` in degrees, ``joint_signs``, and
-            ``name``.
+            Other parameters of `Arm`, such as ``theta_offset`` in degrees.
 
         Returns
         -------
         Arm
-            The arm, to be calibrated.
 
         Raises
         ------
@@ -413,18 +404,15 @@ class Arm:
             If an angle is more than two turns, or if all degrees are below 2 pi: most likely
             another unit.
         """
-        angles = check_angles(angles, self.n_joints, angle_unit)
-        return points_of(self, angles)
+        return points_of(self, check_angles(angles, self.n_joints, angle_unit))
 
     def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Azimuth of the probe about the base's z axis.
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`.
+        angles, angle_unit
+            As in :meth:`forward`.
 
         Returns
         -------
@@ -439,10 +427,8 @@ class Arm:
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`.
+        angles, angle_unit
+            As in :meth:`forward`.
 
         Returns
         -------
@@ -460,10 +446,8 @@ class Arm:
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`; the derivative is per rad in either case.
+        angles, angle_unit
+            As in :meth:`forward`; the derivative is per rad in either case.
 
         Returns
         -------

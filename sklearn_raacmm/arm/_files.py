@@ -44,7 +44,6 @@ def from_json(cls: Any, source: str | PathLike[str] | bytes | dict[str, Any]) ->
     Returns
     -------
     Arm
-        The arm, equal to the one that was written.
 
     Raises
     ------

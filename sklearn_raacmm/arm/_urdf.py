@@ -40,7 +40,7 @@ def from_urdf(
     Parameters
     ----------
     source : str or path-like
-        Path of the file, or the text itarm. Universal Robots' kinematics in YAML, as
+        Path of the file, or the text itself. Universal Robots' kinematics in YAML, as
         ur_calibration writes them, are read as well; their base is the controller's.
     base, tip : str, default=None
         Names of the links where the chain begins and ends; `tip` is the probe. None: the only
@@ -50,8 +50,7 @@ def from_urdf(
     -------
     Arm
         In the modified convention. Points are in the frame of the link `base` wherever a
-        Denavit-Hartenberg table can start from it, as with a first axis along z through the
-        origin; else a warning says from where.
+        Denavit-Hartenberg table can start from it; else a warning says from where.
 
     Raises
     ------
@@ -139,8 +138,7 @@ def update_urdf(
     >>> arm = Arm.from_urdf(file)
     >>> calibrated = arm.replace(a=arm.a + 0.1)
     >>> again = Arm.from_urdf(calibrated.update_urdf(file))
-    >>> off = again.forward([[0.1] * 7]) - calibrated.forward([[0.1] * 7])
-    >>> bool(abs(off).max() < 1e-9)
+    >>> bool(abs(again.forward([[0.1] * 7]) - calibrated.forward([[0.1] * 7])).max() < 1e-9)
     True
     """
     if out is not None:

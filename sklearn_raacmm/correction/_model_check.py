@@ -114,17 +114,12 @@ class CorrectionCheck:
     record: dict[str, Any] = field(repr=False)
 
     def append_to(self, path: str | PathLike[str]) -> None:
-        """Append the record to a file, which is made where there is none.
+        """Append the record to a file, for :class:`~sklearn_raacmm.display.ControlChartDisplay`.
 
         Parameters
         ----------
         path : str or path-like
             A CSV file if its name ends in .csv, else one JSON object in each line.
-
-        See Also
-        --------
-        read_check_records : Reads such a file.
-        sklearn_raacmm.display.ControlChartDisplay : Draws it.
 
         Examples
         --------
@@ -175,10 +170,9 @@ def check_correction(
         Known distances between two positions of `groups`, mm, such as of a gauge with poses at both
         ends: tuples or the rows of an array. They show a change of scale, as by temperature.
     arm : Arm, default=None
-        The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
-        model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
+        The arm with today's probe, as in :func:`update_correction`.
     sample_weight : array-like of shape (n_samples,), default=None
-        Weights.
+        As in :func:`update_correction`.
     refitted : list of {"base", "probe"}, default=()
         What has been fitted to these same poses: that has taken up a part of any change.
     false_alarm_rate : float, default=0.01
@@ -197,10 +191,6 @@ def check_correction(
     ValueError
         If shapes do not fit, something is NaN or infinite, groups are missing though the model has
         offsets, or there are no more coordinates than freedoms.
-
-    See Also
-    --------
-    update_correction : Brings the model up to date.
 
     Notes
     -----
@@ -226,8 +216,6 @@ def check_correction(
     >>> y = rng.normal(scale=0.01, size=(400, 3))
     >>> model = ArmResidualRegressor(arm, orders=4).fit(angles, y)
     >>> today = rng.uniform(-2, 2, (30, 6))
-    >>> check_correction(model, today, rng.normal(scale=0.01, size=(30, 3))).holds
-    True
     >>> knock = arm.jacobian(today)[:, :, 1] * np.deg2rad(20 / 3600)
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
@@ -256,7 +244,9 @@ def check_correction(
     p_value = min(float(tests["p_value"].min()) * len(tests), 1.0)
     holds = p_value >= false_alarm_rate
     suspect = "nothing" if holds else best_cause(tests)
-    n, usual_mm, size_mm = 3 * len(poses.left), poses.usual_mm(), 0.0
+    n = 3 * len(poses.left)
+    usual_mm = poses.usual_mm()
+    size_mm = 0.0
     if suspect in causes:
         size_mm = poses.size_mm(explained(causes[suspect], whiten, poses.residual())[:n])
     elif suspect == "noise":  # as much as all exceed what is expected of them

@@ -71,7 +71,8 @@ class Data:
                 )
         causes, values = checked_causes(extra, in_order, angles)
         refuse_told_time(causes, angles, codes)
-        kinds, like = codes, tuple(listed("like", like))
+        kinds = codes
+        like = tuple(listed("like", like))
         if tools is not None:
             if like:
                 raise ValueError("like and tools cannot be given together.")

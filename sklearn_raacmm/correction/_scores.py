@@ -40,6 +40,7 @@ _WHEN = "before", "after"
 class CorrectionScores:
     """What a correction is worth at positions that neither calibration nor model had seen.
 
+    Made by :func:`cross_validate_correction` and :func:`learn_correction`.
     ``pandas.DataFrame(scores.table)`` is the table of positions.
 
     Attributes
@@ -80,10 +81,6 @@ class CorrectionScores:
         The same in one sentence, with the numbers.
     findings : tuple of Finding
         What there is to say about the data. With one of weight "repair" nothing is judged.
-
-    See Also
-    --------
-    cross_validate_correction : Makes one.
     """
 
     measure: str
@@ -289,7 +286,8 @@ def _table(data, before, after):
     rows = data.without_lonely(np.flatnonzero(np.isfinite(before).all(axis=1)))[0]
     labels, codes, counts = np.unique(data.positions[rows], return_inverse=True, return_counts=True)
     by_position = np.split(rows[np.argsort(codes, kind="stable")], np.cumsum(counts)[:-1])
-    table, maxima = {"position": labels, "n_points": counts}, {}
+    table = {"position": labels, "n_points": counts}
+    maxima = {}
     for when, left in zip(_WHEN, (before, after), strict=True):
         size = np.linalg.norm(left, axis=1)
         maxima[f"{when}_max"] = np.array([size[own].max() for own in by_position])
@@ -333,12 +331,8 @@ def _summary(before, after, blocks):
 def _fieller(over, under, t):
     """Interval of the ratio of two means of paired values, None where it is not bounded.
 
-    Those ratios r at which the mean of over - r under is within t standard errors of zero [1]_.
-
-    References
-    ----------
-    .. [1] E. C. Fieller, "Some problems in interval estimation", J. Royal Statistical Society B
-       16(2), 1954, 175-185.
+    Those ratios r at which the mean of over - r under is within t standard errors of zero
+    (E. C. Fieller, J. Royal Statistical Society B 16(2), 1954, 175-185).
     """
     (v_oo, v_ou), (_, v_uu) = np.cov(over, under) / len(over) * t**2
     o, u = over.mean(), under.mean()

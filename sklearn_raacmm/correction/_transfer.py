@@ -112,10 +112,6 @@ def transfer_correction(
         If there are fewer coordinates than freedoms of base and tool, in which case the mean of the
         earlier arms is returned.
 
-    See Also
-    --------
-    update_correction : Brings the model of one arm up to date.
-
     Notes
     -----
     A coefficient w has over the earlier arms the mean m and the variance v, to which half of its

@@ -38,6 +38,7 @@ def update_correction(
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
+    :func:`check_correction` says whether that is needed.
     Coefficients may change by a part tau of what they were expected to be before any data (a
     harmonic above order 8 by a part of what it was), base and tool by some millimetres. How much
     has changed is found by the evidence, for the harmonics of each joint and for each other family
@@ -86,11 +87,6 @@ def update_correction(
         If there are fewer coordinates than freedoms of base and tool, in which case nothing is
         changed; if the new poses scatter about the updated model ten times as much as the
         old ones did.
-
-    See Also
-    --------
-    calibrate : Registers: fits base and tool through the correction.
-    check_correction : Says whether an update is needed.
 
     Notes
     -----
