@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import _files, _urdf
-from sklearn_raacmm.arm._built_in import BUILT_IN
+from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -32,7 +32,6 @@ from sklearn_raacmm.arm._kinematics import (
     points_of,
     probe_of,
 )
-from sklearn_raacmm.arm._layouts import TWISTS
 from sklearn_raacmm.utils import chunks, html_table
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._chain import edited, read_chain, written
-from sklearn_raacmm.arm._layouts import usual_pose
 from sklearn_raacmm.utils import check_places, warn_user, write_whole
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.

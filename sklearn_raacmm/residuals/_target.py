@@ -21,11 +21,12 @@ from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
+    ends_in_direction,
     std_to_cartesian,
     to_cartesian,
     to_cylindrical,
+    without_direction,
 )
-from sklearn_raacmm.residuals._direction import ends_in_direction, without_direction
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
     are_deviations,
