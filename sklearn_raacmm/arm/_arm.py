@@ -39,8 +39,7 @@ from sklearn_raacmm.utils import chunks, html_table
 class Arm:
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
-    An immutable value: equal and hashable by content, picklable, and safe to use as a parameter
-    of an estimator. Lengths are in mm, angles in rad.
+    An immutable value, equal and hashable by content. Lengths are in mm, angles in rad.
 
     Parameters
     ----------
@@ -65,8 +64,7 @@ class Arm:
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
         Direction in which each encoder counts: -1 where it counts against the table's angle.
     pose_joints : tuple of two int, default=(3, 4)
-        Numbers, from 1, of the joints that make the pose: swivel and elbow. Arms without a roll
-        before the elbow name other joints.
+        Numbers, from 1, of the joints that make the pose: swivel and elbow.
     pose_frames : tuple of two int, default=(2, 5)
         Numbers of the frames, from 0 (the base) to `n_joints`, whose origins are the shoulder and
         the wrist.
@@ -214,7 +212,6 @@ class Arm:
             yield str(i + 1), sign, *(f"{value:.4f}" for value in values)
 
     def _repr_html_(self):
-        """Table of the joints, for notebooks."""
         header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
         return html_table(repr(self), header, self._cells())
 

@@ -40,8 +40,8 @@ def from_urdf(
     Parameters
     ----------
     source : str or path-like
-        Path of the file, or the text itself. Universal Robots' kinematics in YAML, as
-        ur_calibration writes them, are read as well; their base is the controller's.
+        Path of the file, or the text itself; or Universal Robots' kinematics in YAML, as
+        ur_calibration writes them, with the controller's base.
     base, tip : str, default=None
         Names of the links where the chain begins and ends; `tip` is the probe. None: the only
         ones there are.

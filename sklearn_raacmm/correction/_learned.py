@@ -153,8 +153,7 @@ class LearnedCorrection:
         """Write the arm, the model and the scores into a folder.
 
         ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
-        should load. Whatever interrupts the writing, the folder holds the old correction or this
-        one: ``correction.json`` has the fingerprints of the files that belong to it.
+        should load. Whatever interrupts the writing, the folder holds the old correction or this.
 
         Parameters
         ----------
@@ -182,7 +181,6 @@ class LearnedCorrection:
         Returns
         -------
         SavedCorrection
-            The arm, the model, the base, and the facts of ``correction.json``.
 
         """
         return SavedCorrection.load(folder)

@@ -55,7 +55,7 @@ def next_poses(
         How many to choose: poses, or positions where `groups` are given.
     groups : array-like of shape (n_candidates,), default=None
         Label of the position of each pose: positions are then chosen, with all of their poses.
-        Needed where the model has offsets: a pose alone says nothing beside an unknown offset.
+        Needed where the model has offsets.
     targets : array-like of shape (n_targets, n_joints), default=None
         Poses where the arm will be used; None: the candidates. Of more than 200, 200 are taken,
         spread evenly over the list.

@@ -218,10 +218,6 @@ class SavedCorrection:
         ----------
         calibration : CalibrationResult
             Of ``calibrate(arm, ..., correction=model, free=["probe"])``.
-
-        Returns
-        -------
-        SavedCorrection
         """
         base, model = self.base, self.model
         if calibration.base_rotation is not None:

@@ -69,8 +69,7 @@ class CorrectionScores:
         How many times calibration and model were fitted.
     outliers : ndarray of shape (n_outliers,)
         Rows that the calibration of all rows names as outliers and that the arm's linear error
-        model (:class:`ArmResidualRegressor`) gives no weight either: slipped probes. They are
-        neither learnt from nor counted here, before or after.
+        model (:class:`ArmResidualRegressor`) gives no weight either: slipped probes. Not counted.
     rows_by_position : list of ndarray
         Rows counted at each position of the table.
     left_before, left_after : ndarray of shape (n_samples, 3)
@@ -299,11 +298,9 @@ def _table(data, before, after):
 
 
 def _summary(before, after, blocks):
-    """Means over positions and their ratio, with their 95 % intervals.
+    """Means over positions and their ratio, with their 95 % intervals by independent blocks.
 
-    Means: Student's t of the logarithm, whose error is linear in that of the mean. Their ratio:
-    Fieller's theorem. Blocks are independent, not the positions of one. By simulation better than
-    a bootstrap (``benchmarks/bench_lengths.py intervals``).
+    By simulation better than a bootstrap (``benchmarks/bench_lengths.py intervals``).
     """
     blocks = np.unique(blocks, return_inverse=True)[1]
     n = blocks.max() + 1

@@ -58,8 +58,7 @@ def update_correction(
         The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
         model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
     groups : array-like of shape (n_samples,), default=None
-        Label of the position of each sample, where each position has an unknown offset: needed
-        for a single-point test.
+        Label of the position of each sample, for the offsets of a single-point test.
     sample_weight : array-like of shape (n_samples,), default=None
         Weights. Poses that lie far off are left out by themselves.
     orientation_residuals : array-like of shape (n_samples, 3), default=None

@@ -115,17 +115,15 @@ class ArmErrors:
     def only(cls, **sizes: Any) -> "ArmErrors":
         """Switch on only the sources that are named.
 
-        The counterbalance and the length of a slip, which are no sources, keep their defaults.
-
         Parameters
         ----------
         **sizes : dict
-            Parameters of `ArmErrors`.
+            Parameters of `ArmErrors`. `counterbalance` and `slip_mm`, no sources, keep their
+            defaults.
 
         Returns
         -------
         ArmErrors
-            The sizes.
         """
         off: dict[str, Any] = {
             f.name: (0.0, 0.0) if isinstance(f.default, tuple) else 0.0 for f in fields(cls)
@@ -148,7 +146,6 @@ class ArmErrors:
         Returns
         -------
         ArmErrors
-            The sizes.
         """
         typical = cls()
         mixes = {

@@ -249,16 +249,14 @@ class LengthErrorDisplay(PointsDisplay):
 
         Parameters
         ----------
-        points, y_pred : array-like of shape (n_points, 3)
-            Measured points, and predicted residuals to be subtracted, mm.
+        points, y_pred, perfect
+            As in :meth:`RepeatabilityDisplay.from_predictions`; measured points only.
         groups : array-like of shape (n_points,)
             Label of the gauge's end of each point.
         pairs : array-like of shape (n_placements, 2)
             Labels of the two ends of each placement.
         lengths : float or array-like of shape (n_placements,)
             Calibrated lengths, mm.
-        perfect : array-like of shape (n_points, 3), default=None
-            What a perfect model would predict, mm. Known in simulations only.
         name : str, default="after"
             As for the class.
         axes : array-like of matplotlib Axes of shape (n_lengths,), default=None

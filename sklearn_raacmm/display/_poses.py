@@ -98,22 +98,8 @@ class ArmPosesDisplay(PosesDisplay):
 
         Parameters
         ----------
-        X : array-like of shape (n_poses, n_joints)
-            Joint angles.
-        y : array-like of shape (n_poses, 3)
-            Cartesian residuals dx, dy, dz, mm.
-        y_pred : array-like of shape (n_poses, 3), default=None
-            Predicted residuals, mm. None: only `y` is drawn.
-        arm : Arm, default=None
-            The arm. None: the built-in six-joint arm CMM, as in
-            :class:`~sklearn_raacmm.PoseFeatures`.
-        groups : array-like of shape (n_poses,), default=None
-            Label of the position of each pose, for a single-point test: the mean of what is left at
-            each is taken away.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `X`.
-        name : str, default="after"
-            Name of the correction in the legend.
+        X, y, y_pred, arm, groups, angle_unit, name
+            As in :meth:`ResidualDisplay.from_predictions`.
         ax : matplotlib Axes3D, default=None
             Axes to draw on, made with ``projection="3d"``. None: new ones.
         **options : dict

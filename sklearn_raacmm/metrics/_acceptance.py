@@ -196,8 +196,8 @@ def probing_size_error(points: ArrayLike, diameter: float) -> float:
 
     Notes
     -----
-    After P_Size.Sph.1x25 of ISO 10360-12:2016, which takes 25 points. The points are centres of
-    the probe's ball or already compensated for its radius: `diameter` must be of the same kind.
+    After P_Size.Sph.1x25 of ISO 10360-12:2016, which takes 25 points. Points and `diameter` must
+    both be compensated for the radius of the probe's ball, or neither.
 
     Examples
     --------

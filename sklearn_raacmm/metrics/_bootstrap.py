@@ -27,8 +27,8 @@ def repeatability_interval(
 ) -> np.ndarray:
     """Bootstrap interval of the single-point repeatability.
 
-    At every position, as many points as there are are drawn from them with replacement, again and
-    again: the interval shows what another choice of poses at the same positions would change.
+    Points of every position are drawn again with replacement: the interval shows what another
+    choice of poses at the same positions would change.
 
     Parameters
     ----------

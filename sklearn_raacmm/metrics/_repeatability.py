@@ -259,10 +259,8 @@ def repeatability_scorer(
         remembers the group of each row, because scikit-learn passes groups to the splitter only.
     groups : array-like of shape (n_samples,), default=None
         Only with X: the label of the position of each row of X.
-    statistic : {"2s", "max", "mean"}, default="2s"
-        As in :func:`single_point_repeatability`.
-    aggregate : {"mean", "max"}, default="mean"
-        How the positions of a test fold are summarised.
+    statistic, aggregate
+        As in :func:`single_point_repeatability`, of a test fold; `aggregate` may not be None.
 
     Returns
     -------

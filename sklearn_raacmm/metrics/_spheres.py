@@ -8,10 +8,7 @@ from scipy.optimize import least_squares
 
 
 def fit_sphere(points):
-    """Least-squares (Gaussian) sphere through points (n, 3): centre, radius, distances (n,).
-
-    Fewer than four points, or points in one plane, are refused: many spheres fit equally well.
-    """
+    """Least-squares (Gaussian) sphere through points (n, 3): centre, radius, distances (n,)."""
     if len(points) < 4:
         raise ValueError(f"A sphere is fitted to at least 4 points, got {len(points)}.")
     mean = points.mean(axis=0)

@@ -125,7 +125,6 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         Returns
         -------
         self : object
-            Fitted transformer.
 
         Raises
         ------
@@ -224,10 +223,7 @@ def _turn_start(angles):
 
 
 def _pose(arm, angles):
-    """Columns (n,) of the pose, in rad, and probe points (3, n), mm: sines serve both.
-
-    The last column is the elevation of the line from shoulder to wrist, equations (4) to (6).
-    """
+    """Columns (n,) of the pose, in rad, and probe points (3, n), mm: sines serve both."""
     shoulder, wrist = arm.pose_frames
     fixed = [(shoulder, _ORIGIN), (wrist, _ORIGIN), (arm.n_joints, arm.probe.tolist())]
     start, end, probe = carried(arm, dh_theta(arm, angles), fixed)

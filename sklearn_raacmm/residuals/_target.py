@@ -167,7 +167,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         Returns
         -------
         self : object
-            Fitted estimator.
 
         Raises
         ------
