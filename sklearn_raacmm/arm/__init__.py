@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.arm._arm import Arm
+from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
 from sklearn_raacmm.arm._given import arm_for, arm_or_built_in, check_arm
 from sklearn_raacmm.arm._kinematics import (
@@ -17,7 +18,6 @@ from sklearn_raacmm.arm._kinematics import (
     probe_points,
     reach_mm,
 )
-from sklearn_raacmm.arm._layouts import usual_pose
 
 __all__ = [
     "FIELDS",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm._built_in import BUILT_IN
+from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
@@ -32,7 +32,6 @@ from sklearn_raacmm.arm._kinematics import (
     points_of,
     probe_of,
 )
-from sklearn_raacmm.arm._layouts import TWISTS
 from sklearn_raacmm.arm._urdf import UrdfMixin
 from sklearn_raacmm.utils import chunks, html_table
 
@@ -41,8 +40,7 @@ from sklearn_raacmm.utils import chunks, html_table
 class Arm(JsonMixin, UrdfMixin):
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
-    An immutable value: equal and hashable by content, picklable, and safe to use as a parameter
-    of an estimator. Lengths are in mm, angles in rad.
+    An immutable value, equal and hashable by content. Lengths are in mm, angles in rad.
 
     Parameters
     ----------
@@ -67,8 +65,7 @@ class Arm(JsonMixin, UrdfMixin):
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
         Direction in which each encoder counts: -1 where it counts against the table's angle.
     pose_joints : tuple of two int, default=(3, 4)
-        Numbers, from 1, of the joints that make the pose: swivel and elbow. Arms without a roll
-        before the elbow name other joints.
+        Numbers, from 1, of the joints that make the pose: swivel and elbow.
     pose_frames : tuple of two int, default=(2, 5)
         Numbers of the frames, from 0 (the base) to `n_joints`, whose origins are the shoulder and
         the wrist.
@@ -83,11 +80,6 @@ class Arm(JsonMixin, UrdfMixin):
     ----------
     n_joints : int
         Number of joints.
-
-    See Also
-    --------
-    Arm.from_name : The arms that are built in.
-    Arm.from_degrees : From a table whose angles are in degrees.
 
     Notes
     -----
@@ -221,7 +213,6 @@ class Arm(JsonMixin, UrdfMixin):
             yield str(i + 1), sign, *(f"{value:.4f}" for value in values)
 
     def _repr_html_(self):
-        """Table of the joints, for notebooks."""
         header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
         return html_table(repr(self), header, self._cells())
 
@@ -279,7 +270,6 @@ class Arm(JsonMixin, UrdfMixin):
         Returns
         -------
         Arm
-            The arm; its attributes are in mm and rad.
         """
         alpha = np.deg2rad(floats("alpha", alpha))
         return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
@@ -332,9 +322,8 @@ class Arm(JsonMixin, UrdfMixin):
         """Build an arm of a usual layout from the lengths of a maker's drawing.
 
         Neighbouring axes cross at right angles, or pass each other at the offsets. With all angles
-        at zero the upper arm, the forearm and the probe lie along one line; the page "Arms" of the
-        documentation has a picture. Where the encoders have their zero elsewhere, give
-        ``theta_offset``.
+        at zero upper arm, forearm and probe lie along one line, as a picture on the page "Arms" of
+        the documentation shows. For encoders with another zero give ``theta_offset``.
 
         Parameters
         ----------
@@ -347,13 +336,11 @@ class Arm(JsonMixin, UrdfMixin):
             Distances between the two axes at the shoulder and the upper arm, and between those at
             the elbow and the forearm, mm.
         **params : dict
-            Other parameters of `Arm`, such as ``theta_offset`` in degrees, ``joint_signs``, and
-            ``name``.
+            Other parameters of `Arm`, such as ``theta_offset`` in degrees.
 
         Returns
         -------
         Arm
-            The arm, to be calibrated.
 
         Raises
         ------
@@ -406,18 +393,15 @@ class Arm(JsonMixin, UrdfMixin):
             If an angle is more than two turns, or if all degrees are below 2 pi: most likely
             another unit.
         """
-        angles = check_angles(angles, self.n_joints, angle_unit)
-        return points_of(self, angles)
+        return points_of(self, check_angles(angles, self.n_joints, angle_unit))
 
     def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Azimuth of the probe about the base's z axis.
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`.
+        angles, angle_unit
+            As in :meth:`forward`.
 
         Returns
         -------
@@ -432,10 +416,8 @@ class Arm(JsonMixin, UrdfMixin):
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`.
+        angles, angle_unit
+            As in :meth:`forward`.
 
         Returns
         -------
@@ -453,10 +435,8 @@ class Arm(JsonMixin, UrdfMixin):
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`; the derivative is per rad in either case.
+        angles, angle_unit
+            As in :meth:`forward`; the derivative is per rad in either case.
 
         Returns
         -------

@@ -1,7 +1,9 @@
-"""The built-in arms: nominal tables in mm and degrees, with their sources."""
+"""Tables of the built-in arms, with their sources, and what arms of the usual layouts share."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
+
+from typing import Any
 
 _UR_NAMES = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
@@ -75,3 +77,19 @@ BUILT_IN: dict = {
         "names": tuple(f"joint_{i}" for i in range(1, 7)),
     },
 }
+
+# Twists in degrees; all neighbouring axes cross at right angles.
+TWISTS = {
+    "2-2-2": (-90.0, -90.0, 90.0, -90.0, 90.0, -90.0),
+    "2-2-3": (-90.0, -90.0, 90.0, -90.0, 90.0, -90.0, 0.0),
+}
+
+
+def usual_pose(n_joints: int, parallel: Any, convention: str) -> dict[str, Any]:
+    """The fields of `Arm` that say its pose; `parallel` if its second and third axes are."""
+    if n_joints < 5:
+        return {"pose_joints": (1, 2), "pose_frames": (0, n_joints)}
+    if parallel:  # no swivel between shoulder and elbow, as on a UR10: see Arm.from_name
+        frames = (1, 3) if convention == "standard" else (2, 4)
+        return {"pose_joints": (4, 3), "pose_frames": frames}
+    return {"pose_joints": (3, 4), "pose_frames": (2, 5)}

@@ -95,10 +95,7 @@ def pair_of(name, value, low, high):
 
 
 def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
-    """Angles (n_samples, n_joints) as float64 in rad, or one clear sentence.
-
-    Warns where the unit is most likely another one: degrees given as radians or the reverse.
-    """
+    """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another."""
     if not (isinstance(angle_unit, str) and angle_unit in ("rad", "deg")):
         raise ValueError(f"angle_unit must be 'rad' or 'deg', got {show(angle_unit)}.")
     angles = floats("angles", angles)

@@ -48,7 +48,6 @@ class JsonMixin:
         Returns
         -------
         Arm
-            The arm, equal to the one that was written.
 
         Raises
         ------

@@ -133,11 +133,7 @@ def axis_vectors(
 
 
 def parameter_jacobian(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's parameters.
-
-    In the order a, alpha, d, theta_offset, probe. A length moves the probe along the axis that
-    carries it; an angle turns it about that axis.
-    """
+    """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's `FIELDS`."""
     n = len(arm.a)
     points = np.empty((len(angles), 3))
     jac = np.empty((len(angles), 3, 4 * n + 3))

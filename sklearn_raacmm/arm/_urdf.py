@@ -9,8 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._chain import edited, read_chain, written
-from sklearn_raacmm.arm._layouts import usual_pose
 from sklearn_raacmm.utils import check_places, warn_user, write_whole
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -44,8 +44,8 @@ class UrdfMixin:
         Parameters
         ----------
         source : str or path-like
-            Path of the file, or the text itself. Universal Robots' kinematics in YAML, as
-            ur_calibration writes them, are read as well; their base is the controller's.
+            Path of the file, or the text itself; or Universal Robots' kinematics in YAML, as
+            ur_calibration writes them, with the controller's base.
         base, tip : str, default=None
             Names of the links where the chain begins and ends; `tip` is the probe. None: the only
             ones there are.
@@ -54,8 +54,7 @@ class UrdfMixin:
         -------
         Arm
             In the modified convention. Points are in the frame of the link `base` wherever a
-            Denavit-Hartenberg table can start from it, as with a first axis along z through the
-            origin; else a warning says from where.
+            Denavit-Hartenberg table can start from it; else a warning says from where.
 
         Raises
         ------

@@ -17,20 +17,9 @@ _FAMILIES = {"time": "temperature", "payload": "force"}
 
 
 def checked_causes(extra, in_order, angles):
-    """Names and values of the causes that are offered to a model.
+    """Names and values (n, n_causes) of the causes offered to a model, for angles in rad.
 
-    Parameters
-    ----------
-    extra : dict of str to array-like of shape (n_samples,), or None
-    in_order : bool
-        Whether the rows are in the order of measurement: directions are then offered, too.
-    angles : ndarray of shape (n_samples, n_joints)
-        In rad.
-
-    Returns
-    -------
-    names : tuple of str
-    values : ndarray of shape (n_samples, n_causes)
+    Where the rows are in the order of measurement, directions are offered, too.
     """
     given = dict(extra or {})
     names = check_extra(tuple(given), angles.shape[1])
@@ -85,19 +74,9 @@ def usual_values(names, values):
 
 
 def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
-    """Angles with the columns of the causes that a model has.
+    """Angles (n, n_joints) in rad with the columns of the causes that a model has.
 
-    Parameters
-    ----------
-    angles : ndarray of shape (n, n_joints)
-        In rad.
-    usual : dict of str to float
-        The causes of the model, and what counts where they are not given.
-    extra : dict of str to array-like of shape (n,) or float, default=None
-
-    Returns
-    -------
-    ndarray of shape (n, n_joints + n_causes)
+    `usual` names these, with what counts where `extra` does not have them.
     """
     given = dict(extra or {})
     unknown = sorted(set(given) - set(usual))

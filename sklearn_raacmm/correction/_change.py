@@ -49,7 +49,8 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
     """
     linear = with_low_orders(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
-    turn_mm, shown = 0.0, poses.residuals
+    turn_mm = 0.0
+    shown = poses.residuals
     if poses.turns is not None:  # which only a model that was fitted to some takes
         turn_mm = linear.turn_mm
         shown = np.hstack([shown, turn_mm * poses.turns])

@@ -32,7 +32,8 @@ def predict_with_std(model, X, noise):
 def of_coordinate(correction, X, points, within):
     """Standard deviations of coordinates in the base frame, (n, 3) mm, from those in a position."""
     scale = correction.facts["scale_sd"] * (points - _shoulder(correction.arm))
-    variance, model = within**2 + scale**2, correction.model
+    variance = within**2 + scale**2
+    model = correction.model
     linear = getattr(model, "linear_model_", None)
     if linear is not None and model.helps_:
         variance += unseen_variance(linear, X)

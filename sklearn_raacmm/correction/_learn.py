@@ -62,6 +62,8 @@ def learn_correction(
 ) -> LearnedCorrection:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
+    :func:`cross_validate_correction` judges alone.
+
     Parameters
     ----------
     arm : Arm
@@ -110,7 +112,6 @@ def learn_correction(
     Returns
     -------
     LearnedCorrection
-        The calibrated arm, the fitted model, the scores and the verdict.
 
     Raises
     ------
@@ -126,16 +127,11 @@ def learn_correction(
         As :func:`calibrate`; and if a position has moved during a single-point test, as
         :meth:`ArmResidualRegressor.fit` says.
 
-    See Also
-    --------
-    cross_validate_correction : The judgement alone.
-
     Notes
     -----
     A correction helps if the upper end of the 95 % interval of mean after over mean before is
-    below 1, and at least five positions say so. Outliers are rows that :func:`calibrate` names and
-    that :class:`ArmResidualRegressor` cannot explain either. They are not learnt from, nor counted
-    in the scores, neither before nor after.
+    below 1, and at least five positions say so. Outliers, see :class:`CorrectionScores`, are
+    neither learnt from nor counted.
 
     Examples
     --------
@@ -207,8 +203,6 @@ def cross_validate_correction(
 ) -> CorrectionScores:
     """Judge a correction at positions left out, with calibration and model fitted anew each time.
 
-    Give the regressor of your choice as `model`, and it is judged as the package's own is.
-
     Parameters
     ----------
     arm, angles, positions, points, lengths, angle_unit, model, cv, n_jobs, progress
@@ -217,7 +211,6 @@ def cross_validate_correction(
     Returns
     -------
     CorrectionScores
-        Positions, lengths and intervals before and after, and the verdict.
 
     Raises
     ------

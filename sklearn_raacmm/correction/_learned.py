@@ -23,7 +23,7 @@ from sklearn_raacmm.utils import Finding
 
 @dataclass(frozen=True, eq=False)
 class LearnedCorrection:
-    """A calibrated arm, a model of what calibration leaves, and what both are worth.
+    """What :func:`learn_correction` returns: arm, model of the rest, and what both are worth.
 
     Attributes
     ----------
@@ -46,10 +46,6 @@ class LearnedCorrection:
     causes : dict of str to float
         The causes that the model takes after the angles, and what counts where they are not known:
         the mean, no direction, and of time the last value.
-
-    See Also
-    --------
-    learn_correction : Makes one.
     """
 
     arm: Arm
@@ -115,16 +111,12 @@ class LearnedCorrection:
             Standard deviation of each coordinate of one reading, mm (k = 1). Beside that within a
             position, that of a coordinate in the base frame holds the scale, s (P - S) with P the
             point, S the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a
-            function of the place.
+            function of the place. For distances see :meth:`distances`.
 
         Raises
         ------
         ValueError
             If `angles` do not fit the arm, or `extra` names what the model does not know.
-
-        See Also
-        --------
-        distances : Distances, whose standard deviations are others.
         """
         return self.saved.correct(angles, angle_unit=angle_unit, std_of=std_of, extra=extra)
 
@@ -161,8 +153,7 @@ class LearnedCorrection:
         """Write the arm, the model and the scores into a folder.
 
         ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
-        should load. Whatever interrupts the writing, the folder holds the old correction or this
-        one: ``correction.json`` has the fingerprints of the files that belong to it.
+        should load. Whatever interrupts the writing, the folder holds the old correction or this.
 
         Parameters
         ----------
@@ -190,12 +181,7 @@ class LearnedCorrection:
         Returns
         -------
         SavedCorrection
-            The arm, the model, the base, and the facts of ``correction.json``.
 
-        Examples
-        --------
-        >>> from sklearn_raacmm import LearnedCorrection
-        >>> saved = LearnedCorrection.load("my_arm")  # doctest: +SKIP
         """
         return SavedCorrection.load(folder)
 

@@ -71,7 +71,8 @@ class Data:
                 )
         causes, values = checked_causes(extra, in_order, angles)
         refuse_told_time(causes, angles, codes)
-        kinds, like = codes, tuple(listed("like", like))
+        kinds = codes
+        like = tuple(listed("like", like))
         if tools is not None:
             if like:
                 raise ValueError("like and tools cannot be given together.")
@@ -117,7 +118,6 @@ class Data:
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
     def calibrate(self, rows):
-        """Calibrate on these rows."""
         points, tools = _at(rows, self.points), _at(rows, self.tools)
         data = self.angles[rows], self.positions[rows], points, tools
         return self._calibrated(*data, self.lengths_among(rows))
@@ -155,10 +155,7 @@ class Data:
         return None if tools is None else np.array([calibration.arms[t].probe for t in tools])
 
     def outliers(self, calibration):
-        """Rows far from where the calibrated arm has them, which its error model cannot explain.
-
-        Calibration alone names too many: poses in which the arm bends most are not slipped probes.
-        """
+        """Rows far from where the calibrated arm has them, which its error model cannot explain."""
         far = np.flatnonzero(calibration.sample_weight[self.rows] == 0)
         if not len(far):
             return far
@@ -221,7 +218,6 @@ class _OfTools(NamedTuple):
     tools: np.ndarray  # (n,) label of each row
 
     def predict(self, X, return_std=False):
-        """As of one model."""
         found = np.empty((1 + return_std, len(X), 3))
         for tool, model in self.models.items():
             if (rows := self.tools == tool).any():

@@ -42,9 +42,8 @@ def next_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Choose the poses whose measurement would tell most, one after another.
 
-    How much a measurement would narrow the posterior of a linear model is known beforehand. So
-    poses, or whole positions of a single-point test, can be chosen from a list of those that are in
-    reach: for the fit of a correction, or with `free` for a registration or a calibration.
+    How much a measurement would narrow the posterior of a linear model is known beforehand. With
+    `free`, poses are chosen for a registration or a calibration.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ def next_poses(
         How many to choose: poses, or positions where `groups` are given.
     groups : array-like of shape (n_candidates,), default=None
         Label of the position of each pose: positions are then chosen, with all of their poses.
-        Needed where the model has offsets: a pose alone says nothing beside an unknown offset.
+        Needed where the model has offsets.
     targets : array-like of shape (n_targets, n_joints), default=None
         Poses where the arm will be used; None: the candidates. Of more than 200, 200 are taken,
         spread evenly over the list.
@@ -86,11 +85,6 @@ def next_poses(
         If X has the wrong shape, there are fewer candidates than `n_poses`, groups are missing
         though the model has offsets, or the model has no terms.
 
-    See Also
-    --------
-    calibrate : Registers and calibrates.
-    ArmResidualRegressor : The model.
-
     Notes
     -----
     Greedy I- and D-optimal design (V. V. Fedorov, Theory of Optimal Experiments, 1972), with the
@@ -108,9 +102,6 @@ def next_poses(
     >>> chosen, std = next_poses(model, test.data[~known], 3, groups=test.groups[~known])
     >>> len(chosen), bool(std[-1] < std[0])
     (3, True)
-    >>> chosen, std = next_poses(test.arm, test.data, 20, free=["base", "probe"])
-    >>> bool(std[-1] < 0.1)
-    True
     """
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
         raise ValueError(f'criterion must be "I" or "D", got {show(criterion)}.')

@@ -81,10 +81,6 @@ def plan_poses(
     ValueError
         If too few places are found.
 
-    See Also
-    --------
-    next_poses : Chooses from poses by what a model or a registration does not know yet.
-
     Examples
     --------
     >>> import numpy as np

@@ -55,7 +55,7 @@ TRUSTED_TYPES = [
 
 @dataclass(frozen=True, eq=False)
 class SavedCorrection:
-    """What is needed to use a correction: the arm, the model, where the base stands, and facts.
+    """What :meth:`LearnedCorrection.load` returns, and is needed to use a correction.
 
     Attributes
     ----------
@@ -68,10 +68,6 @@ class SavedCorrection:
         tracker has measured it.
     facts : dict
         What ``correction.json`` holds.
-
-    See Also
-    --------
-    LearnedCorrection.load : Makes one.
     """
 
     arm: Arm
@@ -222,10 +218,6 @@ class SavedCorrection:
         ----------
         calibration : CalibrationResult
             Of ``calibrate(arm, ..., correction=model, free=["probe"])``.
-
-        Returns
-        -------
-        SavedCorrection
         """
         base, model = self.base, self.model
         if calibration.base_rotation is not None:

@@ -40,6 +40,7 @@ _WHEN = "before", "after"
 class CorrectionScores:
     """What a correction is worth at positions that neither calibration nor model had seen.
 
+    Made by :func:`cross_validate_correction` and :func:`learn_correction`.
     ``pandas.DataFrame(scores.table)`` is the table of positions.
 
     Attributes
@@ -68,8 +69,7 @@ class CorrectionScores:
         How many times calibration and model were fitted.
     outliers : ndarray of shape (n_outliers,)
         Rows that the calibration of all rows names as outliers and that the arm's linear error
-        model (:class:`ArmResidualRegressor`) gives no weight either: slipped probes. They are
-        neither learnt from nor counted here, before or after.
+        model (:class:`ArmResidualRegressor`) gives no weight either: slipped probes. Not counted.
     rows_by_position : list of ndarray
         Rows counted at each position of the table.
     left_before, left_after : ndarray of shape (n_samples, 3)
@@ -80,10 +80,6 @@ class CorrectionScores:
         The same in one sentence, with the numbers.
     findings : tuple of Finding
         What there is to say about the data. With one of weight "repair" nothing is judged.
-
-    See Also
-    --------
-    cross_validate_correction : Makes one.
     """
 
     measure: str
@@ -289,7 +285,8 @@ def _table(data, before, after):
     rows = data.without_lonely(np.flatnonzero(np.isfinite(before).all(axis=1)))[0]
     labels, codes, counts = np.unique(data.positions[rows], return_inverse=True, return_counts=True)
     by_position = np.split(rows[np.argsort(codes, kind="stable")], np.cumsum(counts)[:-1])
-    table, maxima = {"position": labels, "n_points": counts}, {}
+    table = {"position": labels, "n_points": counts}
+    maxima = {}
     for when, left in zip(_WHEN, (before, after), strict=True):
         size = np.linalg.norm(left, axis=1)
         maxima[f"{when}_max"] = np.array([size[own].max() for own in by_position])
@@ -301,11 +298,9 @@ def _table(data, before, after):
 
 
 def _summary(before, after, blocks):
-    """Means over positions and their ratio, with their 95 % intervals.
+    """Means over positions and their ratio, with their 95 % intervals by independent blocks.
 
-    Means: Student's t of the logarithm, whose error is linear in that of the mean. Their ratio:
-    Fieller's theorem. Blocks are independent, not the positions of one. By simulation better than
-    a bootstrap (``benchmarks/bench_lengths.py intervals``).
+    By simulation better than a bootstrap (``benchmarks/bench_lengths.py intervals``).
     """
     blocks = np.unique(blocks, return_inverse=True)[1]
     n = blocks.max() + 1
@@ -333,12 +328,8 @@ def _summary(before, after, blocks):
 def _fieller(over, under, t):
     """Interval of the ratio of two means of paired values, None where it is not bounded.
 
-    Those ratios r at which the mean of over - r under is within t standard errors of zero [1]_.
-
-    References
-    ----------
-    .. [1] E. C. Fieller, "Some problems in interval estimation", J. Royal Statistical Society B
-       16(2), 1954, 175-185.
+    Those ratios r at which the mean of over - r under is within t standard errors of zero
+    (E. C. Fieller, J. Royal Statistical Society B 16(2), 1954, 175-185).
     """
     (v_oo, v_ou), (_, v_uu) = np.cov(over, under) / len(over) * t**2
     o, u = over.mean(), under.mean()

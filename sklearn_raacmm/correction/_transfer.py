@@ -66,9 +66,8 @@ def transfer_correction(
 ) -> ArmResidualRegressor:
     """Correct a new arm from few poses, starting from earlier arms of the same make.
 
-    The mean and the spread of the earlier models' coefficients are the prior of the new arm's.
-    Whether they are believed is decided by the evidence of the new poses, against a model that is
-    fitted to these poses alone.
+    The mean and the spread of their coefficients are the prior of the new arm's, where the evidence
+    of the new poses is for it, against a model that is fitted to these poses alone.
 
     Parameters
     ----------
@@ -83,12 +82,8 @@ def transfer_correction(
     y : array-like of shape (n_samples, 3), default=None
         Their residuals in mm, in the arm's base frame: ``result.residuals_mm``, or
         :func:`position_residuals` of a single-point test.
-    groups : array-like of shape (n_samples,), default=None
-        Label of the position of each sample, for the offsets of a single-point test.
-    sample_weight : array-like of shape (n_samples,), default=None
-        Weights. Poses that lie far off are left out by themselves.
-    date : str, default=None
-        When the new poses were measured, for the record; None: today.
+    groups, sample_weight, date
+        As in :func:`update_correction`.
 
     Returns
     -------
@@ -111,10 +106,6 @@ def transfer_correction(
     UserWarning
         If there are fewer coordinates than freedoms of base and tool, in which case the mean of the
         earlier arms is returned.
-
-    See Also
-    --------
-    update_correction : Brings the model of one arm up to date.
 
     Notes
     -----
@@ -287,7 +278,7 @@ def _mean_references(linears):
 
 
 def _evidence_of_change(prior, changed, poses):
-    """Log evidence of the new poses under the prior of the earlier arms."""
+    """Log evidence under the prior of the earlier arms."""
     prior = with_low_orders(prior)
     known = prior_of(prior)
     sd = np.array([changed.tau[name] for name in known.part]) * known.size

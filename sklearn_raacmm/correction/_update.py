@@ -38,6 +38,7 @@ def update_correction(
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
+    :func:`check_correction` says whether that is needed.
     Coefficients may change by a part tau of what they were expected to be before any data (a
     harmonic above order 8 by a part of what it was), base and tool by some millimetres. How much
     has changed is found by the evidence, for the harmonics of each joint and for each other family
@@ -57,8 +58,7 @@ def update_correction(
         The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
         model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
     groups : array-like of shape (n_samples,), default=None
-        Label of the position of each sample, where each position has an unknown offset: needed
-        for a single-point test.
+        Label of the position of each sample, for the offsets of a single-point test.
     sample_weight : array-like of shape (n_samples,), default=None
         Weights. Poses that lie far off are left out by themselves.
     orientation_residuals : array-like of shape (n_samples, 3), default=None
@@ -86,11 +86,6 @@ def update_correction(
         If there are fewer coordinates than freedoms of base and tool, in which case nothing is
         changed; if the new poses scatter about the updated model ten times as much as the
         old ones did.
-
-    See Also
-    --------
-    calibrate : Registers: fits base and tool through the correction.
-    check_correction : Says whether an update is needed.
 
     Notes
     -----

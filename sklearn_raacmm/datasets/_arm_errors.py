@@ -16,7 +16,8 @@ from sklearn_raacmm.utils import show
 class ArmErrors:
     """Sizes of an arm's physical error sources, each in its own unit; 0 switches a source off.
 
-    Defaults are *published*, *derived* from published sizes, or *our choice*.
+    Defaults are *published*, *derived* from published sizes, or *our choice*. The force of the hand
+    is left out, for which we found no published size.
 
     Parameters
     ----------
@@ -69,17 +70,11 @@ class ArmErrors:
     slip_mm : float, default=1.0
         How far it has slipped then, in a random direction.
 
-    Notes
-    -----
-    Left out: the force of the hand, for which we found no published size.
-
     Examples
     --------
     >>> from sklearn_raacmm.datasets import ArmErrors
     >>> ArmErrors.only(sag_um=(128, 24)).seating_um
     0.0
-    >>> ArmErrors.from_name("gravity").counterbalance
-    0.8
     """
 
     length_mm: float = 0.2
@@ -120,17 +115,15 @@ class ArmErrors:
     def only(cls, **sizes: Any) -> "ArmErrors":
         """Switch on only the sources that are named.
 
-        The counterbalance and the length of a slip, which are no sources, keep their defaults.
-
         Parameters
         ----------
         **sizes : dict
-            Parameters of `ArmErrors`.
+            Parameters of `ArmErrors`. `counterbalance` and `slip_mm`, no sources, keep their
+            defaults.
 
         Returns
         -------
         ArmErrors
-            The sizes.
         """
         off: dict[str, Any] = {
             f.name: (0.0, 0.0) if isinstance(f.default, tuple) else 0.0 for f in fields(cls)
@@ -153,7 +146,6 @@ class ArmErrors:
         Returns
         -------
         ArmErrors
-            The sizes.
         """
         typical = cls()
         mixes = {

@@ -16,8 +16,7 @@ from sklearn.utils import Bunch
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._bunch import pack
-from sklearn_raacmm.datasets._checksums import SHA256
-from sklearn_raacmm.datasets._download import cached_file, data_folder
+from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Interval, StrOptions, validate_params
@@ -40,9 +39,8 @@ _PANDA_DESCR = """\
 Ball-and-socket test of two Franka Panda arms
 ---------------------------------------------
 
-Two Franka Panda robots, seven joints, held a ball in one of two sockets while the arm moved through
-many poses: the single-point (cone-hole) test of a measuring arm. The points of one socket should
-coincide. The two sockets of a placement are 50 mm apart.
+Two Franka Panda robots, seven joints, held a ball in one of two sockets in many poses: the
+single-point (cone-hole) test of a measuring arm. The two sockets of a placement are 50 mm apart.
 
 :Arms: panda_3, 387 poses at 6 placements; panda_2, 559 poses at 9 placements
 :Known faults: panda_2 holds outliers of up to 2.8 mm after calibration. panda_3 stood on a grid of
@@ -106,8 +104,8 @@ def fetch_panda_ball_socket(
 ) -> Any:
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
 
-    Downloads up to 100 kB the first time. The data are those of the MUKCa project,
-    arXiv:2503.12584 (MIT licence), and not part of this package.
+    Downloads up to 100 kB the first time: data of the MUKCa project, arXiv:2503.12584 (MIT
+    licence).
 
     Parameters
     ----------
@@ -135,7 +133,9 @@ def fetch_panda_ball_socket(
     -------
     data : :class:`~sklearn.utils.Bunch`
         As :func:`make_single_point`: ``data`` (n_poses, 7), ``target``, ``groups``, ``points``,
-        ``arm``, calibrated on all rows and the known lengths, ``nominal_arm`` and names; and:
+        ``arm``, calibrated on all rows and the known lengths (to judge a correction, calibrate
+        without the placements left out, as ``benchmarks/real_arm.py``), ``nominal_arm`` and names;
+        and:
 
         placements : ndarray or Series of shape (n_poses,)
             Label of the placement of the two sockets. Split by it, not by socket: the other socket
@@ -155,12 +155,6 @@ def fetch_panda_ball_socket(
     -----
     UserWarning
         Before another try, and before a damaged file is replaced by a whole one.
-
-    Notes
-    -----
-    ``arm``, ``points`` and ``target`` come from a calibration that has seen all rows. To judge a
-    correction at placements left out, calibrate on the others alone, as
-    ``benchmarks/real_arm.py`` does.
 
     Examples
     --------
@@ -218,8 +212,7 @@ def fetch_ur10_tracker(
 ) -> Any:
     """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
 
-    Downloads 2.4 MB the first time. The data are those of C. Landgraf et al., IEEE CASE 2021
-    (MIT licence), and not part of this package.
+    Downloads 2.4 MB the first time: data of C. Landgraf et al., IEEE CASE 2021 (MIT licence).
 
     Parameters
     ----------
@@ -235,8 +228,8 @@ def fetch_ur10_tracker(
     data : :class:`~sklearn.utils.Bunch`
         As :func:`make_single_point`: ``data`` (11911, 6), the commanded joint angles, rad,
         ``groups``, the numbers of the goal positions, ``temperature``, ``directions`` by the pose
-        that was measured before, ``points``, ``arm``, calibrated on all rows, ``nominal_arm`` and
-        names; and:
+        that was measured before, ``points``, ``arm``, calibrated on all rows (to judge a correction
+        see ``benchmarks/real_tracker.py``), ``nominal_arm`` and names; and:
 
         target : ndarray or DataFrame of shape (11911, 3)
             Residuals dx, dy, dz in the arm's base frame, mm: what the calibrated arm shows minus
@@ -255,10 +248,6 @@ def fetch_ur10_tracker(
     ------
     OSError
         If the file cannot be had, or is not byte for byte what its authors published.
-
-    Notes
-    -----
-    As of :func:`fetch_panda_ball_socket`; see ``benchmarks/real_tracker.py``.
 
     Examples
     --------

@@ -49,8 +49,7 @@ def make_single_point(
     Parameters
     ----------
     n_positions : int, default=10
-        Number of positions of the cone, spread over 20 to 80 % of the radial reach and all
-        azimuths.
+        Positions of the cone, spread over 20 to 80 % of the radial reach and all azimuths.
     n_poses : int, default=100
         Number of poses at each position, at least 2.
     bars : array-like of shape (n_bars,), default=()
@@ -59,11 +58,10 @@ def make_single_point(
         The arm; or the sizes of its error sources, or the name of a mix of them ("typical",
         "gravity", "eccentricity", "none"), of which `random_state` draws an individual.
     random_state : int, RandomState instance or None, default=0
-        Draws positions, poses and noise. :func:`make_gauge` with the same int and the same
-        `machine` measures with the same individual, at other places.
+        Draws positions, poses and noise, the same everywhere but for rounding. :func:`make_gauge`
+        with the same int and `machine` measures with the same individual, at other places.
     return_X_y : bool, default=False
-        Return ``(data, target, groups)`` only. Split by the groups: rows of one position resemble
-        each other.
+        Return ``(data, target, groups)`` only.
     as_frame : bool, default=False
         Return pandas objects.
 
@@ -77,7 +75,7 @@ def make_single_point(
         target : ndarray or DataFrame of shape (n_rows, 3)
             Residuals dx, dy, dz, mm: point minus mean point of its position.
         groups : ndarray or Series of shape (n_rows,)
-            Number of the position.
+            Number of the position, by which to split.
         lengths : list of (int, int, float, float)
             Known lengths, as :func:`calibrate` takes them: the two ends of each bar, its length
             with an error, and the standard deviation of that, 0.01 mm.
@@ -108,11 +106,6 @@ def make_single_point(
     ValueError
         If a number is too small, the machine unknown, or no reachable place is found.
 
-    Notes
-    -----
-    The true probe is within 1e-6 mm of the cone's centre plus the seating error. The same seed
-    means the same data everywhere, but for the rounding of sines and cosines.
-
     Examples
     --------
     >>> from sklearn_raacmm.datasets import make_single_point
@@ -120,9 +113,7 @@ def make_single_point(
     >>> test = make_single_point(n_positions=3, n_poses=20)
     >>> test.data.shape, test.target.shape
     ((60, 6), (60, 3))
-    >>> before = single_point_repeatability(test.points, test.groups)
-    >>> perfect = test.points - test.simulation.perfect_correction
-    >>> 0 < single_point_repeatability(perfect, test.groups) < before < 0.2
+    >>> 0 < single_point_repeatability(test.points, test.groups) < 0.2
     True
     """
     check_whole_number("n_positions", n_positions, 1)
@@ -160,8 +151,7 @@ def make_gauge(
     lengths : float or array-like of shape (n_lengths,), default=(300.0, 500.0)
         Lengths of the gauges, mm.
     n_placements : int, default=10
-        Number of placements of each gauge, at random in 20 to 80 % of the radial reach, in all
-        directions.
+        Placements of each gauge, at random in 20 to 80 % of the radial reach, in all directions.
     n_poses : int, default=10
         Number of poses at each end, at least 2.
     machine, random_state, return_X_y, as_frame
@@ -263,7 +253,8 @@ def _payloads(errors, n_rows, rng):
 
 def _measure(machine, cones, poses, rng):
     n_rows = sum(map(len, poses))
-    warming, slips = _warming(machine.errors, n_rows), _slips(machine.errors, n_rows, rng)
+    warming = _warming(machine.errors, n_rows)
+    slips = _slips(machine.errors, n_rows, rng)
     directions = directions_of(np.vstack(poses))
     payload = _payloads(machine.errors, n_rows, rng)
     angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips, payload)
@@ -328,7 +319,8 @@ def _draw_gauges(machine, lengths, n_poses, rng):
 def _reachable(machine, n_poses, rng, draw, n_tries, name):
     """Points, drawn again until there are poses that reach each of them, and these poses."""
     for _ in range(n_tries):
-        points, poses = draw(), []
+        points = draw()
+        poses = []
         for point in points:
             share = np.linalg.norm(point - machine.shoulder) / machine.reach
             if not _SHARE_OF_REACH[0] <= share <= _SHARE_OF_REACH[1] or point[2] < 0:

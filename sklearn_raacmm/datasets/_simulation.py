@@ -1,7 +1,4 @@
-"""The physics of the simulated arm: where its probe really is, and poses that reach a point.
-
-Public in `sklearn_raacmm.datasets`.
-"""
+"""The physics of the simulated arm: where its probe really is, and poses that reach a point."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -59,8 +56,8 @@ class SimulatedArm:
 
     Notes
     -----
-    Every source but the geometry moves the probe to first order: turns and shifts of the parts
-    add up. What is of second order stays below a micrometre at the default sizes.
+    Sources other than the geometry are of first order and add up: what is of second order stays
+    below a micrometre at the default sizes.
 
     With z the axis of a joint, O its origin and P the probe, a turn by a small angle e moves the
     probe by e z x (P - O). A joint i under gravity turns by its compliance times
@@ -195,8 +192,8 @@ class SimulatedArm:
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, 6)
-            Encoder angles, rad.
+        angles
+            As in :meth:`deviations`.
 
         Returns
         -------
@@ -277,8 +274,8 @@ class SimulatedArm:
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, 6)
-            Encoder angles free of noise, rad.
+        angles
+            As in :meth:`deviations`.
         random_state : int, RandomState instance or None, default=None
             Draws the noise.
 
@@ -301,7 +298,7 @@ class SimulatedArm:
         n_poses: int,
         random_state: int | np.random.RandomState | None = None,
     ) -> np.ndarray:
-        """Find poses that a person would take with the probe in a cone, elbow from left to right.
+        """Find poses that a person would take with the probe in a cone, sorted by joint 3.
 
         Parameters
         ----------
@@ -315,8 +312,8 @@ class SimulatedArm:
         Returns
         -------
         angles : ndarray of shape (n_poses, 6)
-            In rad, sorted by joint 3. The nominal arm's probe is within 1e-6 mm of the point, it
-            leans at most 60 degrees from the cone's axis, and elbow and wrist are above the cone.
+            In rad. The nominal arm's probe is within 1e-6 mm of the point and leans at most 60
+            degrees from the cone's axis; elbow and wrist are above the cone.
 
         Raises
         ------
@@ -326,7 +323,8 @@ class SimulatedArm:
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
         check_whole_number("n_poses", n_poses, 0)
-        found, arm = np.empty((0, 6)), self.nominal_arm
+        arm = self.nominal_arm
+        found = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)
             reached = _reach(arm.forward, arm, candidates, point)
@@ -428,10 +426,7 @@ def _per_row(name, value, n_rows):
 
 
 def directions_of(angles: np.ndarray) -> np.ndarray:
-    """Direction from which each joint came, (n, n_joints), where poses were taken in this order.
-
-    The first pose is taken to have been reached as the second one.
-    """
+    """Direction from which each joint came, (n, n_joints), in this order; the first as the next."""
     steps = np.diff(angles, axis=0)
     signs = np.sign((steps + np.pi) % (2 * np.pi) - np.pi)
     return np.concatenate([signs[:1], signs])

@@ -1,10 +1,7 @@
 """Figures of a correction, in the form of scikit-learn's displays.
 
-They are those of Gao et al. (2020), doi 10.1177/1729881420925638: single-point repeatability,
-gauge lengths before and after, and the residuals against the pose. No copy of the paper that we
-have shows them, so the layout is our own. Three more figures show the poses in space, the harmonics
-that a model found in the encoders, and a control chart of checks. matplotlib is imported when
-something is drawn.
+Those of repeatability, gauge lengths and residuals are after Gao et al. (2020), doi
+10.1177/1729881420925638, in a layout of our own. matplotlib is imported when something is drawn.
 """
 
 # Authors: The sklearn_raacmm developers

@@ -49,7 +49,8 @@ class RepeatabilityDisplay(PointsDisplay):
     name : str, default="after"
         Name of the correction in the legend.
     before_interval, after_interval : ndarray of shape (n_positions, 2), default=None
-        Lower and upper ends of the intervals of `before` and `after`, mm.
+        Lower and upper ends of their intervals, mm, drawn as vertical lines: see
+        :func:`~sklearn_raacmm.metrics.repeatability_interval`.
 
     Attributes
     ----------
@@ -60,24 +61,14 @@ class RepeatabilityDisplay(PointsDisplay):
     unit_ : str
         Unit of the figure: "µm" where the values are below 0.1 mm on average, else "mm".
 
-    Notes
-    -----
-    The vertical lines are intervals of :func:`~sklearn_raacmm.metrics.repeatability_interval`: what
-    another choice of poses at the same positions would change.
-
     Examples
     --------
     >>> import matplotlib.pyplot as plt
-    >>> from sklearn.model_selection import GroupKFold, cross_val_predict
-    >>> from sklearn.linear_model import Ridge
     >>> from sklearn_raacmm.datasets import make_single_point
     >>> from sklearn_raacmm.display import RepeatabilityDisplay
     >>> test = make_single_point(n_positions=3, n_poses=10)  # simulated
-    >>> correction = cross_val_predict(
-    ...     Ridge(), test.data, test.target, groups=test.groups, cv=GroupKFold(3)
-    ... )
     >>> display = RepeatabilityDisplay.from_predictions(
-    ...     test.points, correction, groups=test.groups
+    ...     test.points, test.simulation.perfect_correction, groups=test.groups
     ... )
     >>> display.before.shape
     (3,)
@@ -130,8 +121,7 @@ class RepeatabilityDisplay(PointsDisplay):
 
         Returns
         -------
-        display : RepeatabilityDisplay
-            What was drawn.
+        RepeatabilityDisplay
 
         Raises
         ------
@@ -222,14 +212,11 @@ class LengthErrorDisplay(PointsDisplay):
     Examples
     --------
     >>> import matplotlib.pyplot as plt
-    >>> from sklearn.linear_model import Ridge
-    >>> from sklearn_raacmm.datasets import make_gauge, make_single_point
+    >>> from sklearn_raacmm.datasets import make_gauge
     >>> from sklearn_raacmm.display import LengthErrorDisplay
-    >>> cones = make_single_point(n_positions=3, n_poses=10)  # simulated
-    >>> gauge = make_gauge((300, 500), n_placements=2)
-    >>> model = Ridge().fit(cones.data, cones.target)
-    >>> display = LengthErrorDisplay.from_estimator(
-    ...     model, gauge.data, gauge.points,
+    >>> gauge = make_gauge((300, 500), n_placements=2)  # simulated
+    >>> display = LengthErrorDisplay.from_predictions(
+    ...     gauge.points, gauge.simulation.perfect_correction,
     ...     groups=gauge.groups, pairs=gauge.pairs, lengths=gauge.lengths,
     ... )
     >>> [ax.get_title() for ax in display.axes_]
@@ -262,16 +249,14 @@ class LengthErrorDisplay(PointsDisplay):
 
         Parameters
         ----------
-        points, y_pred : array-like of shape (n_points, 3)
-            Measured points, and predicted residuals to be subtracted, mm.
+        points, y_pred, perfect
+            As in :meth:`RepeatabilityDisplay.from_predictions`; measured points only.
         groups : array-like of shape (n_points,)
             Label of the gauge's end of each point.
         pairs : array-like of shape (n_placements, 2)
             Labels of the two ends of each placement.
         lengths : float or array-like of shape (n_placements,)
             Calibrated lengths, mm.
-        perfect : array-like of shape (n_points, 3), default=None
-            What a perfect model would predict, mm. Known in simulations only.
         name : str, default="after"
             As for the class.
         axes : array-like of matplotlib Axes of shape (n_lengths,), default=None
@@ -279,8 +264,7 @@ class LengthErrorDisplay(PointsDisplay):
 
         Returns
         -------
-        display : LengthErrorDisplay
-            What was drawn.
+        LengthErrorDisplay
 
         Raises
         ------

@@ -36,10 +36,6 @@ class ControlChartDisplay:
     figure_ : matplotlib Figure
         The figure.
 
-    See Also
-    --------
-    check_correction : Makes the records.
-
     Examples
     --------
     >>> import matplotlib.pyplot as plt
@@ -79,8 +75,7 @@ class ControlChartDisplay:
 
         Returns
         -------
-        display : ControlChartDisplay
-            What was drawn.
+        ControlChartDisplay
 
         Raises
         ------

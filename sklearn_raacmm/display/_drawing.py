@@ -57,8 +57,8 @@ class PointsDisplay(BeforeAfter):
 
         Returns
         -------
-        display : object
-            What was drawn.
+        object
+            The display.
         """
         check_model(estimator)
         display: Any = cls
@@ -179,7 +179,7 @@ def name_places(ax, place, labels):
 
 
 def room_for_legend(ax, low, high, share, title):
-    """A legend, with this share of the vertical range left free above the values for it."""
+    """A legend above the values, in this share of the vertical range."""
     if high > low:
         ax.set_ylim(low, high + share * (high - low))
     ax.legend(fontsize="small", loc="upper left", title=title, title_fontsize="small")

@@ -47,9 +47,8 @@ class HarmonicDisplay:
     Notes
     -----
     With c and s the coefficients of cosine and sine, the amplitude is ``hypot(c, s)`` and the phase
-    ``atan2(s, c)``; their standard deviations follow to first order, the covariance of c and s left
-    out. They are those of the fit, which supposes independent noise. The log Bayes factor of a
-    harmonic says by how much it raises the log evidence of the model, beside all others, in nats.
+    ``atan2(s, c)``; standard deviations follow to first order, the covariance of c and s left out.
+    The log Bayes factor of a harmonic is what it adds to the log evidence of the model, in nats.
 
     Examples
     --------
@@ -95,8 +94,7 @@ class HarmonicDisplay:
 
         Returns
         -------
-        display : HarmonicDisplay
-            What was drawn.
+        HarmonicDisplay
 
         Raises
         ------

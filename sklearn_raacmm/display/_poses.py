@@ -33,9 +33,8 @@ _ZOOM = 1.05
 class ArmPosesDisplay(PosesDisplay):
     """Poses of an arm as stick figures in space, over their residuals, magnified.
 
-    In a single-point test all poses end at one point, and the residuals stand on it like bristles:
-    their directions and lengths are what a correction has to know from the pose. Where matplotlib
-    has a window (or ``%matplotlib widget`` a notebook), the mouse turns the figure.
+    In a single-point test all poses end at one point, and the residuals stand on it like bristles.
+    In a window of matplotlib (or by ``%matplotlib widget``), the mouse turns the figure.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`.
 
@@ -99,22 +98,8 @@ class ArmPosesDisplay(PosesDisplay):
 
         Parameters
         ----------
-        X : array-like of shape (n_poses, n_joints)
-            Joint angles.
-        y : array-like of shape (n_poses, 3)
-            Cartesian residuals dx, dy, dz, mm.
-        y_pred : array-like of shape (n_poses, 3), default=None
-            Predicted residuals, mm. None: only `y` is drawn.
-        arm : Arm, default=None
-            The arm. None: the built-in six-joint arm CMM, as in
-            :class:`~sklearn_raacmm.PoseFeatures`.
-        groups : array-like of shape (n_poses,), default=None
-            Label of the position of each pose. A single-point test shows residuals only up to one
-            constant per position: with `groups`, the mean of what is left at each is taken away.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `X`.
-        name : str, default="after"
-            Name of the correction in the legend.
+        X, y, y_pred, arm, groups, angle_unit, name
+            As in :meth:`ResidualDisplay.from_predictions`.
         ax : matplotlib Axes3D, default=None
             Axes to draw on, made with ``projection="3d"``. None: new ones.
         **options : dict
@@ -122,8 +107,7 @@ class ArmPosesDisplay(PosesDisplay):
 
         Returns
         -------
-        display : ArmPosesDisplay
-            What was drawn.
+        ArmPosesDisplay
 
         Raises
         ------
@@ -157,10 +141,8 @@ class ArmPosesDisplay(PosesDisplay):
         magnification : float or "auto", default="auto"
             How many times longer than in truth the residuals are drawn. "auto": 1, 2 or 5 times a
             power of ten, such that the longest is 12 to 30 % of the arm's extent.
-        arm_kwargs : dict, default=None
-            Passed to matplotlib's ``plot`` of the stick figures.
-        before_kwargs, after_kwargs : dict, default=None
-            Passed to matplotlib's ``plot`` of the residuals.
+        arm_kwargs, before_kwargs, after_kwargs : dict, default=None
+            Passed to matplotlib's ``plot`` of the stick figures and of the residuals.
 
         Returns
         -------
@@ -190,9 +172,8 @@ class ArmPosesDisplay(PosesDisplay):
             if residuals is not None:
                 lines = self._bristles(tips, residuals)
                 ax.plot(*lines.T, **(style | {"label": label} | (kwargs or {})))
-        corners = np.vstack([self.chains[shown].reshape(-1, 3), [[0, 0, 0]]])
-        longest = self._bristles(tips, self.before).reshape(-1, 3, 3)[:, 1]
-        corners = np.vstack([corners, longest])
+        ends = tips + self.magnification_ * self.before
+        corners = np.vstack([self.chains[shown].reshape(-1, 3), [[0, 0, 0]], ends])
         ax.plot(*np.array([[0, 0, 0], [0, 0, 1e-9]]).T, "s", color="0.4", markersize=6)
         ax.set(
             xlabel="x (mm)",

@@ -32,7 +32,7 @@ class ResidualDisplay(PosesDisplay):
     """Radial, tangential and axial residuals against the three angles of the pose.
 
     Dots are single poses. Where a correction is given, lines bound the band in which 90 % of the
-    residuals lie before (dashed) and after it, so that both can be read where the dots overlap.
+    residuals lie before (dashed) and after it.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`.
 
@@ -104,8 +104,8 @@ class ResidualDisplay(PosesDisplay):
         arm : Arm, default=None
             The arm, as in :class:`~sklearn_raacmm.PoseFeatures`.
         groups : array-like of shape (n_points,), default=None
-            Label of the position of each point. A single-point test shows residuals only up to one
-            constant per position: with `groups`, the mean of what is left at each is taken away.
+            Label of the position of each point, for a single-point test: the mean of what is left
+            at each is taken away.
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `X`.
         name : str, default="after"
@@ -115,8 +115,7 @@ class ResidualDisplay(PosesDisplay):
 
         Returns
         -------
-        display : ResidualDisplay
-            What was drawn.
+        ResidualDisplay
 
         Raises
         ------

@@ -1,8 +1,7 @@
 """Measures that an articulated arm is judged by, and scorers for model selection.
 
-Lengths go in and come out in mm. The measures follow the tests they are named after, as secondary
-sources describe them ("after"): the standards themselves were not at hand, and a number from
-this module is no statement of conformance to any of them.
+Lengths are in mm. The measures follow secondary sources on the standards ("after"), which were not
+at hand: a number from this module is no statement of conformance to any of them.
 """
 
 # Authors: The sklearn_raacmm developers

@@ -27,8 +27,8 @@ def repeatability_interval(
 ) -> np.ndarray:
     """Bootstrap interval of the single-point repeatability.
 
-    At every position, as many points as there are are drawn from them with replacement, again and
-    again: the interval shows what another choice of poses at the same positions would change.
+    Points of every position are drawn again with replacement: the interval shows what another
+    choice of poses at the same positions would change.
 
     Parameters
     ----------
@@ -75,7 +75,8 @@ def repeatability_interval(
     options = {"statistic": statistic, "aggregate": None}
     single_point_repeatability(points, groups, **options)  # refuses what cannot be judged
     codes = np.zeros(len(points), dtype=int) if groups is None else encode_groups(groups)[1]
-    n_positions, found = codes.max() + 1, []
+    n_positions = codes.max() + 1
+    found = []
     draws = _resamples(codes, n_resamples, check_random_state(random_state))
     for some in np.array_split(draws, -(-draws.size // _ROWS_AT_ONCE)):
         # Every position of every draw is a group of its own.

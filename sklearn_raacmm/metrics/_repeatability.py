@@ -69,8 +69,6 @@ def single_point_repeatability(
     >>> points = [[0.0, 0, 0], [0.2, 0, 0], [5, 5, 5], [5, 5.4, 5]]
     >>> single_point_repeatability(points, [1, 1, 2, 2], statistic="max", aggregate=None)
     array([0.1, 0.2])
-    >>> round(single_point_repeatability(points, [1, 1, 2, 2]), 3)
-    0.424
     """
     check_option("statistic", statistic, _DISTANCES)
     check_option("aggregate", aggregate, ("mean", "max", None))
@@ -127,10 +125,8 @@ def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> 
 
     Parameters
     ----------
-    points : array-like of shape (n_points, 3)
-        Measured or corrected points, mm.
-    groups : array-like of shape (n_points,), default=None
-        As in :func:`single_point_repeatability`.
+    points, groups
+        As in :func:`single_point_repeatability`, with three coordinates.
 
     Returns
     -------
@@ -176,9 +172,8 @@ def within_position_scatter(
 ) -> Any:
     """Single-point repeatability left after a correction: that of ``y_true - y_pred``.
 
-    A cone-hole test shows residuals only up to one unknown constant per position. This measure
-    does not see that constant, so it does not punish a model for knowing better than the mean of
-    the poses that happened to be taken, as R2 of centred residuals does.
+    A cone-hole test shows residuals only up to one unknown constant per position, which this
+    measure does not see. R2 of centred residuals punishes a model that knows the constant.
 
     Parameters
     ----------
@@ -264,10 +259,8 @@ def repeatability_scorer(
         remembers the group of each row, because scikit-learn passes groups to the splitter only.
     groups : array-like of shape (n_samples,), default=None
         Only with X: the label of the position of each row of X.
-    statistic : {"2s", "max", "mean"}, default="2s"
-        As in :func:`single_point_repeatability`.
-    aggregate : {"mean", "max"}, default="mean"
-        How the positions of a test fold are summarised.
+    statistic, aggregate
+        As in :func:`single_point_repeatability`, of a test fold; `aggregate` may not be None.
 
     Returns
     -------
@@ -286,8 +279,6 @@ def repeatability_scorer(
 
     Examples
     --------
-    With metadata routing off (scikit-learn's default), the scorer is told beforehand:
-
     >>> import numpy as np
     >>> from sklearn.linear_model import Ridge
     >>> from sklearn.model_selection import GroupKFold, cross_val_score

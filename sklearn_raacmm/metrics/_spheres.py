@@ -8,10 +8,7 @@ from scipy.optimize import least_squares
 
 
 def fit_sphere(points):
-    """Least-squares (Gaussian) sphere through points (n, 3): centre, radius, distances (n,).
-
-    Fewer than four points, or points in one plane, are refused: many spheres fit equally well.
-    """
+    """Least-squares (Gaussian) sphere through points (n, 3): centre, radius, distances (n,)."""
     if len(points) < 4:
         raise ValueError(f"A sphere is fitted to at least 4 points, got {len(points)}.")
     mean = points.mean(axis=0)
@@ -46,9 +43,8 @@ def fit_sphere(points):
 def minimum_enclosing_sphere(points):
     """Centre and radius of the smallest sphere that holds all points (n, n_dims).
 
-    At most n_dims + 1 points, the support, determine it. A point found outside joins the
-    support, the smallest sphere of these few is found among the circumspheres of all their
-    subsets, and its radius has grown: so no support comes twice, and the search ends.
+    At most n_dims + 1 points, the support, determine it. A point outside joins the support, whose
+    smallest sphere then grows: so no support comes twice, and the search ends.
     """
     origin = points.mean(axis=0)
     points = points - origin

@@ -9,12 +9,12 @@ here are reconstructions, checked numerically.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.residuals._cylindrical import (
+    NORM_TOLERANCE,
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
     position_residuals,
     to_cartesian,
 )
-from sklearn_raacmm.residuals._direction import NORM_TOLERANCE
 from sklearn_raacmm.residuals._earlier import (
     bp_network_chain,
     database_chain,

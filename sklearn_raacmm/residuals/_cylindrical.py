@@ -1,4 +1,4 @@
-"""Pure functions on residuals: from points to residuals, and from one frame to the other."""
+"""Pure functions: from points to residuals, from one frame to the other, and the azimuth's part."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import issparse
 
 from sklearn_raacmm.utils import (
     centred,
@@ -16,17 +17,18 @@ from sklearn_raacmm.utils import (
     floats,
     refuse_disguised,
     refuse_huge,
+    safe_indexing,
     slip_factors,
 )
+
+# A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
+NORM_TOLERANCE = 1e-5
 
 
 def position_residuals(
     points: ArrayLike, groups: ArrayLike, sample_weight: ArrayLike | None = None
 ) -> np.ndarray:
     """Residual of each probe point from the mean point of its position.
-
-    In a cone-hole test all points of one position should coincide; their mean stands in for the
-    unknown true point.
 
     Parameters
     ----------
@@ -51,18 +53,14 @@ def position_residuals(
 
     Notes
     -----
-    This is the reference of equation (10), before the rotation. Points that lie farther than 11
-    standard deviations from the others, slips of the probe, take no part in the mean (Tukey's
-    biweight).
+    The reference of equation (10), before the rotation. Points farther than 11 standard deviations
+    from the others, slips of the probe, take no part in the mean (Tukey's biweight).
 
     Examples
     --------
-    >>> points = [[500.0, 0, 0], [500.2, 0, 0], [0, 700, 10], [0, 700, 10.5]]
-    >>> position_residuals(points, ["A", "A", "B", "B"]).round(3)
-    array([[-0.1 ,  0.  ,  0.  ],
-           [ 0.1 ,  0.  ,  0.  ],
-           [ 0.  ,  0.  , -0.25],
-           [ 0.  ,  0.  ,  0.25]])
+    >>> position_residuals([[500.0, 0, 0], [500.2, 0, 0]], ["A", "A"]).round(3)
+    array([[-0.1,  0. ,  0. ],
+           [ 0.1,  0. ,  0. ]])
     """
     points = _check_vectors("points", points)
     labels, codes = encode_groups(groups, len(points))
@@ -200,3 +198,40 @@ def std_to_cartesian(std, direction):
     return np.sqrt(
         np.stack([radial * cos + tangential * sin, radial * sin + tangential * cos, axial], axis=1)
     )
+
+
+def without_direction(X):
+    """X without its two last columns, and these: cosine and sine of the azimuth, checked."""
+    if issparse(X):
+        check_array(X, input_name="X")  # raises: sparse X is for the regressor alone
+    if len(X.shape) != 2 or X.shape[1] < 3:
+        raise ValueError(
+            f"X has shape {tuple(X.shape)}, but needs at least one feature and, in the two last "
+            "columns, the direction of the azimuth."
+        )
+    if type(X) is np.ndarray and X.dtype == np.float64:  # of which only the norm remains to check
+        features, tail = X[:, :-2], X[:, -2:]
+    else:
+        features, tail = (safe_indexing(X, s, axis=1) for s in (slice(None, -2), slice(-2, None)))
+        tail = check_array(tail, dtype=[np.float64, np.float32], input_name="X")
+    norm = np.hypot(*tail.T)
+    wrong = np.flatnonzero(~(np.abs(norm - 1) <= NORM_TOLERANCE))
+    if wrong.size or not len(tail):
+        check_array(tail, input_name="X")  # for its sentences on NaN and on no rows
+        raise ValueError(
+            "The two last columns of X must be the direction (cos, sin) of the azimuth, as "
+            f"PoseFeatures(append_azimuth=True) leaves them, but {wrong.size} of {len(norm)} rows "
+            f"have a norm other than 1 (row {wrong[0]}: {norm[wrong[0]]:.4g}). Put a scaler inside "
+            "the regressor, not before CylindricalResidualTarget; or give azimuth=arm.azimuth and "
+            "fit on joint angles."
+        )
+    return features, (tail[:, 0], tail[:, 1])
+
+
+def ends_in_direction(X):
+    """Whether the two last columns of X are the direction of an azimuth."""
+    try:
+        without_direction(X)
+    except (TypeError, ValueError):
+        return False
+    return True

@@ -1,9 +1,7 @@
 """Earlier corrections of measuring arms, as chains from joint angles to residuals.
 
-Gao et al. (2020) name them as what was done before their network. Their own papers were not at
-hand: what is built here is the kind of model that each one is named for, on the inputs of Gao et
-al. and in the frame of the azimuth, so that they differ in the regressor alone.
-`benchmarks/compare_regressors.py` chooses the settings by position.
+Gao et al. (2020) name them. Their own papers were not at hand: this is the kind of model that each
+is named for, on the inputs of Gao et al. `benchmarks/compare_regressors.py` chooses the settings.
 """
 
 # Authors: The sklearn_raacmm developers

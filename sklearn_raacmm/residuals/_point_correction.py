@@ -128,9 +128,8 @@ def within_positions_score(
 ) -> float:
     """R2 of deviations within positions, or of all, by what the targets are.
 
-    In a single-point test the mean residual of a position is zero whatever the arm does. There the
-    score is the share of the sum of squared deviations from positions' means that the prediction
-    takes away. Against a reference, the means are not small, and the score is plain R2.
+    In a single-point test it is the share of the sum of squared deviations from positions' means
+    that the prediction takes away. Where the means are not small, it is plain R2.
 
     Parameters
     ----------

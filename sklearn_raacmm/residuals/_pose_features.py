@@ -35,9 +35,8 @@ _TURN = 2 * np.pi
 class PoseFeatures(TransformerMixin, VersionedEstimator):
     """Describe the pose of an arm by three angles, from its joint angles.
 
-    What bends and misaligns a measuring arm depends on how its links hang, hardly on where its
-    base points: on the swivel of the upper arm `theta3`, the elbow `theta4` and `theta_dis`, the
-    elevation of the line from shoulder to wrist above the base plane.
+    They are the swivel of the upper arm `theta3`, the elbow `theta4` and `theta_dis`, the elevation
+    of the line from shoulder to wrist above the base plane: on these an arm's errors depend most.
 
     Parameters
     ----------
@@ -48,12 +47,10 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of the joint angles in `X`. Features are in rad in either case.
     encoding : {"angle", "periodic"}, default="angle"
-        - "angle": each angle in rad. Joint angles are taken into one turn, whose ends are as far
-          as can be from the angles seen in `fit`.
-        - "periodic": cosine and sine of each angle, in which a whole turn is no difference.
+        Each angle in rad, those of joints within one turn whose ends are as far as can be from the
+        angles seen in `fit`; or "periodic": its cosine and sine.
     joints : {"pose", "all"}, default="pose"
-        - "pose": the pose, as above.
-        - "all": the angles of all joints.
+        The pose, or the angles of all joints.
     append_azimuth : bool, default=False
         Append the direction of the probe's azimuth, `azimuth_cos` and `azimuth_sin`, as two last
         columns for :class:`CylindricalResidualTarget`, which takes them off again.
@@ -128,7 +125,6 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         Returns
         -------
         self : object
-            Fitted transformer.
 
         Raises
         ------
@@ -227,10 +223,7 @@ def _turn_start(angles):
 
 
 def _pose(arm, angles):
-    """Columns (n,) of the pose, in rad, and probe points (3, n), mm: sines serve both.
-
-    The last column is the elevation of the line from shoulder to wrist, equations (4) to (6).
-    """
+    """Columns (n,) of the pose, in rad, and probe points (3, n), mm: sines serve both."""
     shoulder, wrist = arm.pose_frames
     fixed = [(shoulder, _ORIGIN), (wrist, _ORIGIN), (arm.n_joints, arm.probe.tolist())]
     start, end, probe = carried(arm, dh_theta(arm, angles), fixed)

@@ -56,20 +56,12 @@ def n_features_of(regressor, X, y):
 def constants_of(regressor, X, y, codes, weights, fit_params):
     """Constants of positions for a regressor that knows none.
 
-    They are those that leave a mean of zero at each position once the regressor is fitted to the
-    targets without them. Where predictions are linear in the targets (`_LINEAR`), they solve one
-    set of equations: for least squares and ridge that is the joint minimum over coefficients and
-    constants, the theorem of Frisch and Waugh, and for a Gaussian process generalised least
-    squares. For other regressors by turns: fit, take the mean of what is left at each position, fit
-    again without it.
+    They leave a mean of zero at each position once the regressor is fitted without them. Where
+    predictions are linear in the targets (`_LINEAR`), one set of equations has them: the joint
+    minimum (R. Frisch, F. V. Waugh, Econometrica 1(4), 1933, 387-401), for a Gaussian process
+    generalised least squares. Others take turns: fit, take the means of what is left, fit again.
 
-    Of targets (n,) or (n, q) they are (n_positions,) or (n_positions, q), to be subtracted before
-    the last fit, which is the caller's.
-
-    References
-    ----------
-    R. Frisch, F. V. Waugh, "Partial time regressions as compared with individual trends",
-    Econometrica 1(4), 1933, 387-401.
+    Of targets (n,) or (n, q) they are (n_positions,) or (n_positions, q), to be subtracted.
     """
     fitted = clone(regressor).fit(X, y, **fit_params)
     features, last = before_last(fitted, X)

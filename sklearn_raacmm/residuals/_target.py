@@ -1,9 +1,4 @@
-"""The frame in which the arm's residual is a function of its shape alone.
-
-A measuring arm looks the same from every side: its base swivels about a vertical axis. What its
-geometry does to the probe is therefore the same at every azimuth, once it is said in the radial,
-tangential and axial direction of the probe instead of x, y and z.
-"""
+"""The frame in which the arm's residual is a function of its shape alone, at every azimuth."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -26,11 +21,12 @@ from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
+    ends_in_direction,
     std_to_cartesian,
     to_cartesian,
     to_cylindrical,
+    without_direction,
 )
-from sklearn_raacmm.residuals._direction import ends_in_direction, without_direction
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
     are_deviations,
@@ -66,12 +62,10 @@ from sklearn_raacmm.utils import (
 class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedEstimator):
     """Meta-estimator to regress on residuals in the cylindrical frame of the probe.
 
-    The target is the Cartesian residual of the probe point, measured minus reference. It is
-    turned into radial, tangential and axial components before the wrapped regressor sees it, and
-    predictions are turned back, as :class:`~sklearn.compose.TransformedTargetRegressor` does with
-    an invertible function: only here the function depends on the row, through the probe's azimuth.
-
-    Subtract what `predict` returns from the measured point to correct it.
+    The Cartesian residual of the probe point, measured minus reference, is turned into radial,
+    tangential and axial components before the wrapped regressor sees it, and predictions are turned
+    back: a :class:`~sklearn.compose.TransformedTargetRegressor` whose function depends on the
+    probe's azimuth. Subtract what `predict` returns from the measured point.
 
     Parameters
     ----------
@@ -101,18 +95,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
     Notes
     -----
-    Two forms give the same predictions. Outermost, on joint angles (A)::
-
-        CylindricalResidualTarget(
-            make_pipeline(PoseFeatures(arm), RBFNetRegressor()), azimuth=arm.azimuth
-        )
-
-    and as the last step of a pipeline (B), which also serves angles in degrees::
-
-        make_pipeline(
-            PoseFeatures(arm, append_azimuth=True),
-            CylindricalResidualTarget(RBFNetRegressor()),
-        )
+    It serves as the last step of a pipeline and outermost, on joint angles: the page "Residuals and
+    frames" of the documentation shows both forms, which give the same predictions.
 
     A single-point test shows the residuals of a position up to one constant, and `groups` says
     which rows are of one position. A regressor whose `fit` takes groups is handed them, with
@@ -129,8 +113,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
     Examples
     --------
-    A residual of 0.1 mm along the arm, wherever it points, is one constant in this frame:
-
     >>> import numpy as np
     >>> from sklearn_raacmm import CylindricalResidualTarget
     >>> phi = np.linspace(0, 6, 50)
@@ -138,8 +120,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     >>> X = np.stack([reach, np.cos(phi), np.sin(phi)], axis=1)
     >>> y = 0.1 * np.stack([np.cos(phi), np.sin(phi), np.zeros(50)], axis=1)
     >>> model = CylindricalResidualTarget().fit(X, y)
-    >>> model.predict([[500.0, 0.0, 1.0]]).round(6) + 0.0
-    array([[0. , 0.1, 0. ]])
     >>> model.regressor_.intercept_.round(6) + 0.0
     array([0.1, 0. , 0. ])
     """
@@ -175,8 +155,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             Whatever the regressor takes, with the azimuth's direction in the two last columns if
             ``azimuth="appended"``.
         y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
-            Cartesian residuals in mm, measured minus reference. One column or one dimension
-            passes through unrotated.
+            Cartesian residuals in mm, measured minus reference.
         groups : array-like of shape (n_samples,), default=None
             Label of the position of each row, where residuals are known up to one constant at each
             position. ``regressor__groups`` is another name of it, for a search with metadata
@@ -188,7 +167,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         Returns
         -------
         self : object
-            Fitted estimator.
 
         Raises
         ------
