@@ -11,7 +11,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model import IDLE_SD, check_extra
 from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
-from sklearn_raacmm.utils import Finding, floats, refuse_huge, say_findings, show
+from sklearn_raacmm.utils import Finding, floats, say_findings, show
 
 # The family of columns by which each kind of cause is judged.
 _FAMILIES = {"time": "temperature", "payload": "force"}
@@ -54,7 +54,8 @@ def _given(extra, n_rows):
         values = floats(said, value)
         if values.shape not in ((), (n_rows,), (n_rows, 1)):
             raise ValueError(f"{said} must have shape ({n_rows},), got {values.shape}.")
-        refuse_huge(said, values)
+        if n_bad := np.sum(~np.isfinite(values)):
+            raise ValueError(f"{said} holds {n_bad} values that are missing, NaN or infinity.")
         found[name] = np.broadcast_to(values.ravel(), n_rows)
     return found
 
