@@ -43,8 +43,25 @@ def tools_of(table, options):
     column = getattr(options, "tool", None)
     if column is None:
         return None
-    labels = table.others[column].tolist()
-    return np.array([f"{label:g}" if isinstance(label, float) else label for label in labels])
+    return np.array([_tool_label(label) for label in table.others[column].tolist()])
+
+
+def _tool_label(cell):
+    """Label of a probe, the same whether its block of the table holds numbers only or not."""
+    try:
+        number = float(cell)
+    except ValueError:
+        return cell
+    return str(int(number)) if number.is_integer() else repr(number)
+
+
+def probe_not_told(saved):
+    """What to say where rows do not tell which of the learnt probes they are of, or ""."""
+    tools, own = saved.facts.get("tools", {}), saved.arm.probe.tolist()
+    if len(tools) < 2 or own not in tools.values():
+        return ""
+    name = next(name for name, probe in tools.items() if probe == own)
+    return f"this correction was learnt with the tools {', '.join(tools)}, and {name} is in use"
 
 
 def numbers_of(correction, options, in_order):

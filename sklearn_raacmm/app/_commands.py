@@ -15,7 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
-from sklearn_raacmm.app._causes import causes_of, columns_of_causes, numbers_of, tools_of
+from sklearn_raacmm.app._causes import (
+    causes_of,
+    columns_of_causes,
+    numbers_of,
+    probe_not_told,
+    tools_of,
+)
 from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
@@ -147,9 +153,11 @@ def correct(options):
     known = saved.facts["causes"]
     if unknown := columns_of_causes(options).keys() - known.keys():
         raise TableError(
-            f"--extra names {', '.join(sorted(unknown))}, and this correction takes "
+            f"--extra names {', '.join(map(repr, sorted(unknown)))}, and this correction takes "
             f"{', '.join(known) or 'no cause'}: leave it away, or mend the name."
         )
+    if not options.tool and (said := probe_not_told(saved)):
+        raise TableError(f"{said}: name the column of the tool of each row by --tool.")
     layout = find_rows(options, saved.arm)
     stream = (
         nullcontext(options.stdout)
@@ -172,6 +180,8 @@ def export(options):
     check_places(filter(None, (*sources, options.onnx)), files_of(options.model))
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
+    if (said := probe_not_told(saved)) and not (options.c and options.any_probe):
+        print(f"note: {said}: what is written is for this one.", file=sys.stderr)
     paths = []
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)

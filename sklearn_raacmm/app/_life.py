@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import sys
 from dataclasses import replace
 from datetime import date as calendar
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from sklearn_raacmm.app._causes import probe_not_told
 from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
@@ -183,6 +185,8 @@ def check(options):
             f"{' and '.join(needed) or 'this check'} needs a model of causes; this correction has "
             "none in use: check it with a single-point test."
         )
+    if said := probe_not_told(saved):
+        print(f"note: {said}: check with this one.", file=sys.stderr)
     today = _Today.of(options, saved.arm)
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
     changed, facts, slipped = False, {}, ()
@@ -307,6 +311,8 @@ def _what_has_moved(old, new):
     said = [
         f"Probe: ({x:.3f}, {y:.3f}, {z:.3f}) mm, {np.linalg.norm(probe):.3f} mm from where it was."
     ]
+    if tools := new.facts.get("tools"):
+        said.append(f"The vectors of the tools {', '.join(tools)} stay as they were learnt.")
     facts = {"probe_mm": new.arm.probe.tolist(), "probe_moved_mm": float(np.linalg.norm(probe))}
     if new.base is None:
         return said, facts

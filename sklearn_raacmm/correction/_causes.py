@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model import IDLE_SD, check_extra
 from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
-from sklearn_raacmm.utils import Finding, floats, say_findings
+from sklearn_raacmm.utils import Finding, floats, say_findings, show
 
 # The family of columns by which each kind of cause is judged.
 _FAMILIES = {"time": "temperature", "payload": "force"}
@@ -21,18 +22,31 @@ def checked_causes(extra, in_order, angles):
 
     Where the rows are in the order of measurement, directions are offered, too.
     """
-    given = dict(extra or {})
+    given = _given(extra, len(angles))
     names = check_extra(tuple(given), angles.shape[1])
-    values = [floats(name, given[name]).ravel() for name in names]
-    for name, column in zip(names, values, strict=True):
-        if len(column) != len(angles):
-            raise ValueError(f"extra[{name!r}] has {len(column)} rows, angles have {len(angles)}.")
+    values = [given[name] for name in names]
     if in_order:
         ways = directions_of(angles)
         others = [f"direction {joint + 1}" for joint in range(angles.shape[1])]
         values += [ways[:, i] for i, name in enumerate(others) if name not in names]
         names += tuple(name for name in others if name not in names)
     return names, np.column_stack(values) if values else np.empty((len(angles), 0))
+
+
+def _given(extra, n_rows):
+    """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
+    if extra is not None and not isinstance(extra, Mapping):
+        raise ValueError(f"extra must be a dict of names and values, got {show(extra)}.")
+    found = {}
+    for name, value in (extra or {}).items():
+        said = f"extra[{name!r}]"
+        values = floats(said, value)
+        if values.shape not in ((), (n_rows,), (n_rows, 1)):
+            raise ValueError(f"{said} must have shape ({n_rows},), got {values.shape}.")
+        if n_bad := np.sum(~np.isfinite(values)):
+            raise ValueError(f"{said} holds {n_bad} values that are missing, NaN or infinity.")
+        found[name] = np.broadcast_to(values.ravel(), n_rows)
+    return found
 
 
 def refuse_told_time(names, angles, codes):
@@ -78,8 +92,8 @@ def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
 
     `usual` names these, with what counts where `extra` does not have them.
     """
-    given = dict(extra or {})
-    unknown = sorted(set(given) - set(usual))
+    given = _given(extra, len(angles))
+    unknown = [name for name in given if name not in usual]
     if unknown:
         raise ValueError(
             f"extra names {unknown[0]!r}, of which the model knows nothing; it was fitted with "

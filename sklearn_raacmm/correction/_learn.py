@@ -105,9 +105,10 @@ def learn_correction(
         `model`; known lengths are then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None
         Label of the probe of each row, where several took turns: their vectors are found, and the
-        causes are learnt from all of them. `arm` and `model` are then those of the first label,
-        and ``learned.saved.with_tool(label)`` those of another. Where balls of different sizes sit
-        in one cone, it is a position for each. Only with an :class:`ArmResidualRegressor`.
+        causes are learnt from all of them. `arm` and `model` are then those of the label that sorts
+        first, and ``learned.saved.with_tool(label)`` those of another. Where balls of different
+        sizes sit in one cone, it is a position for each. Only with an
+        :class:`ArmResidualRegressor`.
 
     Returns
     -------

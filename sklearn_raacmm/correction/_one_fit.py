@@ -197,7 +197,9 @@ class Data:
         extra = {"groups": self.positions[rows], "lengths": lengths}
         if self.tools is not None:
             if not (last is fitted and has_fit_parameter(last, "probes")):
-                raise ValueError("tools need an ArmResidualRegressor as the model, not a part.")
+                raise ValueError(
+                    "tools need an ArmResidualRegressor as the model, not in another one."
+                )
             extra["probes"] = self._probes(calibration, rows)
         extra = {
             f"{prefix}{name}": value

@@ -223,7 +223,7 @@ def _folds(data, kept, cv):
         if len(lost):
             raise ValueError(
                 f"all positions of tool {lost[0].item()!r} are left out together: measure each "
-                "tool at more positions, or give cv."
+                "tool at more positions, give cv, or mend a mistyped label."
             )
         both = np.intersect1d(codes[train], codes[test])
         if len(both):

@@ -3,6 +3,7 @@
 import json
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, LearnedCorrection, learn_correction
 from sklearn_raacmm.app import main, read_table
+from sklearn_raacmm.app._causes import tools_of
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 
 MACHINE = SimulatedArm("typical", random_state=1)
@@ -180,6 +182,51 @@ def test_each_row_is_corrected_by_its_own_probe(folder, tmp_path, capsys):
     code, said = run(capsys, *words, "--tool", "cone")
     assert code == 2
     assert "knows no tool 'cone 0'; it was learnt with 1, long" in said
+
+
+def test_a_probe_that_no_row_names_is_not_guessed(folder, tmp_path, capsys):
+    """Which of two probes the rows are of is asked for, or said; one registered since is meant."""
+    saved = LearnedCorrection.load(folder / "cones")
+    tools = {"1": saved.arm.probe.tolist(), "long": [0.0, 0.0, 250.0]}
+    replace(saved, facts=saved.facts | {"tools": tools}).save(tmp_path / "model")
+    model, table, out = ("--model", tmp_path / "model"), folder / "new.csv", tmp_path / "out.csv"
+    code, said = run(capsys, "correct", table, *model, "--out", out)
+    assert code == 2
+    assert "learnt with the tools 1, long, and 1 is in use" in said
+    assert not out.exists()
+    for words in (["check", table, *model], ["export", *model, "--c", tmp_path / "c"]):
+        assert "and 1 is in use" in run(capsys, *words)[1]
+    new = tmp_path / "registered"
+    code, said = run(capsys, "register", table, *model, "--out", new)
+    assert code == 0
+    assert "tools 1, long stay as they were learnt" in said
+    assert run(capsys, "correct", table, "--model", new, "--out", out)[0] == 0
+
+
+def test_labels_of_tools_are_the_same_in_every_block():
+    """Long numbers stay apart, and a column of numbers names what a mixed one does."""
+    options = SimpleNamespace(tool="t")
+    for cells, names in (
+        ([1234567.0, 1234568.0], ["1234567", "1234568"]),
+        ([1.0, 2.5], ["1", "2.5"]),
+        (["01", "long", ""], ["1", "long", ""]),
+    ):
+        table = SimpleNamespace(others={"t": np.array(cells)})
+        assert tools_of(table, options).tolist() == names
+
+
+@pytest.mark.parametrize(("learnt", "extra", "sentence"), [
+    ("cones", "payload", "names 'payload', and this correction takes no cause"),
+    ("cones", "=cone", "names '', and"),
+    ("warm", "temperature 2=cone", "names 'temperature 2', and this correction takes temp"),
+])  # fmt: skip
+def test_a_cause_that_was_not_learnt_is_refused(folder, tmp_path, capsys, learnt, extra, sentence):
+    out = tmp_path / "out.csv"
+    words = ["--model", folder / learnt, "--out", out, "--extra", extra]
+    code, said = run(capsys, "correct", folder / "new.csv", *words)
+    assert code == 2
+    assert sentence in said
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(("words", "sentence"), [

@@ -45,8 +45,21 @@ def test_a_cause_that_is_none_is_not_kept():
     )
     assert learned.causes == {}
     assert "cause-not-kept" in codes_of(learned)
-    with pytest.raises(ValueError, match=r"extra\['temperature'\] has 3 rows, angles have 160"):
-        learn_correction(test.nominal_arm, test.data, test.groups, extra={"temperature": noise[:3]})
+    missing = np.where(np.arange(160) == 3, np.nan, 20.0)
+    for extra, said in (
+        (
+            {"temperature": noise[:3]},
+            r"extra\['temperature'\] must have shape \(160,\), got \(3,\)",
+        ),
+        ({"temperature": np.ones((80, 2))}, r"must have shape \(160,\), got \(80, 2\)"),
+        ({"temperature": missing}, r"extra\['temperature'\] holds 1 values that are missing, NaN"),
+        ({"temperature": ["20"] * 160}, r"extra\['temperature'\] must hold numbers"),
+        (["temperature"], "extra must be a dict of names and values"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            learn_correction(test.nominal_arm, test.data, test.groups, extra=extra)
+        with pytest.raises(ValueError, match=said):
+            learned.correct(test.data, extra=extra)
 
 
 def test_time_is_refused_where_the_angles_tell_it(with_play):

@@ -239,6 +239,7 @@ def test_faults_of_tools_get_one_sentence():
         (r"tools has 5 labels|tools .*320", {"tools": tools[:5]}),
         ("like and tools cannot be given together", {"tools": tools, "like": [MODEL]}),
         ("tools need an ArmResidualRegressor", {"tools": tools, "model": RBFNetRegressor()}),
+        ("or mend a mistyped label", {"tools": np.r_[["shrot"], tools[1:]]}),
     ):
         with pytest.raises(ValueError, match=message):
             learn_correction(*data, **({"model": QUICK} | options))
