@@ -14,9 +14,10 @@ import numpy as np
 from sklearn_raacmm.app._causes import columns_of_causes
 from sklearn_raacmm.app._cells import TableError, number_of
 from sklearn_raacmm.app._tables import find_layout, read_table
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.correction import SavedCorrection
 from sklearn_raacmm.measurements import within_turn
+from sklearn_raacmm.utils import unheard
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -69,19 +70,23 @@ def files_of(source):
 
 
 def write_corrected(layout, numbers, file):
-    """Copy a table with the corrected points beside its columns, block by block; number of rows.
+    """Copy a table with the corrected points beside its columns, block by block.
 
+    Returns the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
     `numbers` takes angles in rad and their block of the table, and gives the new columns.
     """
-    dialect, n_rows = layout.dialect, 0
+    dialect, n_rows, largest = layout.dialect, 0, 0.0
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
-        new = numbers(in_rad(block), block)
+        largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
+        with unheard():  # few rows may well be small: the unit shows in all of them
+            angles = in_rad(block)
+        new = numbers(angles, block)
         for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
-    return n_rows
+    return n_rows, largest
 
 
 @contextmanager
@@ -98,8 +103,8 @@ def open_beside(path, encoding):
 
 
 def in_rad(table):
-    """Angles of a table in rad, within one turn."""
-    return within_turn(np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles)
+    """Angles of a table in rad, within one turn; says where their unit seems to be another."""
+    return within_turn(check_angles(table.angles, table.angles.shape[1], table.angle_unit))
 
 
 def read_rows(options, arm, labelled=True):
