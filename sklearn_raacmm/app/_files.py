@@ -14,10 +14,9 @@ import numpy as np
 from sklearn_raacmm.app._causes import columns_of_causes
 from sklearn_raacmm.app._cells import TableError, number_of
 from sklearn_raacmm.app._tables import find_layout, read_table
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import SavedCorrection
 from sklearn_raacmm.measurements import within_turn
-from sklearn_raacmm.utils import unheard
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -80,9 +79,7 @@ def write_corrected(layout, numbers, file):
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
-        with unheard():  # few rows may well be small: the unit shows in all of them
-            angles = in_rad(block)
-        new = numbers(angles, block)
+        new = numbers(in_rad(block), block)
         for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
@@ -103,8 +100,8 @@ def open_beside(path, encoding):
 
 
 def in_rad(table):
-    """Angles of a table in rad, within one turn; says where their unit seems to be another."""
-    return within_turn(check_angles(table.angles, table.angles.shape[1], table.angle_unit))
+    """Angles of a table in rad, within one turn."""
+    return within_turn(np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles)
 
 
 def read_rows(options, arm, labelled=True):

@@ -16,7 +16,7 @@ from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
 from sklearn_raacmm.app._lengths import read_lengths
-from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.arm import check_angles, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, calibrate
 from sklearn_raacmm.correction import check_correction, read_check_records, update_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -54,6 +54,7 @@ class _Today(NamedTuple):
         lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
         if by_tracker and lengths:
             raise TableError("--lengths are between cones; a tracker has no use for them.")
+        check_angles(table.angles, arm.n_joints, table.angle_unit)  # says if that seems another
         return cls(in_rad(table), table.positions, table.points, lengths, table.rows)
 
     @property
