@@ -38,7 +38,7 @@ from sklearn_raacmm.app._files import (
 from sklearn_raacmm.app._lengths import length_of, read_lengths, read_places
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import judge_limit, report_text
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.correction import learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -166,7 +166,8 @@ def correct(options):
     )
     numbers = numbers_of(saved, options, options.in_order)
     with stream as file:
-        n_rows = write_corrected(layout, numbers, file)
+        n_rows, largest = write_corrected(layout, numbers, file)
+    check_angles(largest, saved.arm.n_joints, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
@@ -193,6 +194,9 @@ def export(options):
             saved.model, source, std=options.std, card=card, poses="random",
             any_probe=options.any_probe,
         )  # fmt: skip
+        # Its test, its C++ header and its project, which come with poses.
+        more = (f"{options.name}_test.c", f"{options.name}.hpp", "CMakeLists.txt")
+        paths += [folder / name for name in more]
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)

@@ -69,19 +69,21 @@ def files_of(source):
 
 
 def write_corrected(layout, numbers, file):
-    """Copy a table with the corrected points beside its columns, block by block; number of rows.
+    """Copy a table with the corrected points beside its columns, block by block.
 
+    Returns the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
     `numbers` takes angles in rad and their block of the table, and gives the new columns.
     """
-    dialect, n_rows = layout.dialect, 0
+    dialect, n_rows, largest = layout.dialect, 0, 0.0
     writer = csv.writer(file, delimiter=dialect.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
+        largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         new = numbers(in_rad(block), block)
         for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(dialect.text, values)])
         n_rows += len(cells)
-    return n_rows
+    return n_rows, largest
 
 
 @contextmanager

@@ -18,8 +18,8 @@ from sklearn_raacmm.app._cells import TableError, as_said
 from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
 from sklearn_raacmm.app._lengths import read_lengths
-from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.arm import check_angles, reach_mm
+from sklearn_raacmm.calibration import MUCH_SCATTER_MM, calibrate
 from sklearn_raacmm.correction import check_correction, read_check_records, update_correction
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe
@@ -33,6 +33,7 @@ _FALSE_ALARM = 0.01
 # Scatter through the correction over what it left when it was learnt, from which on a registration
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
+_OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
 # Parts of the model that have changed by less than this share of what is usual are not named.
@@ -55,6 +56,7 @@ class _Today(NamedTuple):
         lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
         if by_tracker and lengths:
             raise TableError("--lengths are between cones; a tracker has no use for them.")
+        check_angles(table.angles, arm.n_joints, table.angle_unit)  # says if that seems another
         return cls(in_rad(table), table.positions, table.points, lengths, table.rows)
 
     @property
@@ -106,6 +108,7 @@ def register(options):
         today.left(y, _of_angles(new, new.model).predict(today.angles)),
         _usual_mm(saved, today),
     )
+    _refuse_another_arm(left, usual)
     print(f"Registered with {today.said}.", *said, sep="\n")
     print(f"Mean deviation {today.left(y):.3f} -> {left:.3f} mm.")
     enough = usual is None or left <= _MUCH_MORE * usual
@@ -132,6 +135,7 @@ def update(options):
     said, facts = _what_has_moved(saved, moved)
     was, now = moved.model.predict(X), model.predict(X)
     before, after = today.left(y, was), today.left(y, now)
+    _refuse_another_arm(after, _usual_mm(saved, today))
     print(f"Updated with {today.said}.", *said, sep="\n")
     if len(vars(model).get("updates_", ())) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
@@ -212,7 +216,9 @@ def _by_spread(saved, today, rate, changed, facts):
     was, now = float(before.mean()), float(after.mean())
     facts |= {"before_mm": was, "after_mm": now, "expected_below_mm": expected, "changed": changed}
     change = f"mean 2S {was:.3f} -> {now:.3f} mm"
-    if now >= was:
+    if now > max(MUCH_SCATTER_MM, expected):
+        print(f"It does not hold: {change}. {_OTHER_ARM}")
+    elif now >= was:
         print(f"It does not hold: {change}. Calibrate and learn again.")
     elif now > expected:
         print(
@@ -302,6 +308,15 @@ def _usual_mm(saved, today):
     if saved.facts["measure"] == "2S":  # of normal errors: twice their length's root mean square
         left *= np.sqrt(8 / (3 * np.pi)) / 2
     return left
+
+
+def _refuse_another_arm(left, usual):
+    """Refuse poses whose points scatter as those of no arm with this table do, mm."""
+    if left > max(MUCH_SCATTER_MM, _MUCH_MORE * (usual or 0.0)):
+        raise TableError(
+            f"the points are still off by {left:.3g} mm, and nothing is written. {_OTHER_ARM} If "
+            "all are right, the arm has changed too much: learn again."
+        )
 
 
 def _what_has_moved(old, new):

@@ -21,6 +21,8 @@ from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.app._options import make_parser
 
 BAD_INPUT, INTERRUPTED = 2, 130
+# Words whose `--out` is a file; that of all others is a folder.
+_TO_STANDARD_OUTPUT = ("arm", "correct")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -67,6 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(options):
     """Run a word; what it says goes beside what it writes to the standard output."""
     options.stdout = sys.stdout
+    if getattr(options, "out", None) == "-" and options.word not in _TO_STANDARD_OUTPUT:
+        raise ValueError("--out is a folder here, and - is none: give its name.")
     room = importlib.import_module(f"sklearn_raacmm.app.{options.room}")
     with contextlib.ExitStack() as stack:
         if options.quiet:

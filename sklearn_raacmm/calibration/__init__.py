@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.calibration._calibrate import calibrate
-from sklearn_raacmm.calibration._checks import SHARE_OF_REACH, check_length
+from sklearn_raacmm.calibration._checks import MUCH_SCATTER_MM, SHARE_OF_REACH, check_length
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._problem import (
     ANGLE_RAD,
@@ -17,6 +17,7 @@ from sklearn_raacmm.calibration._result import CalibrationResult
 __all__ = [
     "ANGLE_RAD",
     "LENGTH_MM",
+    "MUCH_SCATTER_MM",
     "REGISTERED_PLACE_MM",
     "SHARE_OF_REACH",
     "UNKNOWN_PLACE_MM",

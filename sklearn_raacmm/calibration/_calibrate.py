@@ -234,7 +234,11 @@ def calibrate(
     if not warn_of_what_no_arm_is(arm, before, result.scatter_after_mm):
         values, sd = (v[: len(wanted.names)] for v in (result.values, result.standard_deviations))
         far = wanted.far(priors)
-        say_findings(table_findings(wanted.names, wanted.nominal, values, sd, far, lengths))
+        say_findings(
+            table_findings(
+                wanted.names, wanted.nominal, values, sd, far, lengths, result.scatter_after_mm
+            )
+        )
     if correction is not None:
         bare, *_ = _fitted(arm, angles, replace(problem, correction=None), wanted, loss)
         warn_of_harm(fit.distances(), bare.distances())

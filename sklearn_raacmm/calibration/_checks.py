@@ -31,6 +31,9 @@ _LEAST_SD_MM = 1e-9
 _HARM = 2.0
 # What no calibration of an arm comes to: a scatter, as a part of the reach.
 SHARE_OF_REACH = 0.02
+# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
+# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
+MUCH_SCATTER_MM = 1.0
 _MOST_NAMED = 4
 _MEANING = {
     "a": "the length of link",
@@ -234,7 +237,7 @@ def warn_of_what_no_arm_is(arm, before, after):
     return True
 
 
-def table_findings(names, nominal, values, sd, far, lengths):
+def table_findings(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
     """Findings on a table that the data contradict: an offset forgotten, a link mistyped.
 
     Arrays (n_parameters,), mm and rad: before, after and its standard deviation, and how far apart
@@ -255,12 +258,19 @@ def table_findings(names, nominal, values, sd, far, lengths):
             f"{_MEANING[field]} {joints[-1]} ({names[i]}) is {factor * values[i]:.1f}{unit}, "
             f"the table says {factor * nominal[i]:.6g}{unit}"
         )
+    if scatter_mm > MUCH_SCATTER_MM:
+        advice = (
+            f"But with it the points scatter by {scatter_mm:.1f} mm: search_table finds joints "
+            "that are reversed or exchanged."
+        )
+    else:
+        advice = "If it is built so, take the calibrated arm as the new table (arm.json)"
+        advice += "; if not, look at the known lengths and their unit." if lengths else "."
     return [
         Finding(
             "table-off",
             f"The arm is not that of the table: {'; '.join(said[:_MOST_NAMED])}.",
-            "If it is built so, take the calibrated arm as the new table (arm.json)"
-            + ("; if not, look at the known lengths and their unit." if lengths else "."),
+            advice,
             joints=tuple(sorted(set(joints))),
             size_mm=float(max((departure[i] for i in wrong if not is_angle(names[i])), default=0)),
         )

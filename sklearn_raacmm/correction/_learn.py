@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, reach_mm
-from sklearn_raacmm.calibration import SHARE_OF_REACH
+from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._causes import say_make, usual_values, with_kept_causes
 from sklearn_raacmm.correction._learned import LearnedCorrection
 from sklearn_raacmm.correction._one_fit import Data
@@ -30,9 +30,6 @@ from sklearn_raacmm.utils import (
     validate_parameter_constraints,
 )
 
-# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
-# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
-_MUCH_SCATTER_MM = 1.0
 # What the functions that judge a correction take besides data.
 _OPTIONS = {
     "angle_unit": [StrOptions({"rad", "deg"})],
@@ -257,19 +254,20 @@ def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
     calibration = data.calibrate_all()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
-    if scatter > SHARE_OF_REACH * reach:  # they belong to another table
-        positions = data.positions if data.points is None else None
-        angles = np.asarray(angles)[data.rows]
-        change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
+    if scatter <= MUCH_SCATTER_MM:
+        return calibration
+    positions = data.positions if data.points is None else None
+    angles = np.asarray(angles)[data.rows]
+    change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
+    if change or scatter > SHARE_OF_REACH * reach:  # they belong to another table
         raise ValueError(
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
         )
-    if scatter > _MUCH_SCATTER_MM:
-        said = f"The points scatter by {scatter:.1f} mm after calibration."
-        advice = "The table of the arm is probably wrong: look at it before you use the correction."
-        say_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
+    said = f"The points scatter by {scatter:.1f} mm after calibration."
+    advice = "The table of the arm is probably wrong: look at it before you use the correction."
+    say_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
     return calibration
 
 

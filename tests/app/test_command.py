@@ -192,9 +192,11 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
 
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
-def test_export_compiles_and_says_the_same(learned, tmp_path):
+def test_export_compiles_and_says_the_same(learned, tmp_path, capsys):
     folder, _, readings, _ = learned
     assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
+    said = capsys.readouterr().out.strip().removeprefix("Written: ").split()
+    assert sorted(said) == sorted(map(str, tmp_path.iterdir()))
     header = (tmp_path / "arm_correction.h").read_text()
     scale_sd = json.loads((folder / "correction.json").read_text(encoding="utf-8"))["scale_sd"]
     assert f"#define ARM_CORRECTION_SCALE_SD {scale_sd!r}\n" in header
@@ -303,6 +305,7 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
         ("learn {log} --arm {arm} --out {out} --points x,y", "--points needs three columns"),
         ("learn {log} --arm {arm} --out {out} --limit-2s -1", "must be a positive number"),
         ("correct {log} --model {arm} --out {out}", "has no correction.json"),
+        ("learn {log} --arm {arm} --out -", "--out is a folder here"),
         ("export --model {model}", "say what to write: --c FOLDER"),
         ("arm", "give an arm: a file"),
     ],

@@ -257,3 +257,33 @@ def test_a_plan_that_the_arm_reaches(tmp_path, capsys):
     page = (tmp_path / "plan.html").read_text()
     assert page.count("<tr>") == 3 + 15 + 2
     assert "<svg" in page
+
+
+@pytest.fixture(scope="module")
+def in_radians(folder):
+    """A table of radians under the header of degrees."""
+    header, *rows = (folder / "more.csv").read_text().splitlines()
+    rows = [row.split(";") for row in rows]
+    lines = [";".join([row[0], *(f"{np.deg2rad(float(v)):.9f}" for v in row[1:])]) for row in rows]
+    path = folder / "radians.csv"
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("word", "code"), [("correct", 0), ("check", 3), ("register", 2), ("update", 2)]
+)
+def test_radians_under_a_header_of_degrees(folder, in_radians, tmp_path, capsys, word, code):
+    """They are told by each word, and nothing is registered by them."""
+    out = tmp_path / "out.csv"
+    words = [word, in_radians, "--model", folder / "cones"]
+    found, said = run(capsys, *words, *([] if word == "check" else ["--out", out]))
+    assert found == code, said
+    assert said.count("if they are radians, say --unit rad") == 1
+    if code:
+        assert "Look at the unit, order and sense of the angles" in said
+        assert not out.exists()
+    found, said = run(capsys, "correct", in_radians, "--model", folder / "cones", "--unit", "rad",
+                      "--out", out)  # fmt: skip
+    assert found == 0
+    assert "if they are" not in said

@@ -39,6 +39,8 @@ def test_a_table_that_is_off_is_told_in_plain_words(moved):
     says = f"the length of link 4 (a4) is 62.1 mm, the table says {given[a4]:.6g} mm"
     assert says in found.text
     assert not table_findings(names, given, nominal, 200 * sd, far, [])  # not known so well
+    (found,) = table_findings(names, given, nominal, sd, far, [], scatter_mm=32.9)
+    assert "the points scatter by 32.9 mm: search_table" in str(found)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])

@@ -385,3 +385,14 @@ def test_an_arm_of_another_table_is_refused_and_told(test_data):
     )
     with pytest.raises(ValueError, match=message):
         learn_correction(wrong, test_data.data, test_data.groups, model=QUICK)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # said beside the refusal
+def test_radians_read_as_degrees_are_refused_though_they_scatter_little(test_data):
+    """An arm that hardly moves scatters by less than a share of its reach."""
+    message = r"scatter by \d\.\d+ mm after.*With the angles in radians .* 0\.0\d+ mm instead"
+    with pytest.raises(ValueError, match=message):
+        learn_correction(
+            test_data.nominal_arm, test_data.data, test_data.groups,
+            model=QUICK, angle_unit="deg",
+        )  # fmt: skip
