@@ -192,6 +192,10 @@ def changed(**fields):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (TEXT.replace('"d_mm"', '"x_mm"'), "lacks the field 'd_mm'"),
+        (changed(format="x"), "not an arm"),
+        (changed(probe_mm=[0, 0, True]), "probe_mm must hold numbers"),
+        (changed(alpha_rad=[float("nan")] * 6), r"alpha\[0\] = nan is out of bounds"),
         (changed(format_version="1"), "format_version '1'"),
         (changed(a_m=[1, 2, 3, 4, 5, 6]), "unknown field 'a_m'"),
         (changed(d_mm=[10**400] * 6), "d must hold numbers"),
