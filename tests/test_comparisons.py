@@ -77,15 +77,17 @@ def test_without_data_says_where_to_get_them(example, tmp_path, name, monkeypatc
         module.main(["--data-home", str(tmp_path / "elsewhere")])
 
 
-@pytest.fixture
-def few_rows(panda):
+def few_rows(data):
     """Three placements of panda_3, the first twelve rows of every socket, as fetched."""
-    data = panda("panda_3")
     some = []
     for placement in ("backleft", "frontcenter", "frontright"):
         for hole in (0, 1):
             some.append(np.flatnonzero(data.groups == f"{placement}/{hole}")[:12])
-    some = np.concatenate(some)
+    return placements_of(data, np.concatenate(some))
+
+
+def placements_of(data, some):
+    """Some rows of a Panda's series, as fetched."""
     placements = data.placements[some]
     return Bunch(
         data=data.angles[some],
@@ -96,9 +98,19 @@ def few_rows(panda):
     )
 
 
-def test_real_arm(example, capsys, few_rows, monkeypatch):
+def goals_of(ur10, some):
+    """Some rows of the UR10's series, as fetched."""
+    return Bunch(
+        data=ur10.angles[some],
+        tracker_points=ur10.points[some],
+        groups=np.unique(ur10.groups[some], return_inverse=True)[1],
+        nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
+    )
+
+
+def test_real_arm(example, capsys, panda, monkeypatch):
     module = example("real_arm")
-    data = few_rows
+    data = few_rows(panda("panda_3"))
     monkeypatch.setattr(module, "fetch_panda_ball_socket", lambda arm, data_home: data)
     module.main(["--jobs", "1"])
     output = capsys.readouterr().out
@@ -122,12 +134,7 @@ def test_real_arm(example, capsys, few_rows, monkeypatch):
 def test_real_tracker(example, capsys, ur10, monkeypatch):
     module = example("real_tracker")
     some = np.isin(ur10.groups, np.arange(0, 619, 40))
-    data = Bunch(
-        data=ur10.angles[some],
-        tracker_points=ur10.points[some],
-        groups=np.unique(ur10.groups[some], return_inverse=True)[1],
-        nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
-    )
+    data = goals_of(ur10, some)
     monkeypatch.setattr(module, "fetch_ur10_tracker", lambda data_home: data)
     module.main(["--gp-rows", "60", "--folds", "2", "--jobs", "1"])
     output = capsys.readouterr().out
@@ -239,13 +246,7 @@ def test_compare_regressors_on_real_data(example, panda, ur10, monkeypatch):
     data = panda("panda_3")
     some = np.isin(data.placements, ["backleft", "frontcenter", "frontright"])
     some &= np.arange(len(some)) % 2 == 0
-    few = Bunch(
-        data=data.angles[some],
-        groups=data.groups[some],
-        placements=data.placements[some],
-        lengths=[(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(data.placements[some])],
-        nominal_arm=Arm.from_name("panda", probe=(0, 0, 241)),
-    )
+    few = placements_of(data, some)
     monkeypatch.setattr(module, "fetch_panda_ball_socket", lambda arm, data_home: few)
     problem = module.panda("panda_3", None)
     results, places = module.assess(problem, [0 * points for points in problem.measured])
@@ -262,15 +263,9 @@ def test_compare_regressors_on_real_data(example, panda, ur10, monkeypatch):
         assert held_out[0] not in fold.splits[fold.learn]
 
     some = np.isin(ur10.groups, np.arange(0, 619, 60))
-    goals = np.unique(ur10.groups[some], return_inverse=True)[1]
-    few = Bunch(
-        data=ur10.angles[some],
-        tracker_points=ur10.points[some],
-        groups=goals,
-        nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
-    )
+    few = goals_of(ur10, some)
     monkeypatch.setattr(module, "fetch_ur10_tracker", lambda data_home: few)
-    problem = module.ur10(len(goals), None)
+    problem = module.ur10(len(few.groups), None)
     results, _ = module.assess(problem, [0 * points for points in problem.measured])
     left = np.concatenate([fold.residuals[fold.test] for fold in problem.folds])
     assert results["mean_mm"] == pytest.approx(np.mean(np.linalg.norm(left, axis=1)))

@@ -1,9 +1,5 @@
 """The whole chain: joint angles in, Cartesian residual of the probe out."""
 
-import subprocess
-import sys
-
-import joblib
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -285,22 +281,3 @@ def test_groups_and_weights_in_one_grid_search_with_routing(cone_test):
         assert_array_equal(search.predict(angles), best.predict(angles))
         unweighted = clone(search.best_estimator_).fit(angles, y)
         assert not np.allclose(search.predict(angles), unweighted.predict(angles))
-
-
-# -- persistence ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("form", [form_a, form_b])
-def test_a_saved_model_predicts_the_same_bits_in_a_new_process(cone_test, form, tmp_path):
-    arm, angles, y, groups = cone_test
-    search = GridSearchCV(form(arm, network()), {}, cv=GroupKFold(3))
-    model = search.fit(angles, y, groups=groups).best_estimator_
-    joblib.dump((model, angles), tmp_path / "model.joblib")
-    code = (
-        "import joblib, sys\n"
-        "model, angles = joblib.load(sys.argv[1])\n"
-        "joblib.dump(model.predict(angles), sys.argv[2])\n"
-    )
-    command = [sys.executable, "-c", code, tmp_path / "model.joblib", tmp_path / "predicted.joblib"]
-    subprocess.run([str(part) for part in command], check=True)
-    assert_array_equal(joblib.load(tmp_path / "predicted.joblib"), model.predict(angles))

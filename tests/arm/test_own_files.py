@@ -176,11 +176,10 @@ def test_an_unchanged_arm_changes_nothing():
         assert (new[1] * old[1].inv()).magnitude() < 1e-7  # "1.5707963" is pi/2
 
 
-@pytest.mark.parametrize("how", ["update_urdf", "to_urdf"])
-def test_the_text_has_the_points_by_its_own_words(how, angles):
+def test_the_text_has_the_points_by_its_own_words(angles):
     """Origins and turns one after the other, as the format says, without any table."""
     arm = calibrated(Arm.from_urdf(ROBOT, **ENDS), 1)
-    text = arm.update_urdf(ROBOT, **ENDS) if how == "update_urdf" else arm.to_urdf()
+    text = arm.update_urdf(ROBOT, **ENDS)
     points = []
     for row in angles:
         place, turn, left = np.zeros(3), Rotation.identity(), iter(row)

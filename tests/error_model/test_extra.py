@@ -235,14 +235,6 @@ def test_through_pipelines_and_searches(lagging):
     assert len(next_poses(best, X, 2)[0]) == 2
 
 
-def test_a_column_of_temperatures_in_degrees_stays_what_it_is(lagging):
-    arm, X, y, _ = lagging
-    rad = ArmResidualRegressor(arm, extra=EXTRA, **SMALL).fit(X, y)
-    degrees = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
-    deg = ArmResidualRegressor(arm, extra=EXTRA, angle_unit="deg", **SMALL).fit(degrees, y)
-    assert_allclose(deg.predict(degrees), rad.predict(X), atol=1e-9)
-
-
 def test_what_is_refused(lagging):
     arm, X, y, _ = lagging
     for extra, message in [

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, calibrate, update_correction
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    RBFNetRegressor,
+    calibrate,
+    check_correction,
+    next_poses,
+    update_correction,
+)
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("aacmm6")
@@ -76,6 +84,26 @@ def test_every_cause_is_the_same_by_differences(model):
         by_new = LONG.replace(**{field: value}).forward(angles[:, :6]) - LONG.forward(angles[:, :6])
         expected = by_new / step * amount * old.coef[i]
         assert_allclose(columns[:, :, i] * linear.coef[i], expected, rtol=1e-3, atol=1e-9)
+
+
+def test_degrees_give_the_same_model():
+    """What stands beside the angles stays what it is."""
+    X, y = rows(120, 8)
+    degrees = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
+    small = {"orders": 2, "causes": ["kinematics"], "extra": EXTRA}
+    rad = ArmResidualRegressor(ARM, **small).fit(X, y)
+    deg = ArmResidualRegressor(ARM, angle_unit="deg", **small).fit(degrees, y)
+    for found, expected in zip(deg.predict(degrees, True), rad.predict(X, True), strict=True):
+        assert_allclose(found, expected, atol=1e-9)
+    assert_allclose(deg.fading(degrees), rad.fading(X), atol=1e-9)
+    # and what plans, checks and updates asks for the same unit
+    both = (rad, X), (deg, degrees)
+    chosen = [next_poses(one, known[:20], 2)[0].tolist() for one, known in both]
+    assert chosen[0] == chosen[1]
+    checks = [check_correction(one, known, y).p_value for one, known in both]
+    assert checks[0] == pytest.approx(checks[1], rel=1e-6)
+    new = [update_correction(one, known, y).predict(known) for one, known in both]
+    assert_allclose(new[1], new[0], atol=1e-5)
 
 
 def test_only_the_probe_may_differ(model):

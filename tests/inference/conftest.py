@@ -50,9 +50,19 @@ def log_evidence(toy, prior, noise):
     return multivariate_normal(np.zeros(len(toy.y)), cov).logpdf(toy.y)
 
 
+def evidence_of_lines(toy, lines, variance, noise):
+    """The same where these pairs are lines of one variance."""
+    of_pairs = np.where(np.isin(np.arange(toy.H.shape[1] // 2), lines), variance[1], 0.0)
+    return log_evidence(toy, (variance[0], of_pairs), noise)
+
+
 @pytest.fixture(scope="session")
 def toys():
     """The functions above, under one name."""
     return SimpleNamespace(
-        sums_of=sums_of, structures=structures, drawn=drawn, log_evidence=log_evidence
+        sums_of=sums_of,
+        structures=structures,
+        drawn=drawn,
+        log_evidence=log_evidence,
+        evidence_of_lines=evidence_of_lines,
     )

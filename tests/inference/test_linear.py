@@ -17,11 +17,6 @@ from sklearn_raacmm.inference import (
 )
 
 
-def evidence_of_lines(toys, toy, lines, variance, noise):
-    of_pairs = np.where(np.isin(np.arange(toy.H.shape[1] // 2), lines), variance[1], 0.0)
-    return toys.log_evidence(toy, (variance[0], of_pairs), noise)
-
-
 def test_evidence_is_that_of_the_normal_distribution(toys):
     """Up to a constant, and the weak prior on the noise."""
     toy, values = toys.drawn(3), []
@@ -29,7 +24,7 @@ def test_evidence_is_that_of_the_normal_distribution(toys):
         lines = np.array([2, 5, 7])
         one = toy.problem.state(lines, False, np.array(variance), noise)
         prior = -1.5 * np.log(noise) - 0.5 * 0.03 * np.mean(toy.y**2) / noise
-        expected = evidence_of_lines(toys, toy, lines, variance, noise)
+        expected = toys.evidence_of_lines(toy, lines, variance, noise)
         values.append(one.log_evidence - prior - expected)
     assert values[0] == pytest.approx(values[1], abs=1e-6)
 
@@ -58,7 +53,7 @@ def test_posterior_is_ridge_in_closed_form(toys, with_field):
 def test_variances_are_a_maximum_of_the_evidence(toys):
     toy = toys.drawn(1)
     found = search(toy.problem)
-    best = evidence_of_lines(toys, toy, found.lines, found.variance, found.noise_variance)
+    best = toys.evidence_of_lines(toy, found.lines, found.variance, found.noise_variance)
     for which in range(3):
         for factor in (0.6, 1.6):
             variance, noise = found.variance.copy(), found.noise_variance
@@ -66,7 +61,7 @@ def test_variances_are_a_maximum_of_the_evidence(toys):
                 variance[which] *= factor
             else:
                 noise *= factor
-            assert evidence_of_lines(toys, toy, found.lines, variance, noise) < best
+            assert toys.evidence_of_lines(toy, found.lines, variance, noise) < best
 
 
 def test_variances_that_are_given_stay(toys):
@@ -81,13 +76,13 @@ def test_gains_are_differences_of_the_evidence(toys):
     toy, variance, noise = toys.drawn(4), np.array([0.3, 0.6, 1.0]), 0.2
     lines = np.array([1, 2, 5])
     state = toy.problem.state(lines, False, variance, noise)
-    whole = evidence_of_lines(toys, toy, lines, variance, noise)
-    without = [evidence_of_lines(toys, toy, np.delete(lines, i), variance, noise) for i in range(3)]
+    whole = toys.evidence_of_lines(toy, lines, variance, noise)
+    without = [toys.evidence_of_lines(toy, np.delete(lines, i), variance, noise) for i in range(3)]
     assert_allclose(state.gains, whole - without, rtol=1e-7)
-    both = evidence_of_lines(toys, toy, lines[:1], variance, noise)
+    both = toys.evidence_of_lines(toy, lines[:1], variance, noise)
     assert state.gain_of(np.arange(6, 10)) == pytest.approx(whole - both, rel=1e-7)
     toy.A = toy.A[:, :0]
-    family = evidence_of_lines(toys, toy, lines, variance, noise)
+    family = toys.evidence_of_lines(toy, lines, variance, noise)
     assert state.gain_of(np.arange(4)) == pytest.approx(whole - family, rel=1e-7)
 
 

@@ -17,19 +17,14 @@ from sklearn_raacmm.inference import (
 from sklearn_raacmm.inference._search import _Leftover
 
 
-def evidence_of_lines(toys, toy, lines, variance, noise):
-    of_pairs = np.where(np.isin(np.arange(toy.H.shape[1] // 2), lines), variance[1], 0.0)
-    return toys.log_evidence(toy, (variance[0], of_pairs), noise)
-
-
 def test_a_line_raises_the_evidence_by_more_than_its_price(toys):
     toy = toys.drawn(0)
     found = search(toy.problem)
     v, noise = found.variance, found.noise_variance
     assert_array_equal(found.lines, [2, 5])
-    whole = evidence_of_lines(toys, toy, found.lines, v, noise)
+    whole = toys.evidence_of_lines(toy, found.lines, v, noise)
     for other in set(range(12)) - {2, 5}:
-        assert evidence_of_lines(toys, toy, [2, 5, other], v, noise) - whole < np.log(12)
+        assert toys.evidence_of_lines(toy, [2, 5, other], v, noise) - whole < np.log(12)
     assert np.all(found.gains > np.log(12))
     assert net_evidence(toy.problem, found) == found.log_evidence - 2 * np.log(12)
     once = search_at(toy.problem, found)
@@ -90,7 +85,7 @@ def test_gains_of_candidates_are_those_of_the_evidence(toys, chosen):
     gain, sound = left.gains()
 
     def evidence(pairs):
-        return evidence_of_lines(toys, toy, pairs, variance, noise)
+        return toys.evidence_of_lines(toy, pairs, variance, noise)
 
     free = [p for p in range(5) if p not in chosen]
     expected = [evidence([*chosen, p]) - evidence(chosen) for p in free]
