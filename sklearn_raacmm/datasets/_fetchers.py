@@ -15,8 +15,8 @@ from sklearn.utils import Bunch
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.datasets._bunch import pack
 from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
+from sklearn_raacmm.datasets._generators import pack
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Interval, StrOptions, validate_params

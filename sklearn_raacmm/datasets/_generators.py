@@ -13,7 +13,6 @@ from sklearn.utils import Bunch, check_random_state
 
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
-from sklearn_raacmm.datasets._bunch import pack
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import check_whole_number, floats, show, validate_params
@@ -366,3 +365,19 @@ def _check_lengths(lengths, machine) -> np.ndarray:
     if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():
         raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {show(lengths)}.")
     return lengths
+
+
+def pack(data, return_X_y, as_frame, split_by="groups"):
+    """Turn the arrays of a Bunch into pandas objects, and take X, y and groups out, if asked."""
+    if as_frame:
+        import pandas as pd
+
+        data.data = pd.DataFrame(data.data, columns=data.feature_names)
+        data.target = pd.DataFrame(data.target, columns=data.target_names)
+        data.groups = pd.Series(data.groups, name="position")
+        labels = [data.groups]
+        if split_by != "groups":
+            data[split_by] = pd.Series(data[split_by], name=split_by.removesuffix("s"))
+            labels.append(data[split_by])
+        data.frame = pd.concat([data.data, data.target, *labels], axis=1)
+    return (data.data, data.target, data[split_by]) if return_X_y else data

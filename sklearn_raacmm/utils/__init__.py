@@ -57,7 +57,6 @@ from sklearn_raacmm.utils._groups import (
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._matrices import align, invert_triangle, nearest_rotation
-from sklearn_raacmm.utils._progress import stage
 from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
@@ -79,6 +78,6 @@ from sklearn_raacmm.utils._sklearn import (
 )
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
-from sklearn_raacmm.utils._whole_fit import whole_fit
+from sklearn_raacmm.utils._whole_fit import stage, whole_fit
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

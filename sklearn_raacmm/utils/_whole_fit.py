@@ -1,15 +1,19 @@
-"""Fits that are whole or have not happened."""
+"""Fits that are whole or have not happened, and lines that say how far they are."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
+from time import perf_counter
 from typing import Any, TypeVar, cast
 
 from sklearn_raacmm.utils._findings import hear
 
 Fit = TypeVar("Fit", bound=Callable[..., Any])
+_LOGGER = logging.getLogger("sklearn_raacmm")
 
 
 def whole_fit(fit: Fit) -> Fit:
@@ -30,3 +34,15 @@ def whole_fit(fit: Fit) -> Fit:
         return self
 
     return cast(Fit, wrapper)
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Log one line when a stage of a fit has ended: its name and how long it took.
+
+    As a decorator, of every call of a function. The line goes to the logger "sklearn_raacmm" at
+    level INFO: ``logging.basicConfig(level=logging.INFO)`` shows it.
+    """
+    start = perf_counter()
+    yield
+    _LOGGER.info("%s: %.1f s", name, perf_counter() - start)
