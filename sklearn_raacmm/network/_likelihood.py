@@ -24,8 +24,6 @@ from sklearn_raacmm.utils import group_sums, invert_triangle
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
 LEAST_RIDGE = 1e-9
-# Outputs from which one eigenvector decomposition (9 n^3) is cheaper than n^3 for each of them.
-MANY_OUTPUTS = 8
 TINY = np.finfo(float).tiny
 
 
@@ -84,15 +82,6 @@ class Data(NamedTuple):
         return np.log1p(ratio * np.bincount(self.codes, self.weights)).sum()
 
 
-class Likelihood(NamedTuple):
-    """Value and gradient; gradients are by (log_width, log_alpha, log_ratio), (d + q + 1,)."""
-
-    value: float  # negative log marginal likelihood, up to a constant
-    gradient: np.ndarray
-    signal: np.ndarray  # (q,) signal variance of every output
-    signal_gradient: np.ndarray  # (q, d + q + 1)
-
-
 def log_likelihood(data, value):
     """Logarithm of a marginal likelihood, with its constants, summed over outputs."""
     n = data.n_total
@@ -117,7 +106,7 @@ def noise_density(data):
 def covariance(data, kernel, log_width, ratio=0.0):
     """Kernel matrix of the whitened rows, and its derivative by squared distances, not whitened."""
     root, Xs = np.sqrt(data.weights), data.X * np.exp(-log_width)
-    K, slope = KERNELS[kernel].with_slope(squared_distances(Xs, Xs))
+    K, slope = KERNELS[kernel](squared_distances(Xs, Xs), slope=True)
     for matrix in (K, slope) if np.any(root != 1.0) else ():
         matrix *= root[:, None]
         matrix *= root
@@ -125,107 +114,67 @@ def covariance(data, kernel, log_width, ratio=0.0):
 
 
 def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Negative log marginal likelihood of the process, with its gradient.
+    """Negative log marginal likelihood of the process, up to a constant, with its gradient.
 
     The logarithms are of widths (d,) and ridges (q,); `ratio` is the variance of groups' constants
-    over that of the noise.
+    over that of the noise. Returns the value; its gradient by log_width, log_alpha and the
+    logarithm of the ratio, (d + q + 1,); the signal variance (q,) of every output; and the gradient
+    of that, (q, d + q + 1).
     """
-    n, n_total, within = len(data.X), data.n_total, data.within
-    if ratio and len(log_alpha) > 1:
-        return _of_each_output(data, kernel, log_width, log_alpha, ratio)
-    alphas = np.exp(log_alpha)
-    Y = data.whiten(data.targets, ratio)
+    (n, d), q = data.X.shape, len(log_alpha)
+    n_total, Y = data.n_total, data.whiten(data.targets, ratio)
     K, slope, Xs = covariance(data, kernel, log_width, ratio)
-    solved, log_det, trace, half = inverses(K, Y, alphas)
-    by_ratio, form_by_ratio = 0.0, np.zeros(len(alphas))
-    if data.codes is not None and ratio:
-        by_ratio, form_by_ratio = _of_constants(data, ratio, alphas, solved, half)
-        half = np.asfortranarray(data.whiten(data.whiten(half, ratio).T, ratio))
-    of_noise = within / alphas
-    quadratic = np.maximum((Y * solved).sum(axis=0) + of_noise, TINY)
-    value = log_det + (n_total - n) * log_alpha + n_total * np.log(quadratic)
-    value += data.log_det(ratio)
-    # Derivatives of the quadratic form: a'K'a, the weights a being the solution.
-    d_quadratic = -alphas * np.square(solved).sum(axis=0) - of_noise
-    d_alpha = 0.5 * (alphas * trace + n_total - n + n_total * d_quadratic / quadratic)
-    # Both are symmetric, and the half is in Fortran's order.
-    half *= slope.T
-    d_width = width_gradient(half, Xs)
-    weights = data.whiten(solved, ratio)
-    d_form = -np.array([rank_one_gradient(slope, a, Xs) for a in weights.T])
-    d_width += 0.5 * n_total * (d_form / quadratic[:, None]).sum(axis=0)
-    by_ratio += 0.5 * n_total * np.sum(form_by_ratio / quadratic)
-    return Likelihood(
-        0.5 * value.sum(),
-        np.concatenate([d_width, d_alpha, [by_ratio]]),
-        quadratic / n_total,
-        np.hstack([d_form, np.diag(d_quadratic), form_by_ratio[:, None]]) / n_total,
-    )
+    value, gradient, signal = 0.0, np.zeros(d + q + 1), np.empty(q)
+    by_theta = np.zeros((q, d + q + 1))
+    for i, alpha in enumerate(np.exp(log_alpha)):
+        solved, log_det, half = solve_and_invert(K, Y[:, i], alpha)
+        of_noise = data.within[i] / alpha
+        quadratic = max(Y[:, i] @ solved + of_noise, TINY)
+        value += log_det + (n_total - n) * log_alpha[i] + n_total * np.log(quadratic)
+        value += data.log_det(ratio)
+        gradient[d + i] = 0.5 * (alpha * 2 * np.trace(half) + n_total - n)
+        by_theta[i, d + i] = -alpha * solved @ solved - of_noise
+        if data.codes is not None and ratio:
+            by_ratio, by_theta[i, -1] = _by_ratio(data, ratio, alpha, solved, half)
+            gradient[-1] += by_ratio
+            half = np.asfortranarray(data.whiten(data.whiten(half, ratio).T, ratio))
+            solved = data.whiten(solved[:, None], ratio)[:, 0]
+        half *= slope.T  # symmetric, and the half is in Fortran's order
+        gradient[:d] += width_gradient(half, Xs)
+        # Of the quadratic form: a'K'a, the weights a being the solution.
+        by_theta[i, :d] = -rank_one_gradient(slope, solved, Xs)
+        gradient += 0.5 * n_total * by_theta[i] / quadratic
+        signal[i] = quadratic / n_total
+    return 0.5 * value, gradient, signal, by_theta / n_total
 
 
-def _of_constants(data, ratio, alphas, solved, half):
+def _by_ratio(data, ratio, alpha, solved, half):
     """Derivatives by the logarithm of `ratio`: of half the log determinant, and of the form."""
     total = np.bincount(data.codes, data.weights)
     # The constants' columns, whitened.
     along = np.sqrt(data.weights) / np.sqrt(1 + ratio * total)[data.codes]
-    inside = group_sums(half, data.codes, along).T
-    inside = group_sums(inside, data.codes, along)
-    trace = 2 * np.trace(inside)  # the inverse is the half and its transpose
-    forms = -ratio * alphas * np.square(group_sums(solved, data.codes, along)).sum(axis=0)
-    return 0.5 * ratio * alphas[0] * trace, forms
+    inside = group_sums(group_sums(half, data.codes, along).T, data.codes, along)
+    form = np.square(group_sums(solved, data.codes, along)).sum()
+    # The inverse is the half and its transpose.
+    return ratio * alpha * np.trace(inside), -ratio * alpha * form
 
 
-def _of_each_output(data, kernel, log_width, log_alpha, ratio):
-    """The likelihood of several outputs with constants as the sum of one of each."""
-    d, q = data.X.shape[1], len(log_alpha)
-    gradient, signal, by_theta = np.zeros(d + q + 1), np.empty(q), np.zeros((q, d + q + 1))
-    value = 0.0
-    for i in range(q):
-        own = data._replace(Y=data.Y[:, i : i + 1], within=data.within[i : i + 1])
-        found = exact_likelihood(own, kernel, log_width, log_alpha[i : i + 1], ratio)
-        at = np.append(np.arange(d), [d + i, d + q])
-        value, signal[i] = value + found.value, found.signal[0]
-        gradient[at] += found.gradient
-        by_theta[i, at] = found.signal_gradient[0]
-    return Likelihood(value, gradient, signal, by_theta)
+def solve_and_invert(K, y, alpha):
+    """Solve (K + alpha I) x = y, with the log determinant.
 
-
-def inverses(K, Y, alphas):
-    """Solve with every K + alpha_i I, K (n, n) and Y (n, q).
-
-    Returns the solutions (n, q); of each matrix the log determinant and the trace of the inverse,
-    (q,); and a matrix (n, n) in Fortran's order that with its transpose is the sum of the inverses.
+    The third is a matrix (n, n) in Fortran's order that with its transpose is the inverse.
     """
-    n, q = Y.shape
-    if alphas.min() < LEAST_RIDGE or q >= MANY_OUTPUTS:
-        values, vectors = np.linalg.eigh(K)
-        inverses = 1 / (np.maximum(values, 0.0)[:, None] + alphas)
-        solved = vectors @ (inverses * (vectors.T @ Y))
-        half = (vectors @ (0.5 * vectors * inverses.sum(axis=1)).T).T
-        return solved, -np.log(inverses).sum(axis=0), inverses.sum(axis=0), half
-    solved, log_det, trace = np.empty((n, q)), np.empty(q), np.empty(q)
-    half = np.empty((n, n), order="F")
-    for i, alpha in enumerate(alphas):
-        C = K.T.copy(order="F")
-        C[np.diag_indices(n)] += alpha
-        factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
-        if failed:
-            raise LinAlgError("kernel matrix is not positive definite to working precision")
-        log_det[i] = 2 * np.log(factor.diagonal()).sum()
-        solved[:, i] = lapack.dpotrs(factor, Y[:, i], lower=1)[0]
-        invert_triangle(factor)
-        one = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # its lower triangle
-        trace[i] = np.trace(one)
-        half = np.add(half, one, out=half) if i else one
-    half[np.diag_indices(n)] *= 0.5
-    return solved, log_det, trace, half
-
-
-class LeaveOneOut(NamedTuple):
-    """What the process predicts for every row from all others."""
-
-    squared_error: float  # weighted sum of squares, over rows and outputs
-    negative_log_density: float  # of the targets, summed, up to a constant
+    C = K.T.copy(order="F")
+    C[np.diag_indices(len(C))] += alpha
+    factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
+    if failed:
+        raise LinAlgError("kernel matrix is not positive definite to working precision")
+    log_det = 2 * np.log(factor.diagonal()).sum()
+    solved = lapack.dpotrs(factor, y, lower=1)[0]
+    invert_triangle(factor)
+    half = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # the lower triangle of the inverse
+    half[np.diag_indices(len(C))] *= 0.5
+    return solved, log_det, half
 
 
 def leave_one_out(data, kernel, log_width, log_alpha, ratio=0.0):
@@ -234,21 +183,24 @@ def leave_one_out(data, kernel, log_width, log_alpha, ratio=0.0):
 
 
 def left_out(data, K, alphas, ratio=0.0):
-    """The same, of a kernel matrix of whitened rows."""
+    """The same, of a kernel matrix of whitened rows.
+
+    Returns the weighted sum of squared errors, over rows and outputs, and the negative logarithm of
+    the density of the targets, summed, up to a constant.
+    """
     Y = data.whiten(data.targets, ratio)
     error, density = 0.0, 0.0
     for i, alpha in enumerate(alphas):
-        y, one = Y[:, i : i + 1], alphas[i : i + 1]
-        solved, _, _, half = inverses(K, y, one)
-        signal = ((y * solved).sum() + data.within[i] / alpha) / data.n_total
+        solved, _, half = solve_and_invert(K, Y[:, i], alpha)
+        signal = (Y[:, i] @ solved + data.within[i] / alpha) / data.n_total
         if data.codes is not None and ratio:
             half = data.whiten(data.whiten(half + half.T, ratio).T, ratio) / 2
+            solved = data.whiten(solved[:, None], ratio)[:, 0]
         share = 2 * half.diagonal()
-        residual = data.whiten(solved, ratio)[:, 0] / share
-        variance = np.maximum(signal / share, TINY)
+        residual, variance = solved / share, np.maximum(signal / share, TINY)
         error += np.sum(np.square(residual))
         density += 0.5 * np.sum(np.square(residual) / variance + np.log(variance))
-    return LeaveOneOut(error, density)
+    return error, density
 
 
 def width_gradient(G, A):

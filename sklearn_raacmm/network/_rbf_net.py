@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
 from sklearn_raacmm.network._kernels import KERNELS
-from sklearn_raacmm.network._posterior import Network
+from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import (
     check_kernel,
     check_length_scale,
     of_each_output,
-    read_problem,
+    read_rows,
 )
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
@@ -280,11 +280,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
                 raise ValueError("group_std is that of the constants of groups, which are missing.")
             labelled = True
         rng = check_random_state(self.random_state)
-        problem = read_problem(self, X, y, sample_weight, groups, labelled, rng)
-        q = len(problem.spread)
+        rows, elsewhere = read_rows(self, X, y, sample_weight, groups, labelled, rng)
+        q = rows.Y.shape[1]
         alpha = of_each_output("alpha", self.alpha, q)
         group_std = of_each_output("group_std", group_std, q)
-        widths = check_length_scale(self.length_scale, problem.X, q, alpha, self.shared)
+        widths = check_length_scale(self.length_scale, rows.X, q, alpha, self.shared)
         if self.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
             raise ValueError(
                 'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
@@ -297,22 +297,22 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             rng.set_state(state)
             width = widths if widths is None or widths.ndim == 1 else widths[of[0]]
             ridge, std = (None if given is None else given[of] for given in (alpha, group_std))
-            found.append(fit_outputs(self, problem, of, kernels[of[0]], width, ridge, std, rng))
+            given = kernels[of[0]], width, ridge, std
+            found.append(fit_outputs(self, rows, elsewhere, of, *given, rng))
         fits, slopes, values = zip(*found, strict=True)
+        networks, centers, reductions, paths, reasons = zip(*fits, strict=True)
         if values[0] is not None:
             self.log_marginal_likelihood_value_: float = sum(values)
-        self.networks_: tuple[Network, ...] = tuple(fit.network for fit in fits)
-        self.center_indices_: np.ndarray = np.concatenate(
-            [problem.first[fit.centers] for fit in fits]
-        )
-        self.error_reduction_: np.ndarray = np.concatenate([fit.error_reduction for fit in fits])
-        self.criterion_path_: np.ndarray = np.concatenate([fit.path for fit in fits])
-        self.stop_reason_ = ", ".join(fit.stop_reason for fit in fits)
-        self.n_iter_: int = sum(fit.n_tried for fit in fits)
+        self.networks_: tuple[Network, ...] = networks
+        self.center_indices_: np.ndarray = rows.first[np.concatenate(centers)]
+        self.error_reduction_: np.ndarray = np.concatenate(reductions)
+        self.criterion_path_: np.ndarray = np.concatenate(paths)
+        self.stop_reason_ = ", ".join(reasons)
+        self.n_iter_: int = sum(max(map(len, pair)) for pair in zip(centers, paths, strict=True))
         slope = np.sqrt(sum(slopes))
         total = slope.sum()
         self.relevance_: np.ndarray = slope / total if 0 < total < np.inf else np.zeros(len(slope))
-        return problem.codes is not None
+        return rows.codes is not None
 
     def predict(
         self,
@@ -357,11 +357,16 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
         X = self._checked_rows(X)
-        found = [network.predict(X, return_std, with_noise) for network in self.networks_]
-        mean = self._shaped([mean for mean, _ in found])
+        packed = vars(self).get("_packed")
+        if packed is None or packed[0] is not self.networks_:
+            packed = self._packed = self.networks_, pack(self.networks_)
+        mean = predict_mean(packed[1], X)
+        mean = mean[:, 0] if self._flat else mean
         if return_cov:
             return mean, self._shaped([part.covariance(X, with_noise) for part in self.networks_])
-        return (mean, self._shaped([std for _, std in found])) if return_std else mean
+        if return_std:
+            return mean, self._shaped([part.std(X, with_noise) for part in self.networks_])
+        return mean
 
     def sample_y(
         self,
@@ -512,6 +517,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     def group_std_(self) -> np.ndarray:
         parts = [np.sqrt(network.ratio * network.noise_variance) for network in self.networks_]
         return self._shaped(parts)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Without what `predict` keeps from one call to the next.
+        return {name: value for name, value in super().__getstate__().items() if name != "_packed"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)

@@ -11,7 +11,6 @@ from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._objective import (
-    LOOSE_KAPPA,
     Task,
     minimise,
     objective,
@@ -61,7 +60,7 @@ def test_never_ends_worse_than_it_started(name, isotropic):
     data = data_of(X, y)
     task = task_of(data, isotropic=isotropic)
     start = task.start(0.5, 0.1)
-    assert minimise(task, start, data, name, 5).value <= objective(task, start, data, name)[0]
+    assert minimise(task, start, data, name, 5)[1] <= objective(task, start, data, name)[0]
     length_scale = "isotropic" if isotropic else "auto"
     model = RBFNetRegressor(kernel=name, length_scale=length_scale, random_state=0).fit(X, y)
     if isotropic:
