@@ -12,14 +12,14 @@ References
    2006, sections 5.4 and 8.3.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
 from sklearn_raacmm.network._kernels import KERNELS, squared_distances
-from sklearn_raacmm.network._linear import without_constants
-from sklearn_raacmm.utils import group_sums, invert_triangle
+from sklearn_raacmm.utils import invert_triangle
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
@@ -68,18 +68,21 @@ class Data(NamedTuple):
         rows[-1] = random_state.permutation(rows[-1])[: size - sum(map(len, rows[:-1]))]
         return np.sort(np.concatenate(rows))
 
-    def whiten(self, columns, ratio):
-        """Columns times root weights, without groups' constants: a symmetric matrix's product."""
-        if self.codes is None or not ratio:
-            return columns
-        root = np.sqrt(self.weights)[:, None]
-        return root * without_constants(columns / root, self.codes, self.weights, ratio)
+    def noise(self, ratio):
+        """Covariance (n, n) of the noise, times root weights: 1, and r within groups."""
+        matrix = np.eye(len(self.X))
+        if self.codes is not None and ratio:
+            root = np.sqrt(ratio * self.weights)
+            for rows in self.groups:
+                matrix[rows, rows] += np.outer(root[rows], root[rows])
+        return matrix
 
-    def log_det(self, ratio):
-        """Logarithm of the determinant of this matrix, times -2."""
-        if self.codes is None or not ratio:
-            return 0.0
-        return np.log1p(ratio * np.bincount(self.codes, self.weights)).sum()
+    @property
+    def groups(self):
+        """Slices of the rows that are left out together."""
+        codes = np.arange(len(self.X)) if self.codes is None else self.codes
+        ends = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
+        return [slice(*pair) for pair in pairwise(ends)]
 
 
 def log_likelihood(data, value):
@@ -89,11 +92,10 @@ def log_likelihood(data, value):
     return -value - data.Y.shape[1] * constant
 
 
-def noise_likelihood(data, ratio=0.0):
+def noise_likelihood(data):
     """Negative log marginal likelihood where all is noise: the limit of an infinite ridge."""
-    total = np.square(data.whiten(data.targets, ratio)).sum(axis=0) + data.within
-    value = data.n_total * np.log(np.maximum(total, TINY)) + data.log_det(ratio)
-    return 0.5 * value.sum()
+    total = np.square(data.targets).sum(axis=0) + data.within
+    return 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
 
 
 def noise_density(data):
@@ -103,14 +105,17 @@ def noise_density(data):
     return 0.5 * (np.sum(square / variance) + len(data.X) * np.sum(np.log(variance)))
 
 
-def covariance(data, kernel, log_width, ratio=0.0):
-    """Kernel matrix of the whitened rows, and its derivative by squared distances, not whitened."""
+def covariance(data, kernel, log_width):
+    """Kernel matrix, its derivative by squared distances, and the scaled rows.
+
+    Both matrices are times the root of the weights from both sides.
+    """
     root, Xs = np.sqrt(data.weights), data.X * np.exp(-log_width)
     K, slope = KERNELS[kernel](squared_distances(Xs, Xs), slope=True)
     for matrix in (K, slope) if np.any(root != 1.0) else ():
         matrix *= root[:, None]
         matrix *= root
-    return data.whiten(data.whiten(K, ratio).T, ratio), slope, Xs
+    return K, slope, Xs
 
 
 def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
@@ -122,23 +127,21 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     of that, (q, d + q + 1).
     """
     (n, d), q = data.X.shape, len(log_alpha)
-    n_total, Y = data.n_total, data.whiten(data.targets, ratio)
-    K, slope, Xs = covariance(data, kernel, log_width, ratio)
+    n_total, Y, noise = data.n_total, data.targets, data.noise(ratio)
+    K, slope, Xs = covariance(data, kernel, log_width)
     value, gradient, signal = 0.0, np.zeros(d + q + 1), np.empty(q)
     by_theta = np.zeros((q, d + q + 1))
     for i, alpha in enumerate(np.exp(log_alpha)):
-        solved, log_det, half = solve_and_invert(K, Y[:, i], alpha)
+        solved, log_det, half = solve_and_invert(K + alpha * noise, Y[:, i])
         of_noise = data.within[i] / alpha
         quadratic = max(Y[:, i] @ solved + of_noise, TINY)
         value += log_det + (n_total - n) * log_alpha[i] + n_total * np.log(quadratic)
-        value += data.log_det(ratio)
-        gradient[d + i] = 0.5 * (alpha * 2 * np.trace(half) + n_total - n)
-        by_theta[i, d + i] = -alpha * solved @ solved - of_noise
-        if data.codes is not None and ratio:
-            by_ratio, by_theta[i, -1] = _by_ratio(data, ratio, alpha, solved, half)
-            gradient[-1] += by_ratio
-            half = np.asfortranarray(data.whiten(data.whiten(half, ratio).T, ratio))
-            solved = data.whiten(solved[:, None], ratio)[:, 0]
+        # Traces of the inverse, which is the half and its transpose, times parts of the noise.
+        trace, square, alone = 2 * np.vdot(half, noise), solved @ noise @ solved, solved @ solved
+        gradient[d + i] = 0.5 * (alpha * trace + n_total - n)
+        gradient[-1] += 0.5 * alpha * (trace - 2 * np.trace(half))
+        by_theta[i, d + i] = -alpha * square - of_noise
+        by_theta[i, -1] = -alpha * (square - alone)
         half *= slope.T  # symmetric, and the half is in Fortran's order
         gradient[:d] += width_gradient(half, Xs)
         # Of the quadratic form: a'K'a, the weights a being the solution.
@@ -148,25 +151,12 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     return 0.5 * value, gradient, signal, by_theta / n_total
 
 
-def _by_ratio(data, ratio, alpha, solved, half):
-    """Derivatives by the logarithm of `ratio`: of half the log determinant, and of the form."""
-    total = np.bincount(data.codes, data.weights)
-    # The constants' columns, whitened.
-    along = np.sqrt(data.weights) / np.sqrt(1 + ratio * total)[data.codes]
-    inside = group_sums(group_sums(half, data.codes, along).T, data.codes, along)
-    form = np.square(group_sums(solved, data.codes, along)).sum()
-    # The inverse is the half and its transpose.
-    return ratio * alpha * np.trace(inside), -ratio * alpha * form
-
-
-def solve_and_invert(K, y, alpha):
-    """Solve (K + alpha I) x = y, with the log determinant.
+def solve_and_invert(C, y):
+    """Solve C x = y of a symmetric C, with the log determinant.
 
     The third is a matrix (n, n) in Fortran's order that with its transpose is the inverse.
     """
-    C = K.T.copy(order="F")
-    C[np.diag_indices(len(C))] += alpha
-    factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
+    factor, failed = lapack.dpotrf(C.T, lower=1, clean=1)
     if failed:
         raise LinAlgError("kernel matrix is not positive definite to working precision")
     log_det = 2 * np.log(factor.diagonal()).sum()
@@ -177,29 +167,35 @@ def solve_and_invert(K, y, alpha):
     return solved, log_det, half
 
 
-def leave_one_out(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Leave-one-out predictions in closed form (section 5.4.2 of the reference)."""
-    return left_out(data, covariance(data, kernel, log_width, ratio)[0], np.exp(log_alpha), ratio)
+def leave_out(data, kernel, log_width, log_alpha, ratio=0.0):
+    """Predictions of what is left out in closed form (section 5.4.2 of the reference)."""
+    return left_out(data, covariance(data, kernel, log_width)[0], np.exp(log_alpha), ratio)
 
 
 def left_out(data, K, alphas, ratio=0.0):
-    """The same, of a kernel matrix of whitened rows.
+    """The same, of a kernel matrix.
 
-    Returns the weighted sum of squared errors, over rows and outputs, and the negative logarithm of
-    the density of the targets, summed, up to a constant.
+    Left out is every row in turn, or every group of rows whose targets have a common constant: rows
+    of one group are no judges of each other. Returns the weighted sum of squared errors, over rows
+    and outputs, and the negative logarithm of the density of the targets, up to a constant.
     """
-    Y = data.whiten(data.targets, ratio)
-    error, density = 0.0, 0.0
-    for i, alpha in enumerate(alphas):
-        solved, _, half = solve_and_invert(K, Y[:, i], alpha)
-        signal = (Y[:, i] @ solved + data.within[i] / alpha) / data.n_total
-        if data.codes is not None and ratio:
-            half = data.whiten(data.whiten(half + half.T, ratio).T, ratio) / 2
-            solved = data.whiten(solved[:, None], ratio)[:, 0]
-        share = 2 * half.diagonal()
-        residual, variance = solved / share, np.maximum(signal / share, TINY)
-        error += np.sum(np.square(residual))
-        density += 0.5 * np.sum(np.square(residual) / variance + np.log(variance))
+    error, density, n, noise = 0.0, 0.0, len(K), data.noise(ratio)
+    for y, within, alpha in zip(data.targets.T, data.within, alphas, strict=True):
+        solved, _, half = solve_and_invert(K + alpha * noise, y)
+        signal = max((y @ solved + within / alpha) / data.n_total, TINY)
+        if data.codes is None:
+            share = 2 * half.diagonal()
+            square, log_det = np.sum(np.square(solved) / share), np.log(share).sum()
+            error += np.sum(np.square(solved / share))
+        else:
+            square = log_det = 0.0
+            for rows in data.groups:
+                root = np.linalg.cholesky(half[rows, rows] + half[rows, rows].T)
+                along = np.linalg.solve(root, solved[rows])
+                square += along @ along
+                log_det += 2 * np.log(root.diagonal()).sum()
+                error += np.square(np.linalg.solve(root.T, along)).sum()
+        density += 0.5 * (square / signal - log_det + n * np.log(signal))
     return error, density
 
 

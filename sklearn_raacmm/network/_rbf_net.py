@@ -83,8 +83,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Whether outputs share kernel, widths and centres, by the trace of the error reduction: the
         published form. By default each has the network that it would have alone.
 
-    loss : {"squared", "tukey"}, default="squared"
+    loss : {"auto", "squared", "tukey"}, default="auto"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
+        "auto" takes this where it makes rows that are left out more probable than least squares,
+        of up to 100 000 rows.
 
     random_state : int, RandomState instance or None, default=None
         Draws the rows of the search, and candidates.
@@ -135,7 +137,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         and "rank", where others are combinations of the chosen ones.
 
     row_weight_ : ndarray of shape (n_samples,)
-        With ``loss="tukey"``: the factor of each row's weight.
+        The factor of each row's weight, where the loss is robust.
 
     See Also
     --------
@@ -181,7 +183,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "degree": [Interval(Integral, -1, 1, closed="both"), StrOptions({"auto"})],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
         "shared": ["boolean"],
-        "loss": [StrOptions({"squared", "tukey"})],
+        "loss": [StrOptions({"auto", "squared", "tukey"})],
         "random_state": ["random_state"],
     }
 
@@ -198,7 +200,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         degree: int | str = "auto",
         max_centers: int | None = None,
         shared: bool = False,
-        loss: str = "squared",
+        loss: str = "auto",
         random_state: Any = None,
     ) -> None:
         self.n_centers = n_centers
@@ -269,7 +271,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         for name in _SOMETIMES:
             self.__dict__.pop(name, None)
         labelled = self._fit_weighted(X, y, sample_weight, groups, group_std)
-        if self.loss == "tukey":
+        if self.loss != "squared":
             reweigh(self, X, y, sample_weight, groups if labelled else None, group_std)
         return self
 

@@ -19,13 +19,13 @@ import numpy as np
 from sklearn_raacmm.network._likelihood import (
     Data,
     exact_likelihood,
-    leave_one_out,
+    leave_out,
     left_out,
     log_likelihood,
     noise_density,
     noise_likelihood,
 )
-from sklearn_raacmm.network._linear import linear_evidence, polynomial_of
+from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
 from sklearn_raacmm.network._objective import (
     ALPHA_BOUNDS,
     WIDTH_BOUNDS,
@@ -44,6 +44,8 @@ COARSE_STEPS, EXACT_STEPS = 60, 40
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
 # sqrt(d) spreads away; and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
+# Width from which on a start is that of a smooth function.
+WIDE = 0.7
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
@@ -54,6 +56,8 @@ TRAILING = 20.0
 # none a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by less
 # than 2 % (benchmarks/bench_noise.py --margins).
 KERNEL_MARGIN = 10.0
+# Nats by which constants of groups have to lead, lest few groups seem to have them.
+CONSTANTS_MARGIN = 20.0
 # Observations a feature below which leave-one-out densities count in part: the widths have been
 # chosen on the same rows.
 TRUSTED = 10
@@ -112,6 +116,14 @@ def search(
     sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
     few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
     ends = _coarse(task, kernels, few)
+    if constants and constant_std is None:
+        # Constants explain what a function does between groups, too, and need not be there.
+        plain = task._replace(constants=False)
+        other = _coarse(plain, kernels, few)
+        first = kernels[0]
+        lead = score(plain, first, other[first], few) - score(task, first, ends[first], few)
+        if lead < CONSTANTS_MARGIN:
+            task, ends = plain, other
     if len(many.X) > len(few.X):
         ends = _refine(task, ends, many)
     scores = {name: score(task, name, theta, many) for name, theta in ends.items()}
@@ -163,17 +175,23 @@ def score(task, kernel, theta, data):
     value = objective(task, theta, data, kernel)[0]
     if not np.isfinite(value):
         return np.inf
-    return value + leave_one_out(data, kernel, *task.unpack(theta))[1]
+    return value + leave_out(data, kernel, *task.unpack(theta))[1]
 
 
 def _coarse(task, kernels, data):
-    """An end for each kernel, from the best of several starts on few rows."""
+    """An end for each kernel, from several starts on few rows."""
     first, *others = kernels
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
-    start = min(starts, key=lambda theta: objective(task, theta, data, first)[0])
-    theta = minimise(task, start, data, first, COARSE_STEPS)[0]
-    ends = {name: minimise(task, theta, data, name, COARSE_STEPS)[0] for name in others}
-    return {first: theta} | ends
+    starts.sort(key=lambda theta: objective(task, theta, data, first)[0])
+    # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
+    # ones with more noise: what is left out decides, too.
+    middle = task.start(WIDE, 1.0)[:1] if task.n_widths else np.inf
+    rough = [theta for theta in starts if theta[:1] < middle]
+    wide = [theta for theta in starts if not theta[:1] < middle]
+    ends = [minimise(task, some[0], data, first, COARSE_STEPS)[0] for some in (rough, wide) if some]
+    theta = min(ends, key=lambda theta: score(task, first, theta, data)) if ends[1:] else ends[0]
+    found = {name: minimise(task, theta, data, name, COARSE_STEPS)[0] for name in others}
+    return {first: theta} | found
 
 
 def _refine(task, ends, many):
@@ -206,7 +224,7 @@ def _simpler(task, kernel, theta, value, data, may_be_linear):
         if not is_noise and log_alpha.min() < np.log(ALPHA_BOUNDS[0]) + 1:
             # Where radial functions seem to have no noise at all, evidence is not to be trusted:
             # then a linear part has to lead in the error of what is left out.
-            error = leave_one_out(data, kernel, log_width, log_alpha, ratio)[0]
+            error = leave_out(data, kernel, log_width, log_alpha, ratio)[0]
         linear = _linear(data, other, density, error)
         if linear is not None:
             ratio, evidence = linear
@@ -230,17 +248,24 @@ def _linear(data, value, density, error):
     columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
     columns = np.sqrt(data.weights)[:, None] * columns
 
+    root, weights = np.sqrt(data.weights)[:, None], data.weights
+
     def at(ratio):
-        rows = data.whiten(columns, ratio), data.whiten(data.targets, ratio)
-        found = linear_evidence(*rows, data.within, data.n_total - 1, data.n_total)
-        extra = 0.5 * data.Y.shape[1] * data.log_det(ratio)
+        whitened = (
+            root * without_constants(a / root, data.codes, weights, ratio)
+            for a in (columns, data.targets)
+        )
+        found = linear_evidence(*whitened, data.within, data.n_total - 1, data.n_total)
+        extra = 0.0
+        if ratio:
+            extra = np.log1p(ratio * np.bincount(data.codes, weights)).sum() * data.Y.shape[1] / 2
         return found[1] + extra, float(ratio), found[0], found[2] + extra
 
     goal, ratio, ridge, evidence = min(map(at, RATIOS if data.codes is not None else RATIOS[:1]))
     if not ridge:
         return None
-    K = data.whiten(columns, ratio)
-    own_error, own_density = left_out(data, K @ K.T / ridge, np.ones(data.Y.shape[1]), ratio)
+    K = columns @ columns.T / ridge
+    own_error, own_density = left_out(data, K, np.ones(data.Y.shape[1]), ratio)
     lead = value - goal
     share = min(1.0, data.n_total / (TRUSTED * data.X.shape[1]))
     together = lead + share * (density - own_density)

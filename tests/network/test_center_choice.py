@@ -41,7 +41,8 @@ def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
     monkeypatch.setattr(_fit, "RANK_PER_CENTER", 0.1)
     with pytest.warns(ConvergenceWarning, match="of the prior variance at the candidates"):
         RBFNetRegressor(**GIVEN, max_centers=300).fit(X, y)
-        # This has no goal that rounding might reach one centre earlier.
+    # This has no goal that rounding might reach one centre earlier.
+    with pytest.warns(ConvergenceWarning, match="of the prior variance at the candidates"):
         model = RBFNetRegressor(1e-9, **GIVEN).fit(X, y)
     assert model.stop_reason_ == "rank"
     assert len(model.centers_) == 100
