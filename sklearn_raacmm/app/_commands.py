@@ -194,8 +194,8 @@ def export(options):
             saved.model, source, std=options.std, card=card, poses="random",
             any_probe=options.any_probe,
         )  # fmt: skip
-        # Its test, its C++ header and its project, which come with poses.
-        more = (f"{options.name}_test.c", f"{options.name}.hpp", "CMakeLists.txt")
+        # Its test and its project, which come with poses.
+        more = (f"{options.name}_test.c", "CMakeLists.txt")
         paths += [folder / name for name in more]
     if options.onnx:
         to_onnx(saved.model, options.onnx)

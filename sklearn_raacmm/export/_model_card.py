@@ -22,7 +22,13 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
-from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
+from sklearn_raacmm.export._steps import (
+    check_fitted,
+    described,
+    extra_columns,
+    find_arm,
+    leaves,
+)
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
     centred,
@@ -180,8 +186,8 @@ def describe(
     if not whole or n_folds < 0 or n_folds == 1:
         raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {show(n_folds)}.")
     arm, unit = _arm(model)
-    first = next(leaves(model)).estimator
-    then = "".join(f", then {name}" for name, _ in extra_of(model))
+    first = next(leaves(model))[1]
+    then = "".join(f", then {name}" for name, _ in extra_columns(model))
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=_fingerprint(model),
@@ -200,7 +206,7 @@ def describe(
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
-    last = list(leaves(model))[-1].estimator
+    *_, (_, last) = leaves(model)
     findings = vars(model).get("findings_") or vars(last).get("findings_", ())
     if findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in findings]
@@ -216,7 +222,7 @@ def describe(
 
 def _of_rows(model, X, y, groups, n_folds):
     """The card's sections on the rows given: `training`, and with y `error`."""
-    first, (arm, unit) = next(leaves(model)).estimator, _arm(model)
+    first, (arm, unit) = next(leaves(model))[1], _arm(model)
     given = X  # a table keeps the names that the model was fitted with
     refuse_disguised("X", X)
     X = check_array(X, dtype=np.float64, input_name="X")
@@ -229,7 +235,7 @@ def _of_rows(model, X, y, groups, n_folds):
         refuse_disguised("y", y)
         y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
         check_consistent_length(X, y)
-    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_of(model)])}
+    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_columns(model)])}
     sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
     if y is not None:
         named = given if hasattr(first, "feature_names_in_") else X
@@ -257,7 +263,7 @@ def _data_fingerprint(X, y, codes):
 
 def _arm(model):
     try:
-        return arm_of(model)
+        return find_arm(model)
     except ValueError:  # an azimuth that is not an arm's, or two arms: not what can be described
         return None, None
 

@@ -3,7 +3,6 @@
 import ctypes
 import platform
 import re
-import shutil
 import subprocess
 from decimal import Context, Decimal
 
@@ -13,7 +12,8 @@ import pytest
 from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.export import _networks, export_c
 
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+from ._chains import COMPILERS
+
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
 
 

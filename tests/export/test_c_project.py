@@ -6,35 +6,26 @@ import subprocess
 
 import numpy as np
 import pytest
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
-    ArmResidualRegressor,
     CylindricalResidualTarget,
-    PoseFeatures,
     RBFNetRegressor,
 )
 from sklearn_raacmm.export import _load_c, export_c
 
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
-STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
-STRICT += ["-Wdouble-promotion", "-Wfloat-conversion"]
+from ._chains import COMPILERS, STRICT, form_b, network, of_arm
+
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
 
 
 @pytest.fixture(scope="module")
 def models(data):
-    network = RBFNetRegressor(20, length_scale=1.5, alpha=0.03)
     fitted = {
-        "chain": make_pipeline(
-            PoseFeatures(data.arm, append_azimuth=True),
-            CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
-        ),
-        "guarded": ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"], fade=1.0),
+        "chain": form_b(data.arm),
+        "guarded": of_arm(data.arm, "kinematics", orders=2, fade=1.0),
     }
     fitted = {name: model.fit(data.data, data.target) for name, model in fitted.items()}
-    fitted["features"] = network.fit(data.data[:, :2], data.target[:, :2])
+    fitted["features"] = network().fit(data.data[:, :2], data.target[:, :2])
     return fitted
 
 
@@ -74,18 +65,6 @@ def test_the_test_program_notices_another_model(models, data, tmp_path):
     assert re.search(r"row \d+, output 0: got .* expected", said.stdout)
 
 
-@needs_compiler
-@pytest.mark.skipif(not shutil.which("cmake"), reason="cmake is not on PATH")
-def test_the_cmake_project_builds_and_passes(models, data, tmp_path):
-    export_c(models["guarded"], tmp_path / "my_arm.c", poses=data.data, std=True)
-    line = (tmp_path / "CMakeLists.txt").read_text().splitlines()[1]
-    for command in line.strip("# ").split(" && "):
-        done = run(command.split(), tmp_path)
-        assert done.returncode == 0, done.stdout + done.stderr
-    assert "100% tests passed" in done.stdout
-    assert not run(["build/my_arm_test"], tmp_path).returncode
-
-
 CONSUMER = """
 cmake_minimum_required(VERSION 3.12)
 project(consumer C)
@@ -106,15 +85,16 @@ int main(void)
 
 @needs_compiler
 @pytest.mark.skipif(not shutil.which("cmake"), reason="cmake is not on PATH")
-def test_an_installed_model_is_found(models, data, tmp_path):
-    export_c(models["chain"], tmp_path / "my_arm.c", poses="random")
+def test_the_cmake_project_builds_passes_and_is_found(models, tmp_path):
+    export_c(models["guarded"], tmp_path / "my_arm.c", poses="random", std=True)
+    line = (tmp_path / "CMakeLists.txt").read_text().splitlines()[1]
     other = tmp_path / "consumer"
     other.mkdir()
     (other / "CMakeLists.txt").write_text(CONSUMER)
     (other / "main.c").write_text(MAIN)
     for command, folder in (
-        ("cmake -S . -B build", tmp_path),
-        ("cmake --build build", tmp_path),
+        *((part, tmp_path) for part in line.strip("# ").split(" && ")),  # the file's own words
+        ("./build/my_arm_test", tmp_path),
         (f"cmake --install build --prefix {tmp_path / 'place'}", tmp_path),
         (f"cmake -S . -B build -DCMAKE_PREFIX_PATH={tmp_path / 'place'}", other),
         ("cmake --build build", other),
@@ -136,48 +116,6 @@ def test_a_source_that_does_not_keep_its_promise_is_refused(models, tmp_path, mo
     with pytest.raises(ValueError, match=r"the C source is up to .* away from predict, .* of the"):
         export_c(models["chain"], tmp_path / "arm.c")
     assert not list(tmp_path.iterdir())
-
-
-CPP = """
-#include "arm.hpp"
-#include <cstdio>
-#include <limits>
-int main()
-{
-    raacmm::arm::Input q{%s};
-    const auto correction = raacmm::arm::correct(q);
-    const auto point = raacmm::arm::point(q);
-    q[2] = std::numeric_limits<double>::quiet_NaN();
-    if (!correction || !point || raacmm::arm::correct(q) || raacmm::arm::point(q))
-        return 1;
-    for (const auto value : {*correction, *point})
-        std::printf("%%.17g %%.17g %%.17g\\n", value[0], value[1], value[2]);
-}
-"""
-
-
-@needs_compiler
-@pytest.mark.parametrize("compiler", COMPILERS)
-def test_the_header_for_cpp(models, data, tmp_path, compiler):
-    model = models["chain"]
-    export_c(model, tmp_path / "arm.c", poses=data.data)
-    (tmp_path / "main.cpp").write_text(CPP % ", ".join(map(repr, data.data[0].tolist())))
-    program = {"gcc": "g++", "clang": "clang++"}[compiler]
-    if not shutil.which(program):
-        pytest.skip(f"{program} is not on PATH")
-    for command in (
-        [compiler, "-std=c99", "-c", "arm.c"],
-        [program, "-std=c++17", "-Wall", "-Wextra", "-Werror", "-pedantic", "-o", "main",
-         "main.cpp", "arm.o", "-lm"],
-    ):  # fmt: skip
-        done = run(command, tmp_path)
-        assert done.returncode == 0, done.stderr
-    done = run(["./main"], tmp_path)
-    got = np.array(done.stdout.split(), dtype=float).reshape(2, 3)
-    expected = model.predict(data.data[:1])[0]
-    np.testing.assert_allclose(got[0], expected, rtol=0, atol=1e-12)
-    point = data.arm.forward(data.data[:1])[0] - expected
-    np.testing.assert_allclose(got[1], point, rtol=0, atol=1e-11)
 
 
 @needs_compiler
@@ -204,7 +142,7 @@ def test_a_cmake_file_of_others_is_left_alone(models, data, tmp_path):
     place.unlink()
     for _ in range(2):  # our own is replaced
         export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
-    names = {"arm.c", "arm.h", "arm.hpp", "arm_test.c", "CMakeLists.txt"}
+    names = {"arm.c", "arm.h", "arm_test.c", "CMakeLists.txt"}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
