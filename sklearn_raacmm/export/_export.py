@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._c_project import project_files
+from sklearn_raacmm.export._c_test import make_test
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
@@ -97,8 +97,8 @@ def export_c(
 
     poses : array-like of shape (n, N) or "random", default=None
         Rows that the model was fitted on, or others that it will see; "random" takes random ones.
-        With them come, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
-        ``predict`` gives, and ``CMakeLists.txt``, which builds, runs and installs.
+        With them comes, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
+        ``predict`` gives.
 
     any_probe : bool, default=False
         Whether the functions take the vector of the probe: three more numbers in mm at the end of
@@ -114,8 +114,7 @@ def export_c(
     ------
     ValueError
         If a step cannot be exported, a parameter is none that C can have, a number of the model is
-        not finite in this precision, or a CMakeLists.txt of somebody else is there; if the file,
-        compiled, does not give what ``predict`` gives.
+        not finite in this precision; if the file, compiled, does not give what ``predict`` gives.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -163,7 +162,8 @@ def export_c(
     files = {path: source, header_path: header}
     if poses is not None:
         gap = np.nanmax(np.abs(run(program, rows["X"])["y"] - rows["y"]))
-        files |= project_files(rows, gap, name, path, dtype, program.about["corrects"])
+        text = make_test(rows, gap, name, path.stem, dtype, program.about["corrects"])
+        files[path.with_name(f"{path.stem}_test.c")] = text
     write_whole(files)
     return path, header_path
 

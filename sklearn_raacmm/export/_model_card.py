@@ -31,7 +31,6 @@ from sklearn_raacmm.export._steps import (
 )
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
-    centred,
     encode_groups,
     refuse_disguised,
     safe_indexing,
@@ -324,7 +323,9 @@ def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) ->
     facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}
     for when, left in (("before", y), ("after", y - predicted)):
         # Residuals of a single-point test say nothing of a position's mean, nor can the model.
-        left = centred(left, codes) if relative else left
+        if relative:
+            means = [left[codes == code].mean(axis=0) for code in range(int(codes.max()) + 1)]
+            left = left - np.array(means)[codes]
         size = np.abs(left) if y.ndim == 1 else np.linalg.norm(left, axis=1)
         facts[f"mean_{when}_mm"] = float(size.mean())
         facts[f"largest_{when}_mm"] = float(size.max())

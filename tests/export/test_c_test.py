@@ -1,7 +1,6 @@
-"""What comes with the C files: the generated project builds, and its test would notice a change."""
+"""What comes with the C files: the test program agrees, and would notice a change."""
 
 import re
-import shutil
 import subprocess
 
 import numpy as np
@@ -65,45 +64,6 @@ def test_the_test_program_notices_another_model(models, data, tmp_path):
     assert re.search(r"row \d+, output 0: got .* expected", said.stdout)
 
 
-CONSUMER = """
-cmake_minimum_required(VERSION 3.12)
-project(consumer C)
-find_package(my_arm 0.1 REQUIRED)
-add_executable(consumer main.c)
-target_link_libraries(consumer PRIVATE my_arm::my_arm)
-"""
-MAIN = """
-#include <my_arm.h>
-int main(void)
-{
-    const double q[6] = {0.1, 0.2, 0.3, 0.4, 0.5, 0.6};
-    double y[3];
-    return my_arm_correct(q, y) == MY_ARM_NOT_FINITE;
-}
-"""
-
-
-@needs_compiler
-@pytest.mark.skipif(not shutil.which("cmake"), reason="cmake is not on PATH")
-def test_the_cmake_project_builds_passes_and_is_found(models, tmp_path):
-    export_c(models["guarded"], tmp_path / "my_arm.c", poses="random", std=True)
-    line = (tmp_path / "CMakeLists.txt").read_text().splitlines()[1]
-    other = tmp_path / "consumer"
-    other.mkdir()
-    (other / "CMakeLists.txt").write_text(CONSUMER)
-    (other / "main.c").write_text(MAIN)
-    for command, folder in (
-        *((part, tmp_path) for part in line.strip("# ").split(" && ")),  # the file's own words
-        ("./build/my_arm_test", tmp_path),
-        (f"cmake --install build --prefix {tmp_path / 'place'}", tmp_path),
-        (f"cmake -S . -B build -DCMAKE_PREFIX_PATH={tmp_path / 'place'}", other),
-        ("cmake --build build", other),
-        ("./build/consumer", other),
-    ):
-        done = run(command.split(), folder)
-        assert done.returncode == 0, done.stdout + done.stderr
-
-
 @needs_compiler
 def test_a_source_that_does_not_keep_its_promise_is_refused(models, tmp_path, monkeypatch):
     write = _load_c.sources
@@ -131,19 +91,6 @@ def test_the_header_says_what_single_precision_costs(models, data, tmp_path):
         assert 1e-9 < correction < 1e-4
         assert 1e-7 < share < 1e-2
         assert 1e-5 < point < 3e-3  # a metre has 7 digits
-
-
-def test_a_cmake_file_of_others_is_left_alone(models, data, tmp_path):
-    place = tmp_path / "CMakeLists.txt"
-    place.write_text("project(mine)\n")
-    with pytest.raises(ValueError, match="is not of sklearn_raacmm, and is left alone"):
-        export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
-    assert [path.name for path in tmp_path.iterdir()] == ["CMakeLists.txt"]
-    place.unlink()
-    for _ in range(2):  # our own is replaced
-        export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
-    names = {"arm.c", "arm.h", "arm_test.c", "CMakeLists.txt"}
-    assert {path.name for path in tmp_path.iterdir()} == names
 
 
 def test_poses_are_checked(models, data, tmp_path):
