@@ -191,7 +191,7 @@ def test_degrees_are_warned_of_once_on_the_line_of_the_call(model, door):
 def test_what_is_neither_true_nor_false(model, flag, value):
     """Such as labels in the second place of predict."""
     network = RBFNetRegressor(2).fit(TEST.data, TEST.target)
-    for door in (model.predict, network.predict, model.predict_orientation):
+    for door in (model.predict, network.predict):
         with pytest.raises(TypeError, match=f"{flag} must be True or False, got "):
             door(TEST.data, **{flag: value})
     for good in (True, np.True_, 1):

@@ -183,15 +183,6 @@ def test_extra_columns_updated(with_extra, tmp_path):
     assert entry["n_poses"] == 50
 
 
-def test_orientations_updated(data, new, tmp_path):
-    rng = np.random.default_rng(5)
-    turns = [rng.normal(0, 1e-4, (len(part[0]), 3)) for part in (data, new)]
-    model = linear().fit(*data, orientation_residuals=turns[0])
-    updated = update_correction(model, *new, orientation_residuals=turns[1], date="2026-01-02")
-    agree(updated, new[0], tmp_path)
-    assert_same_files(updated, new[0])
-
-
 @pytest.mark.parametrize("measured", [False, True])
 def test_started_from_earlier_arms(data, new, tmp_path, measured):
     """Without poses of its own, with some, and updated afterwards."""
