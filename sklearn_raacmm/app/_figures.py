@@ -53,7 +53,7 @@ def svg_of(draw, name, style=None):
 
 
 def figures_of(result, limit_mm=None):
-    """Figures of a LearnedCorrection as SVG elements, by name; `limit_mm` of 2S is in the first."""
+    """Figures of a Correction as SVG elements, by name; `limit_mm` of 2S is in the first."""
     draws = {
         "positions": lambda figure: _positions(figure, result.scores, limit_mm),
         "joints": lambda figure: _joints(figure, result),
