@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
-from sklearn_raacmm.calibration import CalibrationResult, calibrate
+from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._deviations import distances, of_coordinate, predict_with_std
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._update import update_correction
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Finding, check_option
@@ -62,8 +61,8 @@ class Correction:
     model: Any
     base: tuple[Any, ...] | None = field(repr=False)
     facts: dict[str, Any] = field(repr=False)
-    scores: CorrectionScores | None = None
-    calibration: CalibrationResult | None = field(default=None, repr=False)
+    scores: Any = None
+    calibration: Any = field(default=None, repr=False)
     angles: np.ndarray | None = field(default=None, repr=False)
     positions: np.ndarray | None = field(default=None, repr=False)
 
@@ -225,14 +224,17 @@ class Correction:
             As :func:`check_correction`.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        refitted = ()
-        if points is None:
+        refitted: tuple[str, ...] = ()
+        if points is not None:
+            known = self
+            if self.base is None or new_base:
+                known = self.register(angles, positions, points, free=())
+                refitted = ("base",)
+            y = known.residuals(angles, points)
+        elif positions is not None:
             y = position_residuals(self.arm.forward(angles), positions)
-        elif self.base is None or new_base:
-            y = self.register(angles, positions, points, free=()).residuals(angles, points)
-            refitted = ("base",)
         else:
-            y = self.residuals(angles, points)
+            raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
         return check_correction(
             self.model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
             refitted=refitted, false_alarm_rate=false_alarm_rate, date=date,
@@ -444,7 +446,7 @@ class Correction:
         of_metre = np.sqrt(2 * np.mean(within**2, axis=1) + scale**2)
         return np.column_stack([points, of_coordinate(self, X, points, within), within, of_metre])
 
-    def residuals(self, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def residuals(self, angles: np.ndarray, points: ArrayLike) -> np.ndarray:
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.
 
         Raises
@@ -458,7 +460,7 @@ class Correction:
                 "points: register it with some first."
             )
         rotation, translation = self.base
-        return self.arm.forward(angles) - (points - translation) @ rotation
+        return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
 
     def _within_positions(self, X):
         """Corrected points, and standard deviations of their coordinates within a position."""
