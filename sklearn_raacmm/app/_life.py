@@ -14,17 +14,15 @@ from scipy import stats
 
 from sklearn_raacmm.app._causes import probe_not_told
 from sklearn_raacmm.app._cells import TableError, as_said
-from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
 from sklearn_raacmm.app._lengths import read_lengths
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
-from sklearn_raacmm.correction import read_check_records
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, natural_order, write_whole
+from sklearn_raacmm.utils import check_places, natural_order
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -157,11 +155,11 @@ def move(options):
 def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
     inputs = [options.table, *files_of(options.model)]
-    check_places(filter(None, (options.record, options.chart)), inputs)
+    check_places(filter(None, [options.record]), inputs)
     saved = load_correction(options.model)
     has_causes = isinstance(saved.model, ArmResidualRegressor) and saved.model.helps_
     by_spread = saved.facts["measure"] == "2S" and not options.points
-    needed = [f"--{name}" for name in ("record", "chart", "lengths") if getattr(options, name)]
+    needed = [f"--{name}" for name in ("record", "lengths") if getattr(options, name)]
     if not has_causes and (needed or not by_spread):
         raise TableError(
             f"{' and '.join(needed) or 'this check'} needs a model of causes; this correction has "
@@ -239,10 +237,6 @@ def _by_causes(saved, today, options, rate):
     if options.record:
         found.append_to(options.record)
         print(f"Appended to {options.record}")
-    if options.chart:
-        records = read_check_records(options.record) if options.record else [found.record]
-        write_whole({options.chart: chart_of(records)})
-        print(f"Written to {options.chart}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     return changed, {name: getattr(found, name) for name in names}, found.slipped
 

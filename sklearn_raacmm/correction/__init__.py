@@ -9,7 +9,6 @@ from sklearn_raacmm.correction._learn import cross_validate_correction, learn_co
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
-from sklearn_raacmm.correction._records import read_check_records
 from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table
 from sklearn_raacmm.correction._transfer import transfer_correction
@@ -27,7 +26,6 @@ __all__ = [
     "learn_correction",
     "next_poses",
     "plan_poses",
-    "read_check_records",
     "search_table",
     "transfer_correction",
     "update_correction",

@@ -151,7 +151,6 @@ def places(tmp_path, monkeypatch):
         ("correct t.csv --model old --out old/arm.json", "written as CSV, and old/arm.json says"),
         ("correct t.csv --model old --out t.xlsx", "written as CSV, and t.xlsx says"),
         ("check t.csv --model old --record t.csv", "t.csv is read and would be written over"),
-        ("check t.csv --model old --record a --chart a", "would be written twice"),
         ("export --model old --onnx old/model.skops", "is read and would be written over"),
         ("arm arm.json --out arm.json", "arm.json is read and would be written over"),
     ],
