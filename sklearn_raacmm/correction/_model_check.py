@@ -30,7 +30,6 @@ from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
     one_warning,
-    show,
     validate_params,
 )
 
@@ -372,7 +371,7 @@ class _Poses(NamedTuple):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
         refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
+            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
         place = self.rows(place_columns(self.linear.arm, self.angles, with_base=True))
         place = place[:, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
         if self.codes is None:

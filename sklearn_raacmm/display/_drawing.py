@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.utils import check_points, deviations_by_group, show
+from sklearn_raacmm.utils import check_points, deviations_by_group
 
 # Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
 # have no order, so that no line joins them.
@@ -32,7 +32,7 @@ class BeforeAfter:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise TypeError(f"name must be a text for the legend, got {show(self.name)}.")
+            raise TypeError(f"name must be a text for the legend, got {self.name!r:.60}.")
 
 
 class PointsDisplay(BeforeAfter):
@@ -123,7 +123,7 @@ def pyplot():
 def check_model(estimator):
     """Refuse what is no fitted model."""
     if not hasattr(estimator, "predict"):
-        raise TypeError(f"estimator must be a fitted model, got {show(estimator)}.")
+        raise TypeError(f"estimator must be a fitted model, got {estimator!r:.60}.")
     check_is_fitted(estimator)
 
 
@@ -136,7 +136,7 @@ def axes_grid(axes, shape, **options):
         raise ValueError(f"{axes.size} axes were given, but {np.prod(shape)} are needed.")
     for ax in axes.flat:
         if not hasattr(ax, "axhline"):
-            raise TypeError(f"Axes of matplotlib are needed to draw on, got {show(ax)}.")
+            raise TypeError(f"Axes of matplotlib are needed to draw on, got {ax!r:.60}.")
     return axes.reshape(shape)
 
 

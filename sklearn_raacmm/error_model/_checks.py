@@ -28,7 +28,6 @@ from sklearn_raacmm.utils import (
     refuse_huge,
     say_findings,
     share_of_means,
-    show,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -54,7 +53,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     check_extra(extra, arm.n_joints)
     unknown = [name for name in estimator.causes if name not in CAUSES]
     if unknown:
-        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {show(unknown[0])}.")
+        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {unknown[0]!r:.60}.")
     X = in_rad(X, arm.n_joints, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))

@@ -30,7 +30,6 @@ from sklearn_raacmm.utils import (
     refuse_disguised,
     safe_indexing,
     share_of_means,
-    show,
 )
 
 # Positions' mean residuals count as taken off below this share of their squares that chance would
@@ -178,7 +177,7 @@ def describe(
         raise ValueError("y and groups describe rows of X, which is None.")
     whole = isinstance(n_folds, int | np.integer) and not isinstance(n_folds, bool)
     if not whole or n_folds < 0 or n_folds == 1:
-        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {show(n_folds)}.")
+        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {n_folds!r:.60}.")
     arm, unit = _arm(model)
     first = next(leaves(model)).estimator
     then = "".join(f", then {name}" for name, _ in extra_of(model))
@@ -240,7 +239,7 @@ def _of_rows(model, X, y, groups, n_folds):
 def _text(name, value):
     """A field of text, or one clear sentence."""
     if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"{name} must be text, got {show(value)}.")
+        raise ValueError(f"{name} must be text, got {value!r:.60}.")
     return value
 
 

@@ -21,7 +21,6 @@ from sklearn_raacmm.utils._checks import (
     refuse_disguised,
     refuse_huge,
     refuse_masked,
-    show,
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import (

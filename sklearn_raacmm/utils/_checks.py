@@ -23,12 +23,6 @@ LARGEST = 1e50
 _MAY_BE_ARRAYS = (Sequence, Real, NoneType, dict)
 
 
-def show(value: object, limit: int = 60) -> str:
-    """Representation of a value in one line, short enough for a sentence."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= limit else text[:limit] + "..."
-
-
 def refuse_disguised(name: str, value: Any) -> None:
     """Refuse masked values, dates, mappings, and arrays that are to stay another library's.
 
@@ -52,11 +46,11 @@ def refuse_disguised(name: str, value: Any) -> None:
             "such as data and target."
         )
     if isinstance(value, str | bytes):
-        raise ValueError(f"{name} must hold numbers, got {show(value)}.")
+        raise ValueError(f"{name} must hold numbers, got {value!r:.60}.")
     if not (hasattr(value, "__array__") or isinstance(value, _MAY_BE_ARRAYS) or issparse(value)):
-        raise TypeError(f"{name} must be an array, got {show(value)}.")
+        raise TypeError(f"{name} must be an array, got {value!r:.60}.")
     if isinstance(value, Integral) and abs(int(value)) > LARGEST:  # too long for a float, perhaps
-        raise ValueError(f"{name} holds a number above {LARGEST:g}, got {show(value)}.")
+        raise ValueError(f"{name} holds a number above {LARGEST:g}, got {value!r:.60}.")
     if _kinds(value) & {"m", "M"}:
         raise ValueError(f"{name} must hold numbers, got dates or times.")
 
@@ -107,7 +101,7 @@ def floats(name: str, value: Any) -> np.ndarray:
             return array.astype(np.float64)
     except (TypeError, ValueError, OverflowError):  # the last of whole numbers above 1e308
         pass
-    raise ValueError(f"{name} must hold numbers, got {show(value)}.")
+    raise ValueError(f"{name} must hold numbers, got {value!r:.60}.")
 
 
 def check_fitted(estimator: Any, attribute: str) -> None:
@@ -178,7 +172,7 @@ def check_weights(
 def check_option(name: str, value: object, options: Iterable[str | None]) -> None:
     """Refuse what is not one of the options."""
     if not (value is None or isinstance(value, str)) or value not in options:
-        raise ValueError(f"{name}={show(value)} is not one of {', '.join(map(repr, options))}.")
+        raise ValueError(f"{name}={value!r:.60} is not one of {', '.join(map(repr, options))}.")
 
 
 def check_flags(**flags: object) -> None:
@@ -187,7 +181,7 @@ def check_flags(**flags: object) -> None:
         if value is True or value is False:
             continue
         if not isinstance(value, np.bool_ | Integral) or value not in (0, 1):
-            raise TypeError(f"{name} must be True or False, got {show(value)}.")
+            raise TypeError(f"{name} must be True or False, got {value!r:.60}.")
 
 
 def listed(name: str, value: Any) -> list[Any]:
@@ -195,7 +189,7 @@ def listed(name: str, value: Any) -> list[Any]:
     try:
         return [value] if isinstance(value, str) else list(value)
     except TypeError:
-        raise ValueError(f"{name} must be a list, got {show(value)}.") from None
+        raise ValueError(f"{name} must be a list, got {value!r:.60}.") from None
 
 
 def check_whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
@@ -203,7 +197,7 @@ def check_whole_number(name: str, value: Any, low: int, high: int | None = None)
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not whole or int(value) < low or (high is not None and int(value) > high):
         bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name} must be a whole number {bounds}, got {show(value)}.")
+        raise ValueError(f"{name} must be a whole number {bounds}, got {value!r:.60}.")
     return int(value)
 
 

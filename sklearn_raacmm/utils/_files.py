@@ -12,13 +12,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sklearn_raacmm.utils._checks import show
-
 
 def check_path(name: str, value: object) -> Path:
     """Refuse what is no path of a file or folder, and give it as a `Path`."""
     if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"{name} must be the path of a file or folder, got {show(value)}.")
+        raise TypeError(f"{name} must be the path of a file or folder, got {value!r:.60}.")
     return Path(value)
 
 
