@@ -6,9 +6,8 @@
 import csv
 import json
 from os import PathLike
+from pathlib import Path
 from typing import Any
-
-from sklearn_raacmm.utils import check_path
 
 # What a record holds, in the order of the columns, and what each value is.
 _FIELDS = {
@@ -27,7 +26,7 @@ _FIELDS = {
 
 def append_record(path, record):
     """Append one record to a CSV file, or to one of a JSON object in each line."""
-    path = check_path("path", path)
+    path = Path(path)
     is_new = not path.exists() or path.stat().st_size == 0
     if not is_new:
         read_check_records(path)  # refuses a file of anything else
@@ -64,7 +63,7 @@ def read_check_records(path: str | PathLike[str]) -> list[Any]:
     >>> from sklearn_raacmm import read_check_records
     >>> records = read_check_records("checks_of_arm_7.csv")  # doctest: +SKIP
     """
-    path = check_path("path", path)
+    path = Path(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:

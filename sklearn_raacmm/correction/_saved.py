@@ -22,14 +22,7 @@ from sklearn_raacmm.correction._deviations import distances, of_coordinate, pred
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import (
-    Finding,
-    check_option,
-    check_path,
-    digest_of,
-    whole_file,
-    write_whole,
-)
+from sklearn_raacmm.utils import Finding, check_option, digest_of, whole_file, write_whole
 
 _FACTS = "correction.json"
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
@@ -234,7 +227,7 @@ def write_correction(
 
     Whatever interrupts the writing, the folder holds the old correction or this one.
     """
-    folder = check_path("folder", folder)
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     facts = facts | {"files": {name: digest_of(content) for name, content in contents.items()}}
     contents = {_FACTS: json.dumps(facts, indent=1, ensure_ascii=False) + "\n", **contents}
@@ -256,7 +249,7 @@ def read_correction(
     OSError
         If there is no such file.
     """
-    folder = check_path("folder", folder)
+    folder = Path(folder)
     if not (folder / _FACTS).is_file():
         raise FileNotFoundError(f"{folder} has no {_FACTS}; learning a correction writes one.")
     try:

@@ -24,7 +24,6 @@ from sklearn_raacmm.utils._checks import (
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import (
-    check_path,
     check_places,
     digest_of,
     whole_file,
@@ -49,13 +48,12 @@ from sklearn_raacmm.utils._groups import (
     encode_groups,
     group_means,
     group_sums,
-    group_weights,
     natural_order,
     share_of_means,
     slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
-from sklearn_raacmm.utils._matrices import align, invert_triangle, nearest_rotation
+from sklearn_raacmm.utils._matrices import align, nearest_rotation
 from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
