@@ -12,7 +12,7 @@ from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem
 from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.measurements import within_turn
-from sklearn_raacmm.utils import Finding, encode_groups, floats, listed, refuse_huge, say_findings
+from sklearn_raacmm.utils import Finding, encode_groups, floats, listed, say_findings
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
 _LENGTH_OUTLIER = 5.0
@@ -73,13 +73,9 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
 
 
 def _check_points(points, n, lengths):
-    points = floats("points", points)
+    points = floats("points", points, finite=True)
     if points.shape != (n, 3):
         raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-    if not np.all(np.isfinite(points)):
-        row = np.argwhere(~np.isfinite(points))[0, 0]
-        raise ValueError(f"points hold NaN or infinity, first in row {row}.")
-    refuse_huge("points", points)
     if lengths:
         raise ValueError("lengths are between groups; measured points have no use for them.")
     return points

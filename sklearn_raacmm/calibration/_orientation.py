@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm import dh_theta, frame_columns
-from sklearn_raacmm.utils import floats, nearest_rotation, refuse_huge
+from sklearn_raacmm.utils import floats, nearest_rotation
 
 # Departure from orthonormal of a rotation matrix that was written with four digits.
 _NOT_ROTATION = 1e-3
@@ -43,8 +43,8 @@ def turn_vectors(turns):
 
 def check_turns(turns: Any, n: int) -> Any:
     """Rotation matrices (n, 3, 3), or rotation objects of SciPy."""
-    turns = turns.as_matrix() if hasattr(turns, "as_matrix") else floats("orientations", turns)
-    refuse_huge("orientations", turns)
+    turns = turns.as_matrix() if hasattr(turns, "as_matrix") else turns
+    turns = floats("orientations", turns, finite=True)
     if turns.shape != (n, 3, 3):
         raise ValueError(
             f"orientations must be {n} rotation matrices, shape ({n}, 3, 3), got {turns.shape}."

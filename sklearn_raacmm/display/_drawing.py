@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.utils import check_points, deviations_by_group
+from sklearn_raacmm.utils import deviations_by_group, floats
 
 # Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
 # have no order, so that no line joins them.
@@ -95,7 +95,7 @@ class PosesDisplay(BeforeAfter):
 
 def before_and_after(n_rows, y, y_pred, groups):
     """Residuals (n, 3) of so many poses, and what is left of them; None without a prediction."""
-    y = check_points(y, n_coordinates=3)
+    y = floats("y", y, 3)
     if len(y) != n_rows:
         raise ValueError(f"X has {n_rows} rows, but y {len(y)}.")
     if y_pred is None:
@@ -106,7 +106,7 @@ def before_and_after(n_rows, y, y_pred, groups):
 
 def subtract(points, correction):
     """Take a correction (n, 3) off points (n, 3), both checked."""
-    correction = check_points(correction, n_coordinates=3)
+    correction = floats("correction", correction, 3)
     if len(correction) != len(points):
         raise ValueError(f"{len(points)} points, but a correction for {len(correction)}.")
     return points - correction

@@ -25,7 +25,6 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
-    refuse_huge,
     say_findings,
     share_of_means,
 )
@@ -71,12 +70,11 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
 
 def _check_probes(probes, n_rows, regressor):
     """Probe of each row, (n, 3) in mm."""
-    probes = floats("probes", probes)
+    probes = floats("probes", probes, finite=True)
     if probes.shape != (n_rows, 3):
         raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
     if regressor is not None:
         raise ValueError("A second stage sees one probe only: probes go with regressor=None.")
-    refuse_huge("probes", probes)
     return probes
 
 
@@ -190,13 +188,12 @@ def check_turns(turns: Any, n_rows: int, codes: np.ndarray | None) -> Any:
     """Residuals of the orientation (n, 3) in rad, or None where there are none."""
     if turns is None:
         return None
-    turns = floats("orientation_residuals", turns)
+    turns = floats("orientation_residuals", turns, finite=True)
     if turns.shape != (n_rows, 3):
         raise ValueError(
             f"orientation_residuals must be {n_rows} rotation vectors in rad, shape ({n_rows}, 3), "
             f"got {turns.shape}."
         )
-    refuse_huge("orientation_residuals", turns)
     largest = np.linalg.norm(turns, axis=1).max()
     if largest > _LARGEST_TURN:
         raise ValueError(

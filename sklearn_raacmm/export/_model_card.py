@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
-from sklearn.utils import check_array, check_consistent_length
+from sklearn.utils import check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
@@ -24,13 +24,7 @@ from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
 from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import (
-    centred,
-    encode_groups,
-    refuse_disguised,
-    safe_indexing,
-    share_of_means,
-)
+from sklearn_raacmm.utils import centred, encode_groups, floats, safe_indexing, share_of_means
 
 # Positions' mean residuals count as taken off below this share of their squares that chance would
 # leave: those of a single-point test are zero but for the digits of a file. Noise alone at twelve
@@ -217,16 +211,14 @@ def _of_rows(model, X, y, groups, n_folds):
     """The card's sections on the rows given: `training`, and with y `error`."""
     first, (arm, unit) = next(leaves(model)).estimator, _arm(model)
     given = X  # a table keeps the names that the model was fitted with
-    refuse_disguised("X", X)
-    X = check_array(X, dtype=np.float64, input_name="X")
+    X = floats("X", X, -1)
     if X.shape[1] != first.n_features_in_:
         raise ValueError(
             f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
         )
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if y is not None:
-        refuse_disguised("y", y)
-        y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
+        y = floats("y", y, finite=True)
         check_consistent_length(X, y)
     sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_of(model)])}
     sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)

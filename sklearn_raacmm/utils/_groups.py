@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
-from sklearn_raacmm.utils._checks import check_points, refuse_masked
+from sklearn_raacmm.utils._checks import floats
 from sklearn_raacmm.utils._robust import robust_scale, tukey_weights
 
 # How a missing label that is no text prints: NaN, None, and those of pandas.
@@ -40,7 +40,8 @@ def encode_groups(
     """
     if groups is None:
         raise ValueError(f"{name} must give the position of each point, got None.")
-    refuse_masked(name, groups)
+    if np.ma.is_masked(groups):
+        raise ValueError(f"{name} has {np.ma.count_masked(groups)} masked labels.")
     groups = _labels(groups, name)
     if n_samples is not None and len(groups) != n_samples:
         raise ValueError(f"{name} names {len(groups)} samples, but there are {n_samples}.")
@@ -202,7 +203,7 @@ def deviations_by_group(
     points: ArrayLike, groups: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Deviation of each point from its position's mean, its position, counts and labels."""
-    points = check_points(points)
+    points = floats("points", points, -1)
     labels, codes = check_groups(groups, len(points))
     counts = np.bincount(codes)
     if counts.min() < 2:
