@@ -22,7 +22,7 @@ from sklearn_raacmm.correction import Correction, CorrectionScores
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import length_error
-from sklearn_raacmm.utils import show, write_whole
+from sklearn_raacmm.utils import write_whole
 
 # Rows shown of tables that may be long.
 _MOST_ROWS = 40
@@ -146,7 +146,7 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
     if scores.measure != "2S":
         raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
     if not 0 < limit < np.inf:
-        raise ValueError(f"the limit of 2S must be a positive number in mm, got {show(limit)}.")
+        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
     mean, low, high = scores.summary["after"]
     word = "PASS" if high <= limit else "FAIL" if low > limit else "OPEN"
     what = {

@@ -25,10 +25,8 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
-    refuse_huge,
     say_findings,
     share_of_means,
-    show,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -52,7 +50,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     check_extra(extra, arm.n_joints)
     unknown = [name for name in estimator.causes if name not in CAUSES]
     if unknown:
-        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {show(unknown[0])}.")
+        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {unknown[0]!r:.60}.")
     X = in_rad(X, arm.n_joints, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
@@ -70,12 +68,11 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
 
 def _check_probes(probes, n_rows, regressor):
     """Probe of each row, (n, 3) in mm."""
-    probes = floats("probes", probes)
+    probes = floats("probes", probes, finite=True)
     if probes.shape != (n_rows, 3):
         raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
     if regressor is not None:
         raise ValueError("A second stage sees one probe only: probes go with regressor=None.")
-    refuse_huge("probes", probes)
     return probes
 
 

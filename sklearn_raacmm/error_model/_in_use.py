@@ -16,7 +16,7 @@ from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
 from sklearn_raacmm.error_model._solve import angles_for
-from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, warn_user
+from sklearn_raacmm.utils import check_flags, check_whole_number, floats, warn_user
 
 
 class ModelInUseMixin:
@@ -166,7 +166,7 @@ class ModelInUseMixin:
         >>> bool(np.abs(model.correct(found) - wanted).max() < 1e-6)
         True
         """
-        points = check_points(points, 3)
+        points = floats("points", points, 3)
         start = np.asarray(start, dtype=float)
         if start.ndim == 2 and len(start) == 1:
             start = np.repeat(start, len(points), axis=0)

@@ -25,16 +25,16 @@ from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
 from sklearn_raacmm.export._steps import check_fitted, check_std
-from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
+from sklearn_raacmm.utils import check_flags, write_whole
 
 
 def _check(std, card, dtype="double"):
     """Refuse what cannot be one of these parameters."""
     check_std(std)
     if not (card is None or isinstance(card, str | dict)):
-        raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
+        raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
-        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+        raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
 
 
 def _rows_of(model, poses, std, n_inputs, dtype="double"):
@@ -169,11 +169,11 @@ def export_c(
     int sine_predict_n(const double *features, double *prediction, size_t n);
     const char *sine_fingerprint(void);
     """
-    path = check_path("path", path)
+    path = Path(path)
     if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z0-9_.+-]+", path.name, re.ASCII):
         raise ValueError(
             "path must name a file of letters, digits, '_', '.', '+' and '-' that ends in .c, got "
-            f"{show(str(path))}."
+            f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
     _check(std, card, dtype)
@@ -266,7 +266,7 @@ def to_json(
     >>> bool(np.abs(again.predict(X) - model.predict(X)).max() < 1e-12)
     True
     """
-    path = None if path is None else check_path("path", path)
+    path = None if path is None else Path(path)
     _check(std, card)
     program = program_of(model, std)
     rows = _rows_of(model, poses, std, program.n_inputs)
@@ -312,7 +312,7 @@ def from_json(source: str | PathLike[str]) -> ExportedModel:
     if isinstance(source, str) and source.lstrip().startswith("{"):
         text, where = source, "the JSON text"
     else:
-        content, where = check_path("source", source).read_bytes(), str(source)
+        content, where = Path(source).read_bytes(), str(source)
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -406,8 +406,8 @@ def to_onnx(
     """
     _check(std, card, dtype)
     if target_opset is not None and not isinstance(target_opset, int | dict):
-        raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
-    path = None if path is None else check_path("path", path)
+        raise ValueError(f"target_opset must be a whole number, got {target_opset!r:.60}.")
+    path = None if path is None else Path(path)
     check_fitted(model)
     facts = {"sklearn_raacmm_version": __version__}
     try:

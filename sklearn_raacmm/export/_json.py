@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._program import Builder, fingerprint_of, run
 from sklearn_raacmm.export._proof import rows_of_dict
-from sklearn_raacmm.utils import show
 
 FORMAT, FORMAT_VERSION = "sklearn_raacmm.Program", 2
 # What content that is no program raises.
@@ -144,7 +143,7 @@ def _content(text, where):
         raise ValueError(f"{where} is not a model: its format is not {FORMAT!r}.")
     if head.get("format_version") != FORMAT_VERSION:
         raise ValueError(
-            f"{where} has format_version {show(head.get('format_version'))}, this version reads "
+            f"{where} has format_version {head.get('format_version')!r:.60}, this version reads "
             f"{FORMAT_VERSION}."
         )
     try:
@@ -175,26 +174,26 @@ def _program(head):
             raise ValueError(f"array {number} holds something that is no number")
     n_inputs = head["n_inputs"]
     if not (isinstance(n_inputs, int) and n_inputs > 0):
-        raise ValueError(f"n_inputs must be a positive whole number, got {show(n_inputs)}")
+        raise ValueError(f"n_inputs must be a positive whole number, got {n_inputs!r:.60}")
     builder = Builder(n_inputs)
     for number, (name, inputs, given) in enumerate(head["operations"], start=1):
         for i in inputs:
             if not (isinstance(i, int) and 0 <= i < number):
                 raise ValueError(
-                    f"operation {number} takes value {show(i)}, which is not before it"
+                    f"operation {number} takes value {i!r:.60}, which is not before it"
                 )
         given = {k: v if isinstance(v, str) else arrays[v] for k, v in given.items()}
         builder.append(name, tuple(inputs), given)
     outputs = head["outputs"]
     for name, i in outputs.items():
         if not (isinstance(i, int) and 0 <= i < len(builder.ops)):
-            raise ValueError(f"output {show(name)} is value {show(i)} of {len(builder.ops)}")
+            raise ValueError(f"output {name!r:.60} is value {i!r:.60} of {len(builder.ops)}")
     if "y" not in outputs or not isinstance(head["about"], dict):
         raise ValueError("there is no output y, or nothing about the model")
     program = builder.program(outputs, head["about"])
     if head["fingerprint"] != fingerprint_of(program):
         raise ValueError(
-            f"its fingerprint is {show(head['fingerprint'])}, that of its operations is "
+            f"its fingerprint is {head['fingerprint']!r:.60}, that of its operations is "
             f"{fingerprint_of(program)}"
         )
     return program
