@@ -112,13 +112,11 @@ def test_text_is_no_list(model):
 @pytest.mark.parametrize(
     "door",
     [
-        lambda model, path: export.from_json(path),
-        lambda model, path: export.to_json(model, path),
         lambda model, path: export.export_c(model, path),
         lambda model, path: export.load_c(model, cache_dir=path),
         lambda model, path: app.read_table(path, 6),
     ],
-    ids=["from_json", "to_json", "export_c", "load_c", "table"],
+    ids=["export_c", "load_c", "table"],
 )
 def test_what_is_no_path(model, door, path):
     with pytest.raises(TypeError, match="PathLike"):
