@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
 from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
 from sklearn_raacmm.calibration._checks import (
@@ -43,16 +44,7 @@ from sklearn_raacmm.calibration._problem import (
     pack,
 )
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
-from sklearn_raacmm.utils import (
-    Finding,
-    Interval,
-    StrOptions,
-    listed,
-    one_blas_thread,
-    say_findings,
-    validate_params,
-    with_findings,
-)
+from sklearn_raacmm.utils import Finding, listed, one_blas_thread, say_findings, with_findings
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5

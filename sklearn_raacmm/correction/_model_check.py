@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
+from sklearn.utils._param_validation import Interval, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
@@ -24,14 +25,12 @@ from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, plac
 from sklearn_raacmm.error_model import ArmResidualRegressor, LinearModel
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
-    Interval,
     centred,
     encode_groups,
     group_means,
     listed,
     one_blas_thread,
     one_warning,
-    validate_params,
 )
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.

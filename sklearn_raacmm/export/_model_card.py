@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
-from sklearn.utils import check_consistent_length
+from sklearn.utils import _safe_indexing, check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
@@ -24,7 +24,7 @@ from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
 from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import centred, encode_groups, floats, safe_indexing, share_of_means
+from sklearn_raacmm.utils import centred, encode_groups, floats, share_of_means
 
 # Positions' mean residuals count as taken off below this share of their squares that chance would
 # leave: those of a single-point test are zero but for the digits of a file. Noise alone at twelve
@@ -284,7 +284,7 @@ def _training(X, codes, arm, unit, extra):
 
 def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) -> dict[str, Any]:
     """Errors before and after; the latter at positions that a copy of the model has not seen."""
-    n_outputs = np.shape(model.predict(safe_indexing(X, [0])).ravel())[0]
+    n_outputs = np.shape(model.predict(_safe_indexing(X, [0])).ravel())[0]
     if y.size != len(y) * n_outputs:
         raise ValueError(
             f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
@@ -296,8 +296,8 @@ def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) ->
         groups = np.asarray(groups)
         for train, test in GroupKFold(folds).split(codes, groups=codes):
             extra = {"groups": groups[train]} if takes_groups else {}
-            fold = clone(model).fit(safe_indexing(X, train), y[train], **extra)
-            predicted[test] = np.reshape(fold.predict(safe_indexing(X, test)), y[test].shape)
+            fold = clone(model).fit(_safe_indexing(X, train), y[train], **extra)
+            predicted[test] = np.reshape(fold.predict(_safe_indexing(X, test)), y[test].shape)
         seen = f"positions not seen: {folds} folds by position, fitted again each time"
     else:
         predicted[:] = np.reshape(model.predict(X), y.shape)
