@@ -21,16 +21,16 @@ from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._onnx import LEAST_OPSET, converted, run_onnx
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import check_answers, make_test_rows, rows_as_json
-from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
+from sklearn_raacmm.utils import check_flags, write_whole
 
 
 def _check(dtype, card, **flags):
     """Refuse what cannot be one of these parameters."""
     check_flags(**flags)
     if not (card is None or isinstance(card, str | dict)):
-        raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
+        raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
-        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+        raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
 
 
 def export_c(
@@ -145,11 +145,11 @@ def export_c(
     int sine_predict_n(const double *features, double *prediction, size_t n);
     const char *sine_fingerprint(void);
     """
-    path = check_path("path", path)
+    path = Path(path)
     if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z0-9_.+-]+", path.name, re.ASCII):
         raise ValueError(
             "path must name a file of letters, digits, '_', '.', '+' and '-' that ends in .c, got "
-            f"{show(str(path))}."
+            f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
     _check(dtype, card, std=std, any_probe=any_probe)
@@ -275,9 +275,9 @@ def to_onnx(
     if not whole or target_opset < LEAST_OPSET:
         raise ValueError(
             f"target_opset must be a whole number, {LEAST_OPSET} or newer, got "
-            f"{show(target_opset)}."
+            f"{target_opset!r:.60}."
         )
-    path = None if path is None else check_path("path", path)
+    path = None if path is None else Path(path)
     program = program_of(model, std)
     made = converted(program, dtype, target_opset)
     facts = {"sklearn_raacmm_version": __version__, "fingerprint": fingerprint_of(program)}

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
-from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
+from sklearn_raacmm.utils import check_flags, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
 _FLAGS = ("-std=c99", "-O3", "-shared", "-fPIC")
@@ -254,7 +254,7 @@ def _library(text, compiler, folder, flags):
     place = f"{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()}.so"
     given, env = folder is not None, os.environ
     if given:
-        folder = check_path("cache_dir", folder)
+        folder = Path(folder)
     elif env.get("SKLEARN_RAACMM_CACHE"):
         folder = Path(env["SKLEARN_RAACMM_CACHE"])
     else:
@@ -294,7 +294,7 @@ def _make_own(folder):
     facts = folder.stat()
     if facts.st_uid != os.getuid() or facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise ValueError(
-            f"Compiled models are loaded from {show(str(folder))}, which others may write to: "
+            f"Compiled models are loaded from {str(folder)!r:.60}, which others may write to: "
             "choose a folder of your own, or take the others' right to write (chmod 700)."
         )
     if not os.access(folder, os.W_OK | os.X_OK):

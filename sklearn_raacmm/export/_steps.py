@@ -17,7 +17,6 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import show
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
@@ -47,7 +46,7 @@ def leaves(model, path=None):
 def check_fitted(model: Any) -> None:
     """Refuse a class, or an estimator that is not fitted, with one sentence."""
     if isinstance(model, type) or not hasattr(model, "fit"):
-        raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
+        raise TypeError(f"model must be a fitted estimator, got {model!r:.60}.")
     for path, step in leaves(model):
         try:
             check_is_fitted(step)
