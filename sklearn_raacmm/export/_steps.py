@@ -60,7 +60,8 @@ def find_arm(model) -> tuple[Any, Any]:
     for path, step in leaves(model):
         if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
             # A callable azimuth has to be the method of an arm, perhaps with an angle unit.
-            method, unit = step.azimuth, "rad"
+            method: Any = step.azimuth
+            unit = "rad"
             known = (), ["angle_unit"]
             if isinstance(method, partial) and (method.args, [*method.keywords]) == known:
                 method, unit = method.func, method.keywords["angle_unit"]
