@@ -174,8 +174,6 @@ def doors_to_be_refused_at():
     for name, learn in (("learn", learn_correction), ("judge", cross_validate_correction)):
         yield f"{name}, angles", ANGLES, lambda v, learn=learn: learn(ARM, v, GROUPS)
         yield f"{name}, points", POINTS, lambda v, learn=learn: learn(ARM, ANGLES, GROUPS, v)
-    turns, known = np.tile(np.eye(3), (40, 1, 1)), {"points": POINTS}
-    yield "orientations", turns, lambda v: calibrate(ARM, ANGLES, orientations=v, **known)
     gauge = display.LengthErrorDisplay.from_predictions
     lengths = metrics.gauge_lengths(POINTS, GROUPS, [[0, 1]])
     pairs = {"groups": GROUPS, "pairs": [[0, 1]], "lengths": lengths}

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.app._figures import figures_of
-from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection
+from sklearn_raacmm.correction import Correction, CorrectionScores
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import length_error
@@ -30,7 +30,7 @@ _MOST_HARMONICS = 12
 
 
 def write_report(
-    result: LearnedCorrection,
+    result: Correction,
     path: str | PathLike[str],
     *,
     limit_2s: float | None = None,
@@ -41,7 +41,7 @@ def write_report(
 
     Parameters
     ----------
-    result : LearnedCorrection
+    result : Correction
         What `learn_correction` returned.
     path : str or path-like
         File to write, beside its place and renamed when complete.
@@ -211,7 +211,7 @@ def _sheet(scores):
 
 def _deviations(result):
     """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
-    columns = result.saved.columns(result.saved.inputs(result.angles))
+    columns = result.columns(result.inputs(result.angles))
     names = (
         ("of a coordinate within a position", columns[:, 6:9]),
         ("of a coordinate in the base frame", columns[:, 3:6]),

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
-from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem
 from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.measurements import within_turn
@@ -35,7 +34,7 @@ _MEANING = {
 }
 
 
-def check_problem(angles, groups, points, lengths, tools, stations, orientations):
+def check_problem(angles, groups, points, lengths, tools, stations):
     """The data of a calibration as a `Problem`, and the labels of tools and stations."""
     n = len(angles)
     if n == 0:
@@ -48,15 +47,13 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     )
     if points is not None:
         points = _check_points(points, n, lengths)
-        turns = None if orientations is None else check_turns(orientations, n)
-        problem = Problem(None, points, [], tools=tools, stations=stations, turns=turns)
+        problem = Problem(None, points, [], tools=tools, stations=stations)
         return problem, tool_labels, station_labels
-    for name, value in (("stations", stations), ("orientations", orientations)):
-        if value is not None:
-            raise ValueError(
-                f"{name} are of measured points. In a test without a tracker, a fixed point that "
-                "is measured from another place is another group: give it a label of its own."
-            )
+    if stations is not None:
+        raise ValueError(
+            "stations are of measured points. In a test without a tracker, a fixed point that is "
+            "measured from another place is another group: give it a label of its own."
+        )
     labels, index = encode_groups(groups, n)
     labels = labels.tolist()
     lengths = [check_length(entry, labels) for entry in lengths]

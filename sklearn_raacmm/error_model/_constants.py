@@ -23,14 +23,14 @@ _LEAST_RATIO = 1.0
 _MANY = 0.1
 
 
-def fit_with_constants(rows, positions, terms, with_field, turns=None):
+def fit_with_constants(rows, positions, terms, with_field):
     """Fit the model and, where the evidence asks for them, constants of the positions.
 
     `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
     those given less their constants.
     """
-    fitted, known, rounds = fit_linear_model(rows, terms, with_field, turns), np.inf, 0
-    if positions is None or rows.codes is not None or turns is not None:
+    fitted, known, rounds = fit_linear_model(rows, terms, with_field), np.inf, 0
+    if positions is None or rows.codes is not None:
         return fitted
     while True:
         # Of a position that is off as a whole no row may have any weight left.

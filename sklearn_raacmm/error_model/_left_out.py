@@ -81,7 +81,7 @@ def leave_out(fitted, terms, positions, weights):
     low[state.lines] = True
     if not low.any():  # only high ones are offered
         low[:] = True
-    terms = terms._replace(harmonics=terms.harmonics[low], target=rows.turn_mm > 0)
+    terms = terms._replace(harmonics=terms.harmonics[low])
     structures = structures_of(rows.arm, terms, state.with_field)
     start = state._replace(noise_variance=model.noise_variance)
     used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=())
@@ -106,13 +106,12 @@ def leave_out(fitted, terms, positions, weights):
 def _errors(model, rows, weights):
     """The fields of `LeftOut` at some rows by a model that has not seen them."""
     mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
-    y = rows.y[:, :3]
     if rows.codes is None:
-        return mean, doubt, y - mean, std
+        return mean, doubt, rows.y - mean, std
     columns = centred(model.columns(rows.X), rows.codes, weights)
     dots = columns @ model.half
     spread = np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
-    return mean, doubt, centred(y - mean, rows.codes, weights), spread
+    return mean, doubt, centred(rows.y - mean, rows.codes, weights), spread
 
 
 def _blocks(points, positions, weights):

@@ -1,4 +1,4 @@
-"""A model as one list of simple operations on arrays: C, ONNX and JSON are written from it.
+"""A model as one list of simple operations on arrays: C and ONNX are written from it.
 
 Every value is a row of numbers. The first is the input; each operation makes one more from values
 before it and from constants of its own. `OPERATIONS` says what each does, for many rows at once;
