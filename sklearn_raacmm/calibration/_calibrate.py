@@ -24,7 +24,7 @@ from sklearn_raacmm.calibration._checks import (
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
 from sklearn_raacmm.calibration._fit import KINDS, WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._observability import observability
-from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM
+from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
@@ -232,7 +232,8 @@ def _settle(fit, correction, asked):
 def _result(fit, given, before, groups):
     """Everything that is to be known of a fit that has settled."""
     problem, index = fit.problem, fit.problem.index
-    names = [*fit.names, *(f"base_{c}{at}" for at in problem.stations_named() for c in _BASE)]
+    stations = in_brackets(problem.station_labels, problem.n_stations)
+    names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
     values, bases = fit.x.copy(), []
     for s, rotation in enumerate(fit.rotations):
         columns = fit.base_columns(s)
@@ -265,8 +266,8 @@ def _result(fit, given, before, groups):
         outlier_limit_mm=limit,
         sample_weight=np.where(doubtful, 0.0, 1.0),
         groups=None if groups is None else np.asarray(groups),
-        arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels or ())},
-        bases=dict(zip(problem.station_labels or (), bases, strict=False)),
+        arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
+        bases=dict(zip(problem.station_labels, bases, strict=False)),
         base_rotation=bases[0][0] if bases else None,
         base_translation=bases[0][1] if bases else None,
         converged=fit.converged,

@@ -41,7 +41,7 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     for name, given in (("tool", tools), ("station", stations)):
         if given is not None:
             found, labels[f"{name}s"] = encode_groups(given, n, f"{name}s")
-            labels[f"{name}_labels"] = found.tolist()
+            labels[f"{name}_labels"] = tuple(found.tolist())
     if points is not None:
         return Problem(None, _check_points(points, n, lengths), [], **labels)
     if stations is not None:

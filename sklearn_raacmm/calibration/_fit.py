@@ -17,6 +17,7 @@ from sklearn_raacmm.calibration._problem import (
     SHORT_MM,
     UNKNOWN_PLACE_MM,
     are_long,
+    in_brackets,
     left_jacobian,
     pack,
     points_and_jacobian,
@@ -80,7 +81,7 @@ class Fit:
         self.x = nominal.copy()
         self.rotations = np.empty((0, 3, 3))
         self.converged = False
-        self._evaluated = None
+        self._evaluated: Any = None
         points, jac = self._points_and_jacobian(self.x)
         if problem.points is not None:
             self._place(points)
@@ -97,7 +98,8 @@ class Fit:
 
     def _name_parameters(self, free):
         """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
-        arm, tools = self.nominal_arm, self.problem.tools_named()
+        arm, problem = self.nominal_arm, self.problem
+        tools = in_brackets(problem.tool_labels, problem.n_tools)
         self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
         kind = np.array([int(is_angle(name)) for name in self.names])
@@ -255,7 +257,7 @@ class Fit:
             self._evaluated = arm_x.copy(), *found
         return self._evaluated[1:]
 
-    def _data_residuals(self, x, mask):
+    def _data_residuals(self, x, mask) -> Any:
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
         problem, n = self.problem, len(self.nominal)
         points, jac = self._points_and_jacobian(x)

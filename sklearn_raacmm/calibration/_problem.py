@@ -40,8 +40,8 @@ class Problem:
     correction: np.ndarray | None = None  # (n, 3) mm, subtracted from the arm's points
     tools: np.ndarray | None = None  # (n,) numbers; None where all rows share one
     stations: np.ndarray | None = None
-    tool_labels: list | None = None  # what the numbers stand for
-    station_labels: list | None = None
+    tool_labels: tuple = ()  # what the numbers stand for
+    station_labels: tuple = ()
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
 
@@ -60,18 +60,6 @@ class Problem:
         self.informative = count[self.index] > 1
         self.n_useful = int((count > 1).sum())
         self.n_informative = int(self.informative.sum())
-
-    def tools_named(self) -> list[str]:
-        """What follows the names of the probe's coordinates, for each tool."""
-        if self.tools is None:
-            return [""]
-        return [f"[{label}]" for label in self.tool_labels or range(self.n_tools)]
-
-    def stations_named(self) -> list[str]:
-        """What follows the names of a base's coordinates, for each station."""
-        if self.stations is None:
-            return [""] * self.n_stations
-        return [f"[{label}]" for label in self.station_labels or range(self.n_stations)]
 
     @property
     def n_coordinates(self) -> int:
@@ -144,6 +132,11 @@ def left_jacobian(rotvec):
         + (1 - np.cos(angle)) / angle**2 * cross
         + (angle - np.sin(angle)) / angle**3 * cross @ cross
     )
+
+
+def in_brackets(labels, n):
+    """What follows the names of the parameters of each of n tools or stations."""
+    return [f"[{label}]" for label in labels] or [""] * n
 
 
 def are_long(lengths):

@@ -393,7 +393,10 @@ def test_ur10(ur10):
         ({"groups": [0, 0, 1]}, "groups names 3 samples, but there are 6"),
         ({"groups": np.arange(6)}, "each of the 6 groups has one point"),
         ({"groups": None, "points": np.zeros((6, 2))}, r"\(6, 3\), got \(6, 2\)"),
-        ({"groups": None, "points": np.full((6, 3), np.nan)}, "holds 18 values that are missing, NaN or infinity"),
+        (
+            {"groups": None, "points": np.full((6, 3), np.nan)},
+            "holds 18 values that are missing, NaN or infinity",
+        ),
         ({"groups": None, "points": np.zeros((6, 3)), "lengths": [(0, 1, 2, 3)]}, "no use for"),
         ({"lengths": [(0, 7, 50.0, 0.1)]}, "name the group 7, which has no samples"),
         ({"lengths": [(0, 1, 50.0)]}, "must be .label, label, length, standard deviation."),
