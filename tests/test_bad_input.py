@@ -292,8 +292,6 @@ FINE = {
     # Infinitely wide is a feature that does not count; wider than can be told apart, too.
     ("length_scale", "infinity"),
     ("length_scale", "too large"),
-    # Of a model without an arm the card says no more than the number of rows.
-    ("describe", "too large"),
     # No new pose is the old model. Angles in another unit are what is searched for.
     ("update, X", "no rows"),
     ("search_table, angles", "too large"),

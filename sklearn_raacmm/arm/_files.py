@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm._checks import show
-
 _FORMAT = "sklearn_raacmm.Arm"
 _FORMAT_VERSION = 1
 # Field of the class -> key of the JSON file; the units are part of the file's keys.
@@ -47,10 +45,10 @@ def fields_of_json(source: Any) -> tuple[dict[str, Any], str]:
     keys = _JSON_KEYS | {f: key for f, key in _OPTIONAL_KEYS.items() if key in content}
     unknown = sorted(set(content) - {*keys.values(), "format", "format_version"})
     if unknown:  # misspelt, or of a later version: it would be ignored silently
-        raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
+        raise ValueError(f"{where} has the unknown field {unknown[0]!r:.60}.")
     for key in keys.values():  # true and false would pass for 1 and 0
         if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
-            raise ValueError(f"{where}: {key} must hold numbers, got {show(content[key])}.")
+            raise ValueError(f"{where}: {key} must hold numbers, got {content[key]!r:.60}.")
     return {field: content[key] for field, key in keys.items()}, where
 
 

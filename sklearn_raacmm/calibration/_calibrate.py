@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration._checks import (
@@ -28,13 +29,10 @@ from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
-    Interval,
-    StrOptions,
     listed,
     one_blas_thread,
     say_findings,
     slip_factors,
-    validate_params,
     with_findings,
 )
 

@@ -16,9 +16,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
-    refuse_huge,
     say_findings,
-    show,
 )
 
 # A picometre: smaller than any length is known, large enough to divide by.
@@ -65,10 +63,9 @@ def check_problem(angles, groups, points, lengths, tools, stations):
 
 
 def _check_points(points, n, lengths):
-    points = floats("points", points)
+    points = floats("points", points, finite=True)
     if points.shape != (n, 3):
         raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-    refuse_huge("points", points)
     if lengths:
         raise ValueError("lengths are between groups; measured points have no use for them.")
     return points
@@ -116,7 +113,7 @@ def _finite_residuals(model, angles):
 def check_free(free):
     free = listed("free", free)
     if not all(isinstance(name, str) and name in FIELDS for name in free):
-        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {show(free)}.")
+        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     return free
 
 
@@ -128,7 +125,7 @@ def check_length(entry: Any, labels: Any) -> Any:
     except (TypeError, ValueError):
         raise ValueError(
             "each of lengths must be (label, label, length, standard deviation), got "
-            f"{show(entry)}."
+            f"{entry!r:.60}."
         ) from None
     for label in (first, second):
         if label not in labels:
@@ -138,7 +135,7 @@ def check_length(entry: Any, labels: Any) -> Any:
         raise ValueError(
             f"a length must join two different groups, it must be positive and at most "
             f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
-            f"got {show(entry)}."
+            f"got {entry!r:.60}."
         )
     return labels.index(first), labels.index(second), length, sd
 

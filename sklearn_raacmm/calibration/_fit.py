@@ -74,7 +74,8 @@ class Fit:
     def __init__(
         self, arm, angles, problem, loss, free=FIELDS, priors=("auto", "auto", UNKNOWN_PLACE_MM)
     ):
-        self.nominal_arm, self.angles, self.problem = arm, angles, problem
+        self.nominal_arm, self.angles = arm, angles
+        self.problem: Any = problem
         self.loss, self.priors = loss, priors
         self._name_parameters(free)
         nominal = self.nominal
@@ -113,7 +114,7 @@ class Fit:
         # Parameters whose common prior standard deviation is found by the evidence, and how.
         self.families, sds = [], []
         for i, sd in enumerate((*self.priors, self.priors[0])):
-            found = _FOUND[i]
+            found: Any = _FOUND[i]
             if sd == "auto":
                 self.families.append((np.flatnonzero(self.kind == i), found))
                 sd = found[0]

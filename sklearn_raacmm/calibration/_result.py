@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.utils import centred, check_points, encode_groups, slip_factors
+from sklearn_raacmm.utils import centred, encode_groups, floats, slip_factors
 
 # Rows and combinations that are printed.
 _N_SHOWN = 10
@@ -185,7 +185,7 @@ class CalibrationResult:
         if groups is not None:
             codes = encode_groups(groups, len(angles))[1]
             return centred(shown, codes, slip_factors(shown, codes))
-        points = check_points(points, 3)
+        points = floats("points", points, 3)
         if len(points) != len(angles):
             raise ValueError(f"There are {len(points)} points, but {len(angles)} rows of angles.")
         if self.base_rotation is None:

@@ -10,7 +10,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
-from sklearn_raacmm.utils import check_points, check_weights, encode_groups
+from sklearn_raacmm.utils import check_weights, encode_groups, floats
 
 
 class NewPoses(NamedTuple):
@@ -25,7 +25,7 @@ class NewPoses(NamedTuple):
     def checked(cls, model, X, y, groups, sample_weight):
         """New poses of a fitted model; each fault gets one clear sentence."""
         angles = check_poses(model, X)
-        y = check_points(y, 3)
+        y = floats("y", y, 3)
         if len(y) != len(angles):
             raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
         if groups is None and model.linear_model_.offsets:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sklearn.utils import Bunch
+from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
@@ -19,7 +20,6 @@ from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
 from sklearn_raacmm.datasets._generators import pack
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Interval, StrOptions, validate_params
 
 PANDA_URL = (
     "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/"

@@ -11,7 +11,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn import config_context
-from sklearn.base import clone
+from sklearn.base import MultiOutputMixin, RegressorMixin, clone
+from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
@@ -30,15 +31,9 @@ from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
-    HasMethods,
-    Interval,
-    MultiOutputMixin,
-    RegressorMixin,
-    StrOptions,
     VersionedEstimator,
     centred,
     check_flags,
-    fit_context,
     heard_findings,
     many_without_weight,
     one_blas_thread,
@@ -204,8 +199,7 @@ class ArmResidualRegressor(
         self.regressor = regressor
 
     @one_blas_thread
-    @fit_context(prefer_skip_nested_validation=True)
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=True)
     def fit(
         self,
         X: ArrayLike,

@@ -17,18 +17,16 @@ from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of
 from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
-    CENTRED,
     Finding,
+    are_deviations,
     check_data,
     check_features,
     check_weights,
     encode_groups,
     floats,
     listed,
-    refuse_huge,
     say_findings,
     share_of_means,
-    show,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -36,7 +34,7 @@ from sklearn_raacmm.utils import (
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
-# A share of the means between CENTRED and 1 is worth a word where independent rows have one as
+# A share of means that are no deviations is worth a warning where independent rows have one as
 # small in fewer fits than one of a thousand.
 _BY_CHANCE = 1e-3
 
@@ -52,7 +50,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     check_extra(extra, arm.n_joints)
     unknown = [name for name in estimator.causes if name not in CAUSES]
     if unknown:
-        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {show(unknown[0])}.")
+        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {unknown[0]!r:.60}.")
     X = in_rad(X, arm.n_joints, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
@@ -70,12 +68,11 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
 
 def _check_probes(probes, n_rows, regressor):
     """Probe of each row, (n, 3) in mm."""
-    probes = floats("probes", probes)
+    probes = floats("probes", probes, finite=True)
     if probes.shape != (n_rows, 3):
         raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
     if regressor is not None:
         raise ValueError("A second stage sees one probe only: probes go with regressor=None.")
-    refuse_huge("probes", probes)
     return probes
 
 
@@ -139,14 +136,15 @@ def _have_offsets(offsets, y, weights, positions):
         return False
     if offsets != "auto":
         return offsets
-    share = share_of_means(y, positions, weights)
-    if share >= CENTRED:
-        say_findings(_deviations_of_other_rows(share, y.shape[1], positions, weights))
-    return share < CENTRED
+    deviations = are_deviations(y, positions, weights)
+    if not deviations:
+        say_findings(_deviations_of_other_rows(y, positions, weights))
+    return deviations
 
 
-def _deviations_of_other_rows(share, n_outputs, codes, weights):
+def _deviations_of_other_rows(y, codes, weights):
     """Means that are not zero, and smaller than those of independent rows."""
+    share, n_outputs = share_of_means(y, codes, weights), y.shape[1]
     weights = weights / min(weights[weights > 0].mean(), 1.0)
     n_groups = len(np.unique(codes[weights > 0]))
     n_free = weights.sum() - n_groups

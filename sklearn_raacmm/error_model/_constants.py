@@ -12,7 +12,7 @@ a constant is drawn to 0 as by rows of the weight s / v.
 import numpy as np
 
 from sklearn_raacmm.error_model._fit import fit_linear_model
-from sklearn_raacmm.utils import Finding, group_means, group_sums, group_weights, say_findings
+from sklearn_raacmm.utils import Finding, group_means, group_sums, say_findings
 
 # Rounds of the two variances, and the change of their ratio at which they have settled.
 _ROUNDS, _SETTLED = 4, 0.1
@@ -46,7 +46,7 @@ def fit_with_constants(rows, positions, terms, with_field):
         rounds += 1
         if rounds == _ROUNDS:
             break
-    total = group_weights(positions, weights)
+    total = np.bincount(positions, weights)
     constants = group_sums(left, positions, weights) / (total + known)[:, None]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
     say_findings(
@@ -65,7 +65,7 @@ def fit_with_constants(rows, positions, terms, with_field):
 
 def _known(left, positions, weights):
     """Noise variance over that of the constants, by the analysis of variance of what is left."""
-    total = group_weights(positions, weights)
+    total = np.bincount(positions, weights)
     used = total > 0
     n, n_groups = weights.sum(), used.sum()
     if np.count_nonzero(weights) < 2 * n_groups:

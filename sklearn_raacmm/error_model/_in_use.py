@@ -5,18 +5,19 @@
 
 import warnings
 from copy import copy
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
 from sklearn_raacmm.error_model._solve import angles_for
-from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, warn_user
+from sklearn_raacmm.utils import check_flags, floats, warn_user
 
 
 class ModelInUseMixin:
@@ -117,7 +118,7 @@ class ModelInUseMixin:
         (10, 3, 200)
         """
         check_flags(with_noise=with_noise, with_unseen=with_unseen)
-        check_whole_number("n_samples", n_samples, 1)
+        check_scalar(n_samples, "n_samples", Integral, min_val=1)
         linear, rng = self.linear_model_, check_random_state(random_state)
         root = linear.std_scale * linear.root_at(check_poses(self, X), with_unseen)
         draws = root @ rng.normal(size=(root.shape[1], n_samples))
@@ -166,7 +167,7 @@ class ModelInUseMixin:
         >>> bool(np.abs(model.correct(found) - wanted).max() < 1e-6)
         True
         """
-        points = check_points(points, 3)
+        points = floats("points", points, 3)
         start = np.asarray(start, dtype=float)
         if start.ndim == 2 and len(start) == 1:
             start = np.repeat(start, len(points), axis=0)

@@ -59,7 +59,7 @@ def test_choice_is_that_of_the_posterior_computed_afresh(planned, criterion):
 
 def test_bad_input_is_refused(planned):
     model, X, groups = planned
-    with pytest.raises(ValueError, match="n_poses must be a whole number from 1 to"):
+    with pytest.raises(ValueError, match="n_poses == 41, must be"):
         next_poses(model, X, 41, groups=groups)
     with pytest.raises(ValueError, match='"I" or "D"'):
         next_poses(model, X, 2, groups=groups, criterion="A")
