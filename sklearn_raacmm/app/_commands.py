@@ -16,33 +16,33 @@ import numpy as np
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
 from sklearn_raacmm.app._causes import (
-    causes_of,
-    columns_of_causes,
-    numbers_of,
-    probe_not_told,
-    tools_of,
+    find_cause_columns,
+    read_causes,
+    read_tools,
+    unnamed_probe,
 )
-from sklearn_raacmm.app._cells import TableError, as_said
+from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._dh import read_dh, write_template
 from sklearn_raacmm.app._figures import picture_of
 from sklearn_raacmm.app._files import (
-    files_of,
+    correction_files,
     find_rows,
     load_arm,
     load_correction,
     open_beside,
+    parse_vector,
+    print_notes,
     read_rows,
-    vector_of,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import length_of, read_lengths, read_places
+from sklearn_raacmm.app._lengths import parse_length, read_lengths, read_places
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import judge_limit, report_text
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.correction import learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
-from sklearn_raacmm.utils import check_places, heard_findings, write_whole
+from sklearn_raacmm.utils import check_places, heard_findings, numbered_rows, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
@@ -74,12 +74,13 @@ def learn(options):
         raise TableError(f"{out} holds a correction; --force replaces it.")
     arm = load_arm(options.arm, options.base, options.tip)
     table = read_rows(options, arm)
-    lengths = [length_of(text) for text in options.length or ()]
+    lengths = [parse_length(text) for text in options.length or ()]
     lengths += read_places(options.places, options.length_sd) if options.places else []
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     like = [load_correction(folder).model for folder in options.like or ()]
     _progress(-1, 1, "calibration")
-    with heard_findings():  # they stand in the result, and are printed with it
+    # Findings stand in the result, and are printed with it.
+    with numbered_rows(table.rows), heard_findings():
         result = learn_correction(
             arm,
             table.angles,
@@ -90,22 +91,20 @@ def learn(options):
             cv=options.folds,
             n_jobs=options.jobs,
             progress=_progress,
-            extra=causes_of(table, columns_of_causes(options)),
+            extra=read_causes(table, find_cause_columns(options)),
             in_order=options.in_order,
             like=like,
-            tools=tools_of(table, options),
+            tools=read_tools(table, options),
         )
     _progress(30, 30, "report")
-    layout = find_rows(options, arm, said=False)
+    layout = find_rows(options, arm)
     corrected = io.StringIO(newline="")
     in_order = any(name.startswith("direction") for name in result.causes)
-    write_corrected(layout, numbers_of(result.saved, options, in_order), corrected)
-    verdict, *lines = (as_said(line, table.rows) for line in str(result.scores).split("\n"))
+    write_corrected(layout, result.saved, options, in_order, corrected)
+    verdict, *lines = str(result.scores).split("\n")
     card = describe(result.model, result.saved.inputs(result.angles))
     if result.findings:
-        card["findings"] = [
-            as_said(f"{finding.weight}: {finding}", table.rows) for finding in result.findings
-        ]
+        card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     named = {"serial number": options.serial, "operator": options.operator}
     facts = {"file": Path(options.table).name} | {k: v for k, v in named.items() if v}
     report = report_text(result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows)
@@ -115,7 +114,7 @@ def learn(options):
         {
             "report.html": report,
             "card.md": f"{card}\n## Verdict\n\n- {verdict}\n",
-            "corrected.csv": corrected.getvalue().encode(layout.dialect.encoding),
+            "corrected.csv": corrected.getvalue().encode(layout.source.encoding),
         },
     )
     if sys.stderr.isatty():
@@ -147,26 +146,26 @@ def correct(options):
     if options.out != "-":
         if Path(options.out).suffix.lower() in _NO_CSV:
             raise TableError(f"--out is written as CSV, and {options.out} says something else.")
-        check_places([options.out], [options.table, *files_of(options.model)])
+        check_places([options.out], [options.table, *correction_files(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
     known = saved.facts["causes"]
-    if unknown := columns_of_causes(options).keys() - known.keys():
+    if unknown := find_cause_columns(options).keys() - known.keys():
         raise TableError(
             f"--extra names {', '.join(map(repr, sorted(unknown)))}, and this correction takes "
             f"{', '.join(known) or 'no cause'}: leave it away, or mend the name."
         )
-    if not options.tool and (said := probe_not_told(saved)):
+    if not options.tool and (said := unnamed_probe(saved)):
         raise TableError(f"{said}: name the column of the tool of each row by --tool.")
     layout = find_rows(options, saved.arm)
+    print_notes(layout.notes)
     stream = (
         nullcontext(options.stdout)
         if options.out == "-"
-        else open_beside(options.out, layout.dialect.encoding)
+        else open_beside(options.out, layout.source.encoding)
     )
-    numbers = numbers_of(saved, options, options.in_order)
     with stream as file:
-        n_rows, largest = write_corrected(layout, numbers, file)
+        n_rows, largest = write_corrected(layout, saved, options, options.in_order, file)
     check_angles(largest, saved.arm.n_joints, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
@@ -178,10 +177,10 @@ def export(options):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
     folder = Path(options.c or ".")
     sources = [folder / f"{options.name}{end}" for end in (".c", ".h")] if options.c else []
-    check_places(filter(None, (*sources, options.onnx)), files_of(options.model))
+    check_places(filter(None, (*sources, options.onnx)), correction_files(options.model))
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
-    if (said := probe_not_told(saved)) and not (options.c and options.any_probe):
+    if (said := unnamed_probe(saved)) and not (options.c and options.any_probe):
         print(f"note: {said}: what is written is for this one.", file=sys.stderr)
     paths = []
     if options.c:
@@ -250,7 +249,7 @@ def _meant_arm(options):
         return Arm.from_lengths(layout, *lengths, **offsets)
     if options.dh:
         convention = "modified" if options.modified else "standard"
-        return read_dh(options.dh, convention, vector_of(options.probe or "0,0,0"))
+        return read_dh(options.dh, convention, parse_vector(options.probe or "0,0,0"))
     if options.source and options.into:
         return load_arm(options.source)  # --base and --tip are those of the other file
     if options.source:

@@ -13,10 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from sklearn_raacmm.app._causes import probe_not_told
-from sklearn_raacmm.app._cells import TableError, as_said
+from sklearn_raacmm.app._causes import unnamed_probe
+from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._figures import chart_of
-from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
+from sklearn_raacmm.app._files import (
+    correction_files,
+    in_rad,
+    load_correction,
+    parse_vector,
+    read_rows,
+)
 from sklearn_raacmm.app._lengths import read_lengths
 from sklearn_raacmm.arm import check_angles, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, calibrate
@@ -159,7 +165,7 @@ def move(options):
     saved, out = _opened(options)
     if not hasattr(saved.model, "with_arm"):
         raise TableError("this correction has no model of causes: register the new probe instead.")
-    arm = saved.arm.replace(probe=vector_of(options.probe))
+    arm = saved.arm.replace(probe=parse_vector(options.probe))
     new = replace(saved, arm=arm, model=saved.model.with_arm(arm))
     said, facts = _what_has_moved(saved, new)
     print(*said, sep="\n")
@@ -178,7 +184,7 @@ def move(options):
 
 def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
-    inputs = [options.table, *files_of(options.model)]
+    inputs = [options.table, *correction_files(options.model)]
     check_places(filter(None, (options.record, options.chart)), inputs)
     saved = load_correction(options.model)
     has_causes = isinstance(saved.model, ArmResidualRegressor) and saved.model.helps_
@@ -189,7 +195,7 @@ def check(options):
             f"{' and '.join(needed) or 'this check'} needs a model of causes; this correction has "
             "none in use: check it with a single-point test."
         )
-    if said := probe_not_told(saved):
+    if said := unnamed_probe(saved):
         print(f"note: {said}: check with this one.", file=sys.stderr)
     today = _Today.of(options, saved.arm)
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
@@ -261,7 +267,7 @@ def _by_causes(saved, today, options, rate):
     )  # fmt: skip
     changed = bool(found.matters and not found.holds)
     if not found.holds:
-        worth = as_said(found.advice) if changed else "That is too little to act on."
+        worth = found.advice if changed else "That is too little to act on."
         print(
             f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
             f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {worth}"
@@ -295,7 +301,7 @@ def _opened(options):
     """The saved correction, and the folder to write."""
     out = Path(options.out or options.model)
     table = getattr(options, "table", None)
-    others = files_of(options.model) if options.out else []
+    others = correction_files(options.model) if options.out else []
     check_places([out / "correction.json"], [*others, *([table] if table else [])])
     return load_correction(options.model), out
 

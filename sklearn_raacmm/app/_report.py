@@ -16,7 +16,6 @@ import sklearn
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.app._figures import figures_of
 from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -97,7 +96,6 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
     environment.filters |= {
         "um": micrometres,
         "number": lambda v, digits: f"{v:.{digits}f}",
-        "said": lambda v: str(v) if row_numbers is None else as_said(v, row_numbers),
     }
     template = files("sklearn_raacmm.app").joinpath("_report.html").read_text(encoding="utf-8")
     return environment.from_string(template).render(

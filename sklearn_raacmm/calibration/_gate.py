@@ -17,7 +17,7 @@ from sklearn_raacmm.measurements import (
     moved_positions,
     moved_set_up,
 )
-from sklearn_raacmm.utils import Finding, say_findings, slip_factors
+from sklearn_raacmm.utils import Finding, row_numbers, say_findings, slip_factors
 
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
 # leaves there from which on too little is known: 0.02 in clean tests of 60 poses, 0.2 along a path.
@@ -82,7 +82,7 @@ def named_outliers(result):
             f"they belong, up to {far:.3g} mm.",
             "They are not learnt from. " + "Look at their labels and at the seat." * many,
             "doubt" if many else "note",
-            rows=rows,
+            rows=row_numbers(rows),
             size_mm=far,
         )
 

@@ -17,6 +17,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Where findings are collected instead of being said; None outside of `heard_findings`.
 _HEARD: ContextVar[Any] = ContextVar("heard findings", default=None)
+# Numbers of the rows in the user's file; None: rows are counted from 0.
+_ROW_NUMBERS: ContextVar[Any] = ContextVar("numbers of the rows", default=None)
 # Rows that a finding lists.
 _LISTED = 100
 
@@ -40,7 +42,8 @@ class Finding:
     positions : tuple
         Labels of the positions that it is about; empty if it is about all.
     rows : tuple of int
-        Rows, counted from 0; the first hundred.
+        Rows, counted from 0, or in the command `raacmm` the numbers of their lines in the file; the
+        first hundred.
     joints : tuple of int
         Joints, counted from 1.
     size_mm : float or None
@@ -71,6 +74,25 @@ class Finding:
         """The same as a dictionary that JSON can hold."""
         values = asdict(self)
         return {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
+
+
+@contextmanager
+def numbered_rows(numbers: Any) -> Iterator[None]:
+    """Let findings that are made within name their rows by these numbers (n,).
+
+    Those of the lines of a file, by which whoever reads the findings knows the rows.
+    """
+    token = _ROW_NUMBERS.set(numbers)
+    try:
+        yield
+    finally:
+        _ROW_NUMBERS.reset(token)
+
+
+def row_numbers(rows: Iterable[Any]) -> tuple[int, ...]:
+    """Numbers by which findings name some rows: counted from 0, or as `numbered_rows` says."""
+    numbers = _ROW_NUMBERS.get()
+    return tuple(int(row if numbers is None else numbers[row]) for row in rows)
 
 
 class FindingWarning(UserWarning):

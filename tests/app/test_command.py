@@ -13,7 +13,7 @@ import pytest
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_check_records
 from sklearn_raacmm.app import _commands, _files, _life, main
 from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._lengths import length_of, read_places
+from sklearn_raacmm.app._lengths import parse_length, read_places
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -378,7 +378,7 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
     assert (arm.names, arm.joint_signs.tolist()) == (("A1", "A2", "A3"), [-1, -1, -1])
     for text, message in (
         ("a;alpha;x\n1;2;3\n", "has no column 'd'; it has a, alpha, x"),
-        ("a;alpha;d\n1;2;3\n1;x;3\n", "row 3, column 'alpha': no number"),
+        ("a;alpha;d\n1;2;3\n1;x;3\n", "row 3, column 'alpha': 'x' is not a number"),
         ("a [deg];alpha;d\n1;2;3\n", "the column 'a [deg]' is in deg"),
     ):
         table.write_text(text)
@@ -421,9 +421,9 @@ def test_options_of_an_arm_that_do_not_fit(capsys, arguments, sentence):
 
 def test_known_lengths_and_places_of_the_command_line(tmp_path):
     for text in ("A:B: 500.012:0.005", "A:B:500,012:0,005"):
-        assert length_of(text) == ("A", "B", 500.012, 0.005)
+        assert parse_length(text) == ("A", "B", 500.012, 0.005)
     with pytest.raises(TableError, match="such as A:B"):
-        length_of("A:B:500")
+        parse_length("A:B:500")
     path = tmp_path / "plate.csv"
     path.write_text("ball;x;y;z\nA;0;0;0\nB;300;400;0\nC;0;0;100\n")
     found = read_places(path, 0.004)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, LearnedCorrection, learn_correction
 from sklearn_raacmm.app import main, read_table
-from sklearn_raacmm.app._causes import tools_of
+from sklearn_raacmm.app._causes import read_tools
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 
 MACHINE = SimulatedArm("typical", random_state=1)
@@ -212,7 +212,7 @@ def test_labels_of_tools_are_the_same_in_every_block():
         (["01", "long", ""], ["1", "long", ""]),
     ):
         table = SimpleNamespace(others={"t": np.array(cells)})
-        assert tools_of(table, options).tolist() == names
+        assert read_tools(table, options).tolist() == names
 
 
 @pytest.mark.parametrize(("learnt", "extra", "sentence"), [
@@ -279,7 +279,7 @@ def test_radians_under_a_header_of_degrees(folder, in_radians, tmp_path, capsys,
     words = [word, in_radians, "--model", folder / "cones"]
     found, said = run(capsys, *words, *([] if word == "check" else ["--out", out]))
     assert found == code, said
-    assert said.count("if they are radians, say --unit rad") == 1
+    assert said.count("(raacmm: --unit rad)") == 1
     if code:
         assert "Look at the unit, order and sense of the angles" in said
         assert not out.exists()

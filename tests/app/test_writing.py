@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm
-from sklearn_raacmm.app import TableError, main
-from sklearn_raacmm.app._cells import as_said
+from sklearn_raacmm.app import main
 from sklearn_raacmm.correction import read_correction, write_correction
 from sklearn_raacmm.utils import check_places
 
@@ -206,14 +205,6 @@ def test_a_word_nearly_right_is_named(capsys, arguments, near):
     assert f"Was {near} meant?" in capsys.readouterr().err
 
 
-def test_findings_are_said_of_the_lines_of_the_file():
-    rows = np.array([3, 4, 7, 9])
-    said = as_said("It moved between rows 1 and 2 (rows counted from 0), or in row 3.", rows)
-    assert said == "It moved between rows 4 and 7, or in row 9."
-    assert as_said('2 of 4 rows: pass angle_unit="rad".', rows) == "2 of 4 rows: say --unit rad."
-    assert as_said(TableError("row 1 is empty"), rows) == "row 1 is empty"
-
-
 def test_whoever_closes_the_pipe_has_enough(places, monkeypatch):
     class Closed(io.StringIO):
         def write(self, text):
@@ -227,9 +218,9 @@ def test_whoever_closes_the_pipe_has_enough(places, monkeypatch):
 def test_every_word_has_an_example_in_its_help(capsys):
     from sklearn_raacmm.app._options import WORDS
 
-    for word in WORDS:
+    for word, (_, _, example, _) in WORDS.items():
         with pytest.raises(SystemExit, match="0"):
-            main([word.name, "--help"])
+            main([word, "--help"])
         said = capsys.readouterr().out
-        assert f"example:\n  {word.example}" in said
+        assert f"example:\n  {example}" in said
         assert "Exit codes" in said

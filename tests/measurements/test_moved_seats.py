@@ -161,7 +161,7 @@ def test_the_warning_names_position_rows_and_size():
     test, angles, groups, first = moved_test()
     left = test.arm.forward(angles) - test.arm.forward(test.data)
     left += np.random.default_rng(0).normal(0, NOISE, left.shape)
-    expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first} \(rows counted"
+    expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first}\."
     weights = np.ones(len(left))
     (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
     assert re.match(f"^{MOVED} {expected}", str(found))
@@ -178,7 +178,7 @@ def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)
     model = ArmResidualRegressor(orders=2)
-    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first} ") as said:
+    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as said:
         learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
     assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
 
