@@ -19,12 +19,10 @@ from sklearn_raacmm import (
     app,
     check_correction,
     cross_validate_correction,
-    display,
     elbow_angle,
     export,
     learn_correction,
     next_poses,
-    read_check_records,
     search_table,
     update_correction,
 )
@@ -114,14 +112,13 @@ def test_text_is_no_list(model):
 @pytest.mark.parametrize(
     "door",
     [
-        lambda model, path: read_check_records(path),
         lambda model, path: export.from_json(path),
         lambda model, path: export.to_json(model, path),
         lambda model, path: export.export_c(model, path),
         lambda model, path: export.load_c(model, cache_dir=path),
         lambda model, path: app.read_table(path, 6),
     ],
-    ids=["records", "from_json", "to_json", "export_c", "load_c", "table"],
+    ids=["from_json", "to_json", "export_c", "load_c", "table"],
 )
 def test_what_is_no_path(model, door, path):
     with pytest.raises(TypeError, match="must be the path of a file or folder, got"):
@@ -133,12 +130,6 @@ def test_what_is_no_card(model, card, tmp_path):
     with pytest.raises(TypeError, match="card must be what describe gives, or text, got"):
         export.export_c(model, tmp_path / "arm.c", card=card)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("records", [3, [3], [{}], "checks.csv"])
-def test_what_are_no_records(records):
-    with pytest.raises(ValueError, match="records must be"):
-        display.ControlChartDisplay(records=records)
 
 
 @pytest.mark.parametrize("probability", [None, "0.9", [0.9], np.array([0.9, 0.5]), 1, np.nan])

@@ -54,9 +54,9 @@ def _tool_label(cell):
     return str(int(number)) if number.is_integer() else repr(number)
 
 
-def unnamed_probe(saved):
+def find_unnamed_probe(saved):
     """Sentence for rows that do not name which of the learnt probes they are of, or ""."""
-    tools, own = saved.facts.get("tools", {}), saved.arm.probe.tolist()
+    tools, own = saved.tools, saved.arm.probe.tolist()
     if len(tools) < 2 or own not in tools.values():
         return ""
     name = next(name for name, probe in tools.items() if probe == own)

@@ -15,7 +15,7 @@ from sklearn_raacmm.app._causes import find_cause_columns, read_causes, read_too
 from sklearn_raacmm.app._cells import TableError, parse_number
 from sklearn_raacmm.app._tables import Layout, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import SavedCorrection
+from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import directions_of, within_turn
 from sklearn_raacmm.utils import numbered_rows
 
@@ -57,7 +57,7 @@ def load_correction(source):
             "run code: install skops (pip install skops) and learn again."
         )
     try:
-        return SavedCorrection.load(folder)
+        return Correction.load(folder)
     except (ValueError, OSError) as error:
         raise TableError(f"--model: {error}") from None
 

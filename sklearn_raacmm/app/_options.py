@@ -36,8 +36,8 @@ WORDS = {
     ),
     "check": (
         "_life", "ask whether a correction still holds today",
-        "raacmm check small_test.csv --model my_arm --record checks.csv --chart chart.svg",
-        f"{_TODAY} --new-base --record --chart",
+        "raacmm check small_test.csv --model my_arm --record checks.csv",
+        f"{_TODAY} --new-base --record",
     ),
     "register": (
         "_life", "find a new probe or a new place through the correction",
@@ -151,7 +151,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": {"metavar": "CSV", "help": "file to append the line of this check to"},
-    "--chart": {"metavar": "SVG", "help": "control chart of the record to write"},
     "--date": {"help": "when they were measured (today)"},
     "move --probe": {
         "metavar": "X,Y,Z", "required": True,
@@ -200,7 +199,7 @@ class _Parser(argparse.ArgumentParser):
     known: Any = ()
 
     def refuse_unknown(self, words):
-        """Say that an option is mistyped, before it is said that the right one is missing."""
+        """Refuse a mistyped option before the right one is reported as missing."""
         for name in (word.split("=")[0] for word in words):
             if name.startswith("--") and not any(one.startswith(name) for one in self.known):
                 self.error(f"unrecognized arguments: {name}")
