@@ -9,7 +9,7 @@ import csv
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 
 # Lines looked at to find separator and decimal sign, and characters decoded at a time.
@@ -141,23 +141,28 @@ def find_dialect(path, n_numbers):
     # Decimal commas between commas stand in quotation marks.
     quoted = any('"' in line for line in lines)
     best, most = None, (0, 0)
-    for separator in _SEPARATORS:
+    for separator, decimal in product(_SEPARATORS, _DECIMALS):
         if separator is None and best is not None:
             break  # blanks part columns only where nothing else does
-        for decimal in _DECIMALS:
-            if separator != decimal or quoted:
-                dialect = Dialect(path, encoding, separator, decimal)
-                rows = [dialect.split([line]) for line in lines]
-                counts = [sum(dialect.count(cells) for _, cells in row) for row in rows]
-                found = sum(count >= n_numbers for count in counts), sum(counts)
-                if found[0] and found > most:
-                    best, most = dialect, found
+        if separator == decimal and not quoted:
+            continue
+        dialect = Dialect(path, encoding, separator, decimal)
+        found = _count_numbers(dialect, lines, n_numbers)
+        if found[0] and found > most:
+            best, most = dialect, found
     if best is None:
         raise TableError(
             f"{path}: no row with {n_numbers} numbers was found; columns may be parted by "
             "semicolons, tabs, commas, bars or blanks."
         )
     return best
+
+
+def _count_numbers(dialect, lines, n_numbers):
+    """How many lines hold at least so many numbers, and how many numbers they hold together."""
+    rows = [next(dialect.split([line]), (1, [])) for line in lines]
+    counts = [dialect.count(cells) for _, cells in rows]
+    return sum(count >= n_numbers for count in counts), sum(counts)
 
 
 def find_encoding(path):

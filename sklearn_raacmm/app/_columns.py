@@ -74,11 +74,15 @@ def _names_of_columns(above, width, n_numbers):
     names = above[-1]
     texts = [cell for cell in names if isinstance(cell, str) and cell]
     if len(above) > 1 and texts and all(map(_is_unit, texts)):
-        pairs = zip_longest(above[-2], names, fillvalue="")
-        names = [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in pairs]
+        names = _with_units(above[-2], names)
     while len(names) > width and names[-1] == "":
         names = names[:-1]
-    return [str(name) for name in names] if len(texts) >= n_numbers or len(names) == width else []
+    return list(map(str, names)) if len(texts) >= n_numbers or len(names) == width else []
+
+
+def _with_units(names, units):
+    pairs = zip_longest(names, units, fillvalue="")
+    return [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in pairs]
 
 
 def _fields_of_joint_states(cells, source, n_joints):
@@ -293,8 +297,12 @@ class Columns:
         if any(len(set(cells)) != 1 for cells in names.values()):
             raise TableError(f"{self.path}: the names of the joints differ from row to row.")
         in_file = {str(cells[0]).lower(): positions[k] for k, cells in names.items()}
-        if joint_names and all(name.lower() in in_file for name in joint_names):
-            return [in_file[name.lower()] for name in joint_names]
+        return self._in_order_of_joints(in_file, [name.lower() for name in joint_names or ()])
+
+    def _in_order_of_joints(self, in_file, joint_names):
+        """Columns of joints from the base on, by the arm's names or by numbers in the names."""
+        if joint_names and in_file.keys() >= set(joint_names):
+            return [in_file[name] for name in joint_names]
         numbered = {name: re.search(r"\d+", name) for name in in_file}
         if len(in_file) == self.n_joints and all(numbered.values()):
             return [in_file[name] for name in sorted(in_file, key=lambda n: int(numbered[n][0]))]
@@ -351,6 +359,10 @@ class Columns:
             )
         if set(columns) <= set(self._fields("position").values()) and self._fields("name"):
             return "rad"  # sensor_msgs/JointState
+        return self._guess_unit(columns)
+
+    def _guess_unit(self, columns):
+        """Unit of angles whose names state none."""
         values = [self.source.number(cell) for i in columns for cell in self._cells(i)]
         largest = max((abs(value) for value in values if value is not None), default=0.0)
         if largest > _SURELY_COUNTS:

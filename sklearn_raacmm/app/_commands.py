@@ -241,24 +241,14 @@ def arm(options):
 
 def _check_arm_options(options, given):
     """Refuse options that do not belong together."""
-    offsets = options.elbow_offset or options.wrist_offset
-    faults = {
-        "give one arm: a file or name, --dh, --lengths-222 or --lengths-223.": (
-            sum(one is not None for one in given) > 1
-        ),
-        "--elbow-offset and --wrist-offset belong to --lengths-222 or -223.": (
-            offsets and not any(given[2:])
-        ),
-        "--modified and --probe belong to --dh.": (
-            (options.modified or options.probe) and not options.dh
-        ),
-        "--into needs --out, the file to write; it may be the same file.": (
-            options.into and not options.out
-        ),
-    }
-    for sentence, is_fault in faults.items():
-        if is_fault:
-            raise TableError(sentence)
+    if sum(one is not None for one in given) > 1:
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
+        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
+    if options.into and not options.out:
+        raise TableError("--into needs --out, the file to write; it may be the same file.")
 
 
 def _meant_arm(options):

@@ -127,20 +127,8 @@ def check(options):
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
     changed, facts = False, {}
     if has_causes:
-        found = saved.check(
-            today.angles, today.positions, today.points, lengths,
-            new_base=options.new_base, false_alarm_rate=rate,
-        )  # fmt: skip
-        changed = bool(found.matters and not found.holds)
-        names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
-        facts = {name: getattr(found, name) for name in names}
-        if options.points and (saved.base is None or options.new_base):
-            print("The base was found from these same poses: what it takes up shows no change.")
-        _print_check(found, changed, today)
-        if options.record:
-            found.append_to(options.record)
-            print(f"Appended to {options.record}")
-        today = _without(today, found.slipped) if by_spread else today
+        changed, facts, slipped = _check_model(saved, today, lengths, rate, options)
+        today = _without(today, slipped) if by_spread else today
     if by_spread:
         changed = _check_spread(saved, today, rate, changed, facts)
     elif not changed:
@@ -149,8 +137,15 @@ def check(options):
     return (CHANGED if changed else OK), facts | {"holds": not changed}
 
 
-def _print_check(found, changed, today):
-    """Print what the model sees of a change, and the poses that slipped."""
+def _check_model(saved, today, lengths, rate, options):
+    """Whether the model sees a change in today's poses, the facts of it, and rows that slipped."""
+    found = saved.check(
+        today.angles, today.positions, today.points, lengths,
+        new_base=options.new_base, false_alarm_rate=rate,
+    )  # fmt: skip
+    changed = bool(found.matters and not found.holds)
+    if options.points and (saved.base is None or options.new_base):
+        print("The base was found from these same poses: what it takes up shows no change.")
     if not found.holds:
         advice = found.advice if changed else "That is too little to act on."
         print(
@@ -160,6 +155,11 @@ def _print_check(found, changed, today):
     for row in found.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")
+    if options.record:
+        found.append_to(options.record)
+        print(f"Appended to {options.record}")
+    names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
+    return changed, {name: getattr(found, name) for name in names}, found.slipped
 
 
 def _without(today, slipped):

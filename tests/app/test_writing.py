@@ -152,12 +152,28 @@ def places(tmp_path, monkeypatch):
         ("check t.csv --model old --record t.csv", "t.csv is read and would be written over"),
         ("export --model old --onnx old/model.skops", "is read and would be written over"),
         ("arm arm.json --out arm.json", "arm.json is read and would be written over"),
+        ("learn t.csv --arm nothing --out o", "there is no file nothing, and as a name must be"),
+        ("learn none.csv --arm ur10 --out o", "There is no file none.csv"),
+        ("learn t.csv --arm ur10 --out o --points x,y", "--points needs three columns"),
+        ("learn t.csv --arm ur10 --out o --limit-2s -1", "must be a positive number"),
+        ("learn t.csv --arm ur10 --out -", "--out is a folder here"),
+        ("learn t.csv --arm ur10 --out o --counts-per-turn 0", "turn needs a positive number"),
+        ("learn t.csv --arm ur10 --out o --counts-per-turn 1,2", "turn needs a positive number"),
+        ("learn t.csv --arm ur10 --out o --counts-per-turn x", "'x' is not a number"),
+        ("correct t.csv --model . --out o.csv", "has no correction.json"),
+        ("export --model old", "say what to write: --c FOLDER"),
+        ("arm", "give an arm: a file"),
+        ("arm ur10 --dh x.csv", "give one arm: a file or name, --dh"),
+        ("arm ur10 --probe 0,0,1", "--modified and --probe belong to --dh"),
+        ("arm ur10 --into x.urdf", "--into needs --out"),
+        ("arm aacmm6 --base link0", "--base and --tip name links of a URDF"),
+        ("arm aacmm6 --elbow-offset nan", "belong to --lengths-222 or -223"),
     ],
 )
-def test_no_output_is_an_input(places, capsys, arguments, message):
+def test_bad_arguments_get_one_sentence_and_change_no_file(places, capsys, arguments, message):
     before = {path: path.read_bytes() for path in places.rglob("*") if path.is_file()}
     assert main(arguments.split()) == 2
-    assert message in capsys.readouterr().err
+    assert message in capsys.readouterr().err.splitlines()[-1]
     assert {path: path.read_bytes() for path in places.rglob("*") if path.is_file()} == before
 
 

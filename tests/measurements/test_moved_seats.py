@@ -15,6 +15,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import _moved_seats, find_steps, moved_positions
 from sklearn_raacmm.measurements._moved_seats import MOVED
+from sklearn_raacmm.utils import numbered_rows
 
 NOISE = 0.01
 # In the order of the rows; what is left of the poses is random.
@@ -166,6 +167,10 @@ def test_the_warning_names_position_rows_and_size():
     (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
     assert re.match(f"^{MOVED} {expected}", str(found))
     assert (found.weight, found.positions, found.rows) == ("repair", (2,), (first,))
+    with numbered_rows(np.arange(len(left)) + 100):
+        (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
+    assert f"between rows {first + 99} and {first + 100}." in found.text
+    assert found.rows == (first + 100,)
     weights = ((np.arange(len(left)) < first) | (groups != 2)).astype(float)
     assert not list(moved_positions(left, angles, weights, groups, NOISE**2))
     # Labels of their own after each step are the way out.
