@@ -26,7 +26,6 @@ from sklearn_raacmm import (
     calibrate,
     check_correction,
     learn_correction,
-    next_poses,
     transfer_correction,
     update_correction,
 )
@@ -94,7 +93,6 @@ def doors(seed):
     yield "front door", front_door
     few = np.isin(groups, np.unique(groups)[:4])
     today = X[few], test.target[few]
-    yield "next poses", lambda: next_poses(known["cones model"], X, 3, groups=groups)
     yield "update", lambda: update_correction(known["cones model"], *today, groups=groups[few])
     yield (
         "transfer",

@@ -31,7 +31,6 @@ from sklearn_raacmm import (
     export,
     learn_correction,
     metrics,
-    next_poses,
     position_residuals,
     search_table,
     shoulder_wrist_distance,
@@ -112,9 +111,6 @@ def doors():
     yield "azimuth there", angle, lambda v: cartesian_to_cylindrical(RESIDUALS, v)
     yield "azimuth back", angle, lambda v: cylindrical_to_cartesian(RESIDUALS, v)
     measures = metrics
-    linear = harmonics().fit(ANGLES, RESIDUALS)
-    yield "next_poses", ANGLES, lambda v: next_poses(linear, v, 3)[1]
-    yield "next_poses, targets", ANGLES, lambda v: next_poses(linear, ANGLES, 3, targets=v)[1]
     yield "2S", POINTS, lambda v: measures.single_point_repeatability(v, GROUPS)
     interval = measures.repeatability_interval
     yield "interval", POINTS, lambda v: interval(v, GROUPS, n_resamples=9)
@@ -189,8 +185,6 @@ def label_doors():
     yield "both stages", lambda v: both().fit(ANGLES, CENTRED, groups=v).predict(ANGLES)
     yield "calibrate", lambda v: calibrate(ARM, ANGLES, v, free=["probe"]).values
     yield "position_residuals", lambda v: position_residuals(POINTS, v)
-    linear = harmonics().fit(ANGLES, RESIDUALS)
-    yield "next_poses", lambda v: next_poses(linear, ANGLES, 3, groups=v)[1]
     yield "2S", lambda v: metrics.single_point_repeatability(POINTS, v)
     yield "interval", lambda v: metrics.repeatability_interval(POINTS, v, n_resamples=9)
     yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
