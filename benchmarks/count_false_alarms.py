@@ -26,9 +26,9 @@ from sklearn_raacmm import (
     calibrate,
     check_correction,
     learn_correction,
-    transfer_correction,
     update_correction,
 )
+from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, to_json
 
@@ -96,8 +96,8 @@ def doors(seed):
     yield "update", lambda: update_correction(known["cones model"], *today, groups=groups[few])
     yield (
         "transfer",
-        lambda: transfer_correction(
-            known["cones model"], known["cones"].arm, *today, groups=groups[few]
+        lambda: transferred_model(
+            [known["cones model"]], known["cones"].arm, *today, groups=groups[few]
         ),
     )
     yield "check", lambda: check_correction(known["cones model"], *today, groups=groups[few])

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         learn_correction,
         plan_poses,
         search_table,
-        transfer_correction,
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -67,7 +66,6 @@ __all__ = [
     "position_residuals",
     "search_table",
     "shoulder_wrist_distance",
-    "transfer_correction",
     "update_correction",
 ]
 

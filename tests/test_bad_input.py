@@ -34,7 +34,6 @@ from sklearn_raacmm import (
     position_residuals,
     search_table,
     shoulder_wrist_distance,
-    transfer_correction,
     update_correction,
 )
 
@@ -161,8 +160,6 @@ def doors_to_be_refused_at():
     yield "update, X", ANGLES, lambda v: update(linear, v, RESIDUALS).coef_
     yield "update, y", RESIDUALS, lambda v: update(linear, ANGLES, v).coef_
     yield "update, weights", WEIGHTS, lambda v: update(linear, ANGLES, RESIDUALS, sample_weight=v)
-    yield "transfer, X", ANGLES, lambda v: transfer_correction(linear, ARM, v, RESIDUALS).coef_
-    yield "transfer, y", RESIDUALS, lambda v: transfer_correction(linear, ARM, ANGLES, v).coef_
     yield "check, X", ANGLES, lambda v: check_correction(linear, v, RESIDUALS)
     yield "check, y", RESIDUALS, lambda v: check_correction(linear, ANGLES, v)
     yield "search_table, angles", ANGLES, lambda v: search_table(ARM, v, GROUPS) is None
@@ -201,7 +198,6 @@ def label_doors():
 def label_doors_to_be_refused_at():
     linear = harmonics().fit(ANGLES, RESIDUALS)
     yield "update", lambda v: update_correction(linear, ANGLES, RESIDUALS, groups=v)
-    yield "transfer", lambda v: transfer_correction(linear, ARM, ANGLES, CENTRED, groups=v)
     yield "check", lambda v: check_correction(linear, ANGLES, RESIDUALS, groups=v)
     yield "search_table", lambda v: search_table(ARM, ANGLES, v)
     yield "learn", lambda v: learn_correction(ARM, ANGLES, v)

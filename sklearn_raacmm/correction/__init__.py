@@ -10,7 +10,6 @@ from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correc
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table
-from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
@@ -25,6 +24,5 @@ __all__ = [
     "learn_correction",
     "plan_poses",
     "search_table",
-    "transfer_correction",
     "update_correction",
 ]
