@@ -26,10 +26,9 @@ from sklearn_raacmm import (
     calibrate,
     check_correction,
     learn_correction,
-    next_poses,
-    transfer_correction,
     update_correction,
 )
+from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, to_json
 
@@ -94,12 +93,11 @@ def doors(seed):
     yield "front door", front_door
     few = np.isin(groups, np.unique(groups)[:4])
     today = X[few], test.target[few]
-    yield "next poses", lambda: next_poses(known["cones model"], X, 3, groups=groups)
     yield "update", lambda: update_correction(known["cones model"], *today, groups=groups[few])
     yield (
         "transfer",
-        lambda: transfer_correction(
-            known["cones model"], known["cones"].arm, *today, groups=groups[few]
+        lambda: transferred_model(
+            [known["cones model"]], known["cones"].arm, *today, groups=groups[few]
         ),
     )
     yield "check", lambda: check_correction(known["cones model"], *today, groups=groups[few])

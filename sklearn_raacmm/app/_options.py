@@ -186,7 +186,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--poses": {"type": int, "default": 12, "help": "poses in each cone (12)"},
     "--lean": {
         "type": float, "default": 60.0, "metavar": "DEG",
-        "help": "how far the probe may lean from the vertical, degrees (60)",
+        "help": "how far the probe may lean from the vertical in a cone, degrees (60)",
     },
     "--json": _flag("print the result as JSON"),
     "--quiet": _flag("print errors only"),
