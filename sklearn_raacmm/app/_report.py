@@ -150,7 +150,7 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
     if scores.measure != "2S":
         raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
     if not 0 < limit < np.inf:
-        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit}.")
+        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
     mean, low, high = scores.summary["after"]
     word = "PASS" if high <= limit else "FAIL" if low > limit else "OPEN"
     what = {

@@ -10,12 +10,14 @@ from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
+from sklearn.utils._param_validation import Interval, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
@@ -23,16 +25,12 @@ from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, plac
 from sklearn_raacmm.error_model import ArmResidualRegressor, LinearModel
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
-    Interval,
     centred,
-    check_path,
     encode_groups,
     group_means,
     listed,
     one_blas_thread,
     one_warning,
-    show,
-    validate_params,
 )
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -131,7 +129,7 @@ class CorrectionCheck:
         --------
         >>> check.append_to("checks_of_arm_7.csv")  # doctest: +SKIP
         """
-        path = check_path("path", path)
+        path = Path(path)
         header = path.read_bytes().splitlines()[:1] if path.exists() else []
         if header and header != [",".join(self.record).encode()]:
             raise ValueError(f"{path} is not the record of checks: its first line is no header.")
@@ -386,7 +384,7 @@ class _Poses(NamedTuple):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
         refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
+            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
         place = self.rows(place_columns(self.linear.arm, self.angles, with_base=True))
         place = place[:, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
         if self.codes is None:

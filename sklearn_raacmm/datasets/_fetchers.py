@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sklearn.utils import Bunch
+from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
@@ -19,7 +20,6 @@ from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
 from sklearn_raacmm.datasets._generators import pack
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Interval, StrOptions, validate_params
 
 PANDA_URL = (
     "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/"
@@ -238,7 +238,7 @@ def fetch_ur10_tracker(
             Measured points in the tracker's frame, mm.
         tracker_orientations : ndarray of shape (11911, 3, 3)
             Measured orientations of the tracker's target, as rotation matrices from the target's
-            axes to the tracker's, for ``calibrate(..., orientations=)``.
+            axes to the tracker's.
         time : ndarray of datetime64 of shape (11911,)
             When each pose was measured, to a second. Ten poses do not stand in this order.
         DESCR : str

@@ -5,17 +5,19 @@
 
 import warnings
 from functools import lru_cache
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import Bunch, check_random_state
+from sklearn.utils import Bunch, check_random_state, check_scalar
+from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_whole_number, floats, show, validate_params
+from sklearn_raacmm.utils import floats
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -115,8 +117,8 @@ def make_single_point(
     >>> 0 < single_point_repeatability(test.points, test.groups) < 0.2
     True
     """
-    check_whole_number("n_positions", n_positions, 1)
-    check_whole_number("n_poses", n_poses, 2)
+    check_scalar(n_positions, "n_positions", Integral, min_val=1)
+    check_scalar(n_poses, "n_poses", Integral, min_val=2)
     machine, rng = _machine_and_stream(machine, random_state, stream=1)
     positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
     known = []
@@ -180,8 +182,8 @@ def make_gauge(
     >>> bool(length_error(measured, test.lengths, statistic="max") < 0.2)
     True
     """
-    check_whole_number("n_placements", n_placements, 1)
-    check_whole_number("n_poses", n_poses, 2)
+    check_scalar(n_placements, "n_placements", Integral, min_val=1)
+    check_scalar(n_poses, "n_poses", Integral, min_val=2)
     machine, rng = _machine_and_stream(machine, random_state, stream=2)
     lengths = np.repeat(_check_lengths(lengths, machine), n_placements)
     ends, poses = _draw_gauges(machine, lengths, n_poses, rng)
@@ -363,7 +365,7 @@ def _check_lengths(lengths, machine) -> np.ndarray:
     # Both ends in the shell: the longest gauge spans it.
     longest = 2 * _SHARE_OF_REACH[1] * machine.reach
     if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():
-        raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {show(lengths)}.")
+        raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {lengths!r:.60}.")
     return lengths
 
 
