@@ -20,10 +20,8 @@ if TYPE_CHECKING:
         check_correction,
         cross_validate_correction,
         learn_correction,
-        next_poses,
         plan_poses,
         search_table,
-        transfer_correction,
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -65,12 +63,10 @@ __all__ = [
     "elbow_angle",
     "learn_correction",
     "lengths_of_places",
-    "next_poses",
     "plan_poses",
     "position_residuals",
     "search_table",
     "shoulder_wrist_distance",
-    "transfer_correction",
     "update_correction",
 ]
 

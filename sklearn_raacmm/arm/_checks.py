@@ -154,7 +154,7 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     if angle_unit == "rad":  # more than two turns
         _say(
             f"angles reach {reach} rad (joint {joint}), more than two turns:",
-            'if they are degrees, convert them or pass angle_unit="deg".',
+            'if they are degrees, convert them or pass angle_unit="deg" (raacmm: --unit deg).',
             joints=(joint,),
         )
         return angles
@@ -168,7 +168,7 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     if largest.max() < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
         _say(
             f"angles in degrees reach {reach} only (joint {joint}):",
-            'if they are radians, pass angle_unit="rad".',
+            'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).',
             joints=(joint,),
         )
     return np.deg2rad(angles)

@@ -10,7 +10,7 @@ from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
 from sklearn_raacmm.calibration._problem import points_and_jacobian
 from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.measurements import base_motions, moved_positions, moved_set_up
-from sklearn_raacmm.utils import Finding
+from sklearn_raacmm.utils import Finding, row_numbers
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
 _LENGTH_OUTLIER = 5.0
@@ -238,6 +238,6 @@ def outliers(result):
             f"they belong, up to {far:.3g} mm.",
             "They are not learnt from. " + "Look at their labels and at the seat." * many,
             "doubt" if many else "note",
-            rows=rows,
+            rows=row_numbers(rows),
             size_mm=far,
         )

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.utils import Finding, chunks, encode_groups
+from sklearn_raacmm.utils import Finding, chunks, encode_groups, row_numbers
 
 # Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
 # beyond ten a slow change of the residuals counts as much as a step.
@@ -113,12 +113,12 @@ def moved_positions(
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
     yield Finding(
         "moved-position",
-        f"{MOVED} {'; '.join(named)}{more} (rows counted from 0).",
+        f"{MOVED} {'; '.join(named)}{more}.",
         "No model of the arm can follow that: fasten the socket and the arm's base and measure "
         "again, or give the rows after each step a label of their own.",
         "repair",
         positions=tuple(labels[moved]),
-        rows=tuple(rows[step.after] for step in steps),
+        rows=row_numbers(rows[step.after] for step in steps),
         size_mm=max(step.size_mm for step in steps),
     )
 
@@ -126,10 +126,10 @@ def moved_positions(
 def _in_words(steps, rows):
     """The largest steps, in their order."""
     largest = sorted(sorted(steps, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
-    parts = [
-        f"{step.size_mm:.3g} mm between rows {rows[step.before]} and {rows[step.after]}"
-        for step in largest
-    ]
+    parts = []
+    for step in largest:
+        before, after = row_numbers(rows[[step.before, step.after]])
+        parts.append(f"{step.size_mm:.3g} mm between rows {before} and {after}")
     more = f" and {len(steps) - _NAMED} more times" * (len(steps) > _NAMED)
     return f"{', by '.join(parts)}{more}"
 

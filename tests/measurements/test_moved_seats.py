@@ -15,6 +15,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import _moved_seats, find_steps, moved_positions
 from sklearn_raacmm.measurements._moved_seats import MOVED
+from sklearn_raacmm.utils import numbered_rows
 
 NOISE = 0.01
 # In the order of the rows; what is left of the poses is random.
@@ -162,11 +163,15 @@ def test_the_warning_names_position_rows_and_size():
     test, angles, groups, first = moved_test()
     left = test.arm.forward(angles) - test.arm.forward(test.data)
     left += np.random.default_rng(0).normal(0, NOISE, left.shape)
-    expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first} \(rows counted"
+    expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first}\."
     weights = np.ones(len(left))
     (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
     assert re.match(f"^{MOVED} {expected}", str(found))
     assert (found.weight, found.positions, found.rows) == ("repair", (2,), (first,))
+    with numbered_rows(np.arange(len(left)) + 100):
+        (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
+    assert f"between rows {first + 99} and {first + 100}." in found.text
+    assert found.rows == (first + 100,)
     weights = ((np.arange(len(left)) < first) | (groups != 2)).astype(float)
     assert not list(moved_positions(left, angles, weights, groups, NOISE**2))
     # Labels of their own after each step are the way out.
@@ -179,7 +184,7 @@ def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)
     model = ArmResidualRegressor(orders=2)
-    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first} ") as said:
+    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as said:
         learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
     assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
 
