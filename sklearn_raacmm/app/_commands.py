@@ -177,7 +177,7 @@ def correct(options):
 
 
 def export(options):
-    """Write a saved correction as C, with a project that tests it, or as ONNX."""
+    """Write a saved correction as C, with a program that tests it, or as ONNX."""
     if not (options.c or options.onnx):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
     folder = Path(options.c or ".")
@@ -198,9 +198,7 @@ def export(options):
             saved.model, source, std=options.std, card=card, poses="random",
             any_probe=options.any_probe,
         )  # fmt: skip
-        # Its test, its C++ header and its project, which come with poses.
-        more = (f"{options.name}_test.c", f"{options.name}.hpp", "CMakeLists.txt")
-        paths += [folder / name for name in more]
+        paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)

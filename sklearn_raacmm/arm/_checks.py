@@ -23,6 +23,38 @@ MAX_LENGTH_MM = 1e5
 MIN_LENGTH_MM = 1e-6
 
 
+def checked_fields(arm: Any) -> dict[str, Any]:
+    """Fields of an `Arm` as it keeps them; each fault gets one clear sentence."""
+    a = numbers("a", arm.a, None, "mm", MAX_LENGTH_MM)
+    n = a.size
+    checked = {
+        "a": a,
+        "alpha": numbers("alpha", arm.alpha, n, "rad", 2 * np.pi),
+        "d": numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
+        "theta_offset": numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
+        "probe": numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
+        "joint_signs": numbers("joint_signs", arm.joint_signs, n, "", 1, True),
+        "pose_joints": pair_of("pose_joints", arm.pose_joints, 1, n),
+        "pose_frames": pair_of("pose_frames", arm.pose_frames, 0, n),
+        "names": names_of(arm.names, n),
+        "limits": limits_of(arm.limits, n),
+    }
+    if np.any(np.abs(checked["joint_signs"]) != 1):
+        raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
+    if not (isinstance(arm.convention, str) and arm.convention in ("standard", "modified")):
+        raise ValueError(
+            f"convention must be 'standard' or 'modified', got {arm.convention!r:.60}."
+        )
+    if not is_name(arm.name):
+        raise ValueError(f"name must be a string of whole characters, got {arm.name!r:.60}.")
+    if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
+        raise ValueError(
+            f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
+            "length does not move its probe."
+        )
+    return checked
+
+
 def numbers(name, value, size, unit, bound, broadcast=False):
     """One finite float64 per joint, read-only."""
     array = floats(name, value)

@@ -41,14 +41,12 @@ _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 # Poses farther off than this share of all, if errors were normal, count as though they were there:
 # those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
 # this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
-# (benchmarks/bench_check.py --real). With 0.9 fewer knocks were found.
+# (benchmarks/bench_check.py changes --real). With 0.9 fewer knocks were found.
 _USUAL = 0.95
 # Sets of poses drawn for the limits of the control chart: 5 lie beyond each limit at a rate of 1 %.
 _DRAWS = 1000
 # What is suspected, and what to do. A turn of the base about z is the same as an offset of joint 1.
-_MOVED = (
-    "The base or the tracker has moved: register again (Correction.register, raacmm register)."
-)
+_MOVED = "The base or the tracker has moved: register again (Correction.register, raacmm register)."
 _ADVICE = {
     "nothing": "Nothing: the correction holds.",
     "base": _MOVED,
@@ -405,7 +403,7 @@ class _Poses(NamedTuple):
         if self.codes is None:  # of a single-point test the base shows nothing
             # Together they are six numbers, too many for what three explain: of 40 bases of the
             # UR10 that settled by 40 um none was named, apart 27 are
-            # (benchmarks/bench_check_kinds.py --real). About z it is an offset of joint 1.
+            # (benchmarks/bench_check.py kinds --real). About z it is an offset of joint 1.
             causes |= {"base": place[:, 3:6], "base turned": place[:, 6:8]}
         points = arm.forward(angles)
         if self.codes is not None:  # a position is one point: what it shows about it is no scale
