@@ -70,13 +70,11 @@ def models(data):
         )
 
     linear = ArmResidualRegressor(arm, orders=3)
-    second = make_pipeline(PoseFeatures(arm), RBFNetRegressor(60, degree=-1, random_state=0))
     found = {
         "network, 60 centres": chain(60),
         "network, 266 centres": chain(266),
         "linear model of the arm": linear,
         "the same without fading": ArmResidualRegressor(arm, orders=3, fade=0),
-        "with a second stage": ArmResidualRegressor(arm, orders=3, regressor=second),
     }
     for model in found.values():
         groups = {"groups": data.groups} if isinstance(model, ArmResidualRegressor) else {}

@@ -287,8 +287,9 @@ def _of_angles(saved, model):
         more["with_arm"] = lambda arm: _of_angles(saved, model.with_arm(arm))
     return SimpleNamespace(
         predict=lambda angles: model.predict(saved.inputs(angles)),
-        arm_=getattr(model, "arm_", None), regressor_=getattr(model, "regressor_", None), **more,
-    )  # fmt: skip
+        arm_=getattr(model, "arm_", None),
+        **more,
+    )
 
 
 def _opened(options):

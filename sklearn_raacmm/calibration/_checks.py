@@ -115,8 +115,8 @@ class Correction(NamedTuple):
 
 
 def can_be_moved(model):
-    """Whether a fitted model can be moved to another probe: a second stage cannot."""
-    return hasattr(model, "with_arm") and getattr(model, "regressor_", None) is None
+    """Whether a fitted model can be moved to another probe."""
+    return hasattr(model, "with_arm")
 
 
 def checked_correction(correction, angles, angle_unit):

@@ -211,7 +211,7 @@ def _of_prior(estimator, prior):
     """Fitted estimator that knows nothing but the earlier arms."""
     new = deepcopy(estimator)
     new.linear_model_, new.fading_ = prior, Fading(0.0, 0.0)
-    new.helps_, new.judgement_, new.regressor_ = True, None, None
+    new.helps_, new.judgement_ = True, None
     new.n_features_in_ = prior.arm.n_joints + len(prior.terms.extra)
     new.pose_weight_ = np.empty(0)
     return new

@@ -10,9 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn import config_context
-from sklearn.base import clone
-from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
@@ -29,18 +26,15 @@ from sklearn_raacmm.error_model._in_use import ModelInUseMixin
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import offered_harmonics
-from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
+from sklearn_raacmm.residuals import PointCorrectionMixin
 from sklearn_raacmm.utils import (
-    HasMethods,
     Interval,
     MultiOutputMixin,
     RegressorMixin,
     StrOptions,
     VersionedEstimator,
-    centred,
     check_flags,
     fit_context,
-    heard_findings,
     many_without_weight,
     one_blas_thread,
     say_findings,
@@ -89,9 +83,6 @@ class ArmResidualRegressor(
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
         standard deviation at this pose and r the root mean square of the training residuals. 0: not
         at all. "auto": 1, or less where four positions or more have offsets.
-    regressor : estimator, default=None
-        A second stage, fitted on joint angles in rad to what the linear model leaves, in the
-        cylindrical frame of the probe.
 
     Attributes
     ----------
@@ -116,8 +107,6 @@ class ArmResidualRegressor(
         Cosine and sine of each of `column_harmonics_`, then the values of `terms_`.
     column_harmonics_ : ndarray of shape (n_chosen, 2)
         Joint from 1 and order of each.
-    regressor_ : CylindricalResidualTarget or None
-        The fitted second stage.
     fading_ : Fading
         How corrections fade: `factor` and `size_mm` (r).
     helps_ : bool
@@ -180,7 +169,6 @@ class ArmResidualRegressor(
         "causes": ["array-like"],
         "offsets": ["boolean", StrOptions({"auto"})],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
-        "regressor": [HasMethods(["fit", "predict"]), None],
     }
 
     def __init__(
@@ -193,7 +181,6 @@ class ArmResidualRegressor(
         causes: Sequence[str] = CAUSES,
         offsets: bool | str = "auto",
         fade: float | str = "auto",
-        regressor: Any = None,
     ) -> None:
         self.arm = arm
         self.angle_unit = angle_unit
@@ -202,7 +189,6 @@ class ArmResidualRegressor(
         self.causes = causes
         self.offsets = offsets
         self.fade = fade
-        self.regressor = regressor
 
     @one_blas_thread
     @fit_context(prefer_skip_nested_validation=True)
@@ -254,7 +240,7 @@ class ArmResidualRegressor(
             If shapes, labels, weights, causes or lengths do not fit together, something is NaN or
             infinite, the model has no columns at all, ``offsets=True`` comes without `groups`, or
             orientations come with offsets; if `y` are the probe's points, or half of them longer
-            than a twentieth of the arm's reach; if `probes` come with a second stage.
+            than a twentieth of the arm's reach.
 
         Warns
         -----
@@ -293,23 +279,7 @@ class ArmResidualRegressor(
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
         say_findings(many_without_weight(fitted.pose_weight))
-        self.regressor_: Any = None
-        if self.regressor is not None:
-            left = centred(rows.y - model.predict(rows.X)[0] * self.helps_, rows.codes, robust)
-            self.regressor_ = self._fitted_second_stage(rows, left, robust)
         return self
-
-    def _fitted_second_stage(self, rows, left, weights):
-        """The second stage, fitted to what the linear model leaves where no pose is an outlier."""
-        arm, kept = rows.arm, weights > 0
-        stage = CylindricalResidualTarget(clone(self.regressor), azimuth=arm.azimuth)
-        takes_weights = has_fit_parameter(self.regressor, "sample_weight")
-        options = {"sample_weight": weights[kept]} if takes_weights else {}
-        if rows.codes is not None:
-            options["groups"] = rows.codes[kept]
-        # These weights are the model's own, not metadata that a user routes.
-        with config_context(enable_metadata_routing=False), heard_findings():
-            return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -381,8 +351,7 @@ class ArmResidualRegressor(
             dx, dy and dz in mm: subtract them from the measured points.
         std : ndarray of shape (n_samples, 3)
             In mm, where asked for: 1.96 of them make an interval of 95 % at positions that were
-            left out of the fit. Where positions have offsets, without a motion of the base. A
-            second stage does not change them.
+            left out of the fit. Where positions have offsets, without a motion of the base.
         covariance : ndarray of shape (3 n_samples, 3 n_samples)
             In mm^2, where asked for: x, y and z of the first pose, then of the next. With g the
             derivatives of a length by these coordinates, ``g @ covariance @ g`` is its variance.
@@ -413,7 +382,7 @@ class ArmResidualRegressor(
         X = check_poses(self, X)
         model, fading = self.linear_model_, self.fading_
         mean, std, doubt = model.predict_with_doubt(X, return_std, fading.factor > 0)
-        mean = mean * self.helps_ + self.second_stage(X)
+        mean = mean * self.helps_
         if doubt is not None:
             share = fading.share(doubt)
             if self.helps_:
@@ -431,12 +400,6 @@ class ArmResidualRegressor(
 
     def _knows_deviations_only(self):
         return self.offsets_
-
-    def second_stage(self, angles: np.ndarray) -> np.ndarray:
-        """What the second stage adds at angles in rad before it fades, (n_samples, 3) in mm."""
-        if self.regressor_ is None:
-            return np.zeros((len(angles), 3))
-        return self.regressor_.predict(angles[:, : self.arm_.n_joints])
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()

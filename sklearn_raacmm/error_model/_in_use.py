@@ -45,8 +45,7 @@ class ModelInUseMixin:
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If the table is another one; or if the model has a second stage, which has seen the old
-            probe only.
+            If the table is another one.
 
         Examples
         --------
@@ -67,11 +66,6 @@ class ModelInUseMixin:
         check_is_fitted(self)
         check_arm(arm)
         old = self.linear_model_
-        if self.regressor_ is not None and not np.array_equal(arm.probe, old.arm.probe):
-            raise ValueError(
-                f"{type(self).__name__} has a second stage, which has seen the old probe only: a "
-                "model with regressor=None can be moved."
-            )
         moved = copy(self)
         moved.arm, moved.linear_model_ = arm, moved_model(old, arm)
         moved.fading_ = moved_fading(self.fading_, old.arm, arm)

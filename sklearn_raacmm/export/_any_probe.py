@@ -17,10 +17,9 @@ class AnyProbe:
 
     def __init__(self, model):
         check_fitted(model)
-        if not isinstance(model, ArmResidualRegressor) or model.regressor_ is not None:
+        if not isinstance(model, ArmResidualRegressor):
             raise ValueError(
-                "any_probe=True needs an ArmResidualRegressor without a second stage: others have "
-                "seen one probe only."
+                "any_probe=True needs an ArmResidualRegressor: others have seen one probe only."
             )
         if any(name.startswith("temperature") for name, _ in model.linear_model_.terms.extra):
             raise ValueError(

@@ -126,7 +126,7 @@ def export_c(
     any_probe : bool, default=False
         Whether the functions take the vector of the probe: three more numbers in mm at the end of
         a row. They then give what ``model.with_arm`` of an arm with this probe predicts. For an
-        :class:`ArmResidualRegressor` without a second stage and without temperatures.
+        :class:`ArmResidualRegressor` without temperatures.
 
     Returns
     -------

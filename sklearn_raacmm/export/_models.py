@@ -311,7 +311,7 @@ def scaler(p, step, x):
 
 
 def arm_model(chain, step):
-    """Correction and variance (or None) of an `ArmResidualRegressor`: both stages, faded."""
+    """Correction and variance (or None) of an `ArmResidualRegressor`, faded."""
     p, linear, fading = chain.p, step.linear_model_, step.fading_
     for name in ("size_mm", "factor"):
         value = getattr(fading, name)
@@ -321,10 +321,6 @@ def arm_model(chain, step):
             )
     y, v, doubt = linear_model(chain, linear, fading.factor > 0)
     y = y if step.helps_ else p.constant(np.zeros(3))
-    if step.regressor_ is not None:
-        steps = list(leaves(step.regressor_))
-        second = _Chain(step.regressor_, p, False, chain.angles(), "rad")
-        y = p("add", y, _read(second, steps, second.x)[0])
     if doubt is not None:
         share = p.constant(1.0)
         if fading.size_mm > 0:

@@ -135,10 +135,7 @@ def described(step):
     if isinstance(step, PoseFeatures):
         return f"{name}: {', '.join(step._names())}"
     if isinstance(step, ArmResidualRegressor):
-        inside = (
-            [described(inner) for _, inner in leaves(step.regressor_)] if step.regressor_ else []
-        )
-        return ", then ".join([f"{name}: {len(step.linear_model_.coef)} terms", *inside])
+        return f"{name}: {len(step.linear_model_.coef)} terms"
     return name
 
 

@@ -40,7 +40,7 @@ def models(data):
             CylindricalResidualTarget(make_pipeline(RobustScaler(), network(degree=1))),
         ),
         "linear": ArmResidualRegressor(arm, orders=2),
-        "both": ArmResidualRegressor(arm, orders=2, causes=["kinematics"], regressor=inner),
+        "both": ArmResidualRegressor(arm, orders=2, causes=["kinematics"]),
         "clipped": make_pipeline(MinMaxScaler(clip=True), MaxAbsScaler(), Ridge()),
         "search": GridSearchCV(network(), {"n_centers": [3, 5]}, cv=2),
     }

@@ -285,10 +285,8 @@ def of_arm(arm, *causes, **params):
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.5, 2.0])
-@pytest.mark.parametrize("degree", [-1, 1])
-def test_both_stages(data, fade, degree):
-    second = make_pipeline(PoseFeatures(data.arm), network(degree=degree))
-    model = of_arm(data.arm, "kinematics", "wobble", orders=2, regressor=second, fade=fade)
+def test_faded_corrections(data, fade):
+    model = of_arm(data.arm, "kinematics", "wobble", orders=2, fade=fade)
     model.fit(data.data, data.target)
     X = np.concatenate([data.data, angles_everywhere(6, 60)])
     terms = np.abs(model.linear_model_.columns(X)) @ np.abs(model.linear_model_.coef)

@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    PoseFeatures,
     RBFNetRegressor,
     calibrate,
     transfer_correction,
@@ -43,11 +41,6 @@ def residuals(angles, arcsec):
 
 def linear(**params):
     return ArmResidualRegressor(ARM, orders=2, causes=["kinematics"], **params)
-
-
-def both(**params):
-    net = RBFNetRegressor(10, length_scale=1.5, alpha=0.05, degree=-1)
-    return linear(regressor=make_pipeline(PoseFeatures(ARM), net), **params)
 
 
 @pytest.fixture(scope="module")
@@ -87,11 +80,10 @@ def agree(model, X, folder):
         np.testing.assert_allclose(correct(X), expected, rtol=0, atol=2e-12, err_msg=way)
 
 
-@pytest.mark.parametrize("make", [linear, both])
-def test_degrees(data, tmp_path, make):
+def test_degrees(data, tmp_path):
     X, y = data
     in_degrees = np.rad2deg(X)
-    model = make(angle_unit="deg").fit(in_degrees, y)
+    model = linear(angle_unit="deg").fit(in_degrees, y)
     agree(model, np.rad2deg(np.concatenate([X[:20], 3 * X[20:40]])), tmp_path)
     header = export_c(model, tmp_path / "arm.c")[1].read_text()
     assert '#define ARM_INPUT_UNIT "deg"' in header
@@ -99,9 +91,8 @@ def test_degrees(data, tmp_path, make):
     assert describe(model)["input"] == "6 joint angles in deg"
 
 
-@pytest.mark.parametrize("make", [linear, both])
-def test_updated(data, new, tmp_path, make):
-    model = make().fit(*data)
+def test_updated(data, new, tmp_path):
+    model = linear().fit(*data)
     updated = update_correction(model, *new, date="2026-01-02")
     updated = update_correction(updated, *new, date="2026-02-03")
     gap = np.abs(updated.predict(new[0]) - model.predict(new[0])).max()
@@ -136,7 +127,7 @@ def with_references(names, values):
 def test_extra_columns(with_extra, tmp_path, guarded):
     X, y = with_extra
     model = linear(extra=EXTRA)
-    model = both(extra=EXTRA).fit(X, y) if guarded else model.fit(X, y)
+    model = linear(extra=EXTRA).fit(X, y) if guarded else model.fit(X, y)
     assert len(model.linear_model_.terms.extra) == 6
     rng = np.random.default_rng(3)
     new = np.column_stack([rng.uniform(-3, 3, (40, 6)), rng.permuted(X[:40, 6:], axis=0)])
@@ -221,7 +212,7 @@ def assert_same_files(model, X):
 
 def test_registered_through_the_model(data, new, tmp_path):
     """The way of the page: calibrate(correction=), residuals, update, and every file."""
-    model = both().fit(*data)
+    model = linear().fit(*data)
     rng = np.random.default_rng(7)
     X = new[0]
     points = ARM.replace(probe=(1.0, 2.0, 90.0)).forward(X) - residuals(X, 40)
@@ -234,7 +225,7 @@ def test_registered_through_the_model(data, new, tmp_path):
 
 def test_a_registered_arm(data, tmp_path):
     """Another base and tool: the same model on the arm that the registration found."""
-    model = both().fit(*data)
+    model = linear().fit(*data)
     arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]), probe=(0.2, -0.1, 5.0))
     model.arm, model.linear_model_ = arm, replace(model.linear_model_, arm=arm)
     agree(model, data[0][:30], tmp_path)
@@ -260,10 +251,7 @@ def test_the_card_of_an_updated_model(data, new):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
-    for make, damage in (
-        (linear, lambda model: model.linear_model_.coef),
-        (both, lambda model: model.regressor_.regressor_[-1].networks_[0].coef),
-    ):
+    for make, damage in ((linear, lambda model: model.linear_model_.coef),):
         model = make().fit(*data)
         damage(model).flat[3] = bad
         with pytest.raises(ValueError, match=r"holds NaN or infinity, .* not finite, among the"):

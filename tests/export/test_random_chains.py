@@ -84,11 +84,10 @@ def random_model(rng):
         extra = ["temperature", "force y", "direction 2"] if rng.random() < 0.5 else []
         if extra:
             X = np.column_stack([X, rng.normal(size=(n, 2)), rng.choice([-1.0, 1.0], n)])
-        second = make_pipeline(PoseFeatures(arm, **pose), scaler, last) if kind else None
         fade = [0.0, 0.7, "auto"][rng.integers(3)]
         model = ArmResidualRegressor(
             arm, orders=int(rng.integers(0 if causes else 1, 4)), causes=causes, extra=extra,
-            fade=fade, regressor=second, angle_unit=unit,
+            fade=fade, angle_unit=unit,
         )  # fmt: skip
         std = True
     elif kind == 2:
