@@ -11,7 +11,6 @@ from sklearn_raacmm.error_model._columns import (
     SHIFT,
     Terms,
     column_table,
-    given_factors,
     observed_columns,
     term_columns,
 )
@@ -41,7 +40,6 @@ __all__ = [
     "column_table",
     "constrained",
     "force_on_probe",
-    "given_factors",
     "lever_mm",
     "limits_of",
     "observed_columns",
