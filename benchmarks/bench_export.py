@@ -31,7 +31,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import export_c, load_c, to_json, to_onnx
+from sklearn_raacmm.export import export_c, load_c, to_onnx
 
 PAGE = Path(__file__).parents[1] / "doc" / "log.md"
 START, END = "<!-- bench_export -->", "<!-- end of bench_export -->"
@@ -163,9 +163,6 @@ def table(n_rows):
             for label, std in (("C source, kB", False), ("C source with std, kB", True)):
                 source, _ = export_c(model, folder / "arm.c", std=std)
                 sizes.setdefault(label, {})[name] = f"{source.stat().st_size / 1e3:.0f}"
-            sizes.setdefault("JSON with std, kB", {})[name] = (
-                f"{len(to_json(model, std=True)) / 1e3:.0f}"
-            )
     head = [f"| µs per row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
     body = [
         f"| {label} | {' | '.join(cells.get(name, '-') for name in names)} |"

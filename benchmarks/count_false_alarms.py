@@ -31,7 +31,7 @@ from sklearn_raacmm import (
     update_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.export import describe, to_json
+from sklearn_raacmm.export import describe
 
 MACHINES = ("typical", "gravity", "eccentricity", "none")
 
@@ -78,7 +78,6 @@ def doors(seed):
         model = known["cones model"]
         y = known["cones"].residuals(X, groups=groups)
         describe(model, X, y, groups=groups, n_folds=3)
-        to_json(model)
 
     def front_door():
         model = ArmResidualRegressor(orders=8)
@@ -90,7 +89,7 @@ def doors(seed):
     yield "linear model, tracker", lambda: linear("tracker", points=points)
     yield "chain, cones", lambda: chain("cones", groups=groups)
     yield "chain, tracker", lambda: chain("tracker", points=points)
-    yield "card and JSON", files
+    yield "card", files
     yield "front door", front_door
     few = np.isin(groups, np.unique(groups)[:4])
     today = X[few], test.target[few]

@@ -99,9 +99,9 @@ def learn(options):
     layout = find_rows(options, arm, said=False)
     corrected = io.StringIO(newline="")
     in_order = any(name.startswith("direction") for name in result.causes)
-    write_corrected(layout, numbers_of(result.saved, options, in_order), corrected)
+    write_corrected(layout, numbers_of(result, options, in_order), corrected)
     verdict, *lines = (as_said(line, table.rows) for line in str(result.scores).split("\n"))
-    card = describe(result.model, result.saved.inputs(result.angles))
+    card = describe(result.model, result.inputs(result.angles))
     if result.findings:
         card["findings"] = [
             as_said(f"{finding.weight}: {finding}", table.rows) for finding in result.findings
@@ -132,7 +132,7 @@ def learn(options):
     if options.open:
         webbrowser.open((out / "report.html").resolve().as_uri())
     code = OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
-    return code, result.facts()
+    return code, result.facts
 
 
 def _is_there(name):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.display import ControlChartDisplay, RepeatabilityDisplay
+from sklearn_raacmm.display import RepeatabilityDisplay
 from sklearn_raacmm.metrics import repeatability_interval
 from sklearn_raacmm.utils import natural_order
 
@@ -53,7 +53,7 @@ def svg_of(draw, name, style=None):
 
 
 def figures_of(result, limit_mm=None):
-    """Figures of a LearnedCorrection as SVG elements, by name; `limit_mm` of 2S is in the first."""
+    """Figures of a Correction as SVG elements, by name; `limit_mm` of 2S is in the first."""
     draws = {
         "positions": lambda figure: _positions(figure, result.scores, limit_mm),
         "joints": lambda figure: _joints(figure, result),
@@ -166,16 +166,6 @@ def _lengths(figure, scores):
     ax.axhline(0, color=_INK, linewidth=0.8)
     ax.set(xlabel="calibrated length, mm", ylabel="error, µm")
     ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
-
-
-def chart_of(records):
-    """Control chart of the records of checks, as a whole SVG file."""
-
-    def draw(figure):
-        figure.set_size_inches(7, 5)
-        ControlChartDisplay(records=records).plot(figure.subplots(2, 1, sharex=True))
-
-    return svg_of(draw, "chart")
 
 
 def picture_of(arm):

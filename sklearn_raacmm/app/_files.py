@@ -15,7 +15,7 @@ from sklearn_raacmm.app._causes import columns_of_causes
 from sklearn_raacmm.app._cells import TableError, number_of
 from sklearn_raacmm.app._tables import find_layout, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import SavedCorrection
+from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import within_turn
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
@@ -56,7 +56,7 @@ def load_correction(source):
             "run code: install skops (pip install skops) and learn again."
         )
     try:
-        return SavedCorrection.load(folder)
+        return Correction.load(folder)
     except (ValueError, OSError) as error:
         raise TableError(f"--model: {error}") from None
 

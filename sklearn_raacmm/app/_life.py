@@ -7,7 +7,6 @@ import sys
 from dataclasses import replace
 from datetime import date as calendar
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,17 +14,15 @@ from scipy import stats
 
 from sklearn_raacmm.app._causes import probe_not_told
 from sklearn_raacmm.app._cells import TableError, as_said
-from sklearn_raacmm.app._figures import chart_of
 from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
 from sklearn_raacmm.app._lengths import read_lengths
-from sklearn_raacmm.arm import check_angles, reach_mm
-from sklearn_raacmm.calibration import MUCH_SCATTER_MM, calibrate
-from sklearn_raacmm.correction import check_correction, read_check_records, update_correction
+from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, natural_order, write_whole
+from sklearn_raacmm.utils import check_places, natural_order
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -34,8 +31,6 @@ _FALSE_ALARM = 0.01
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
-# A base of which more is open is none that a correction could be used with, mm.
-_WELL_KNOWN_MM = 1.0
 # Parts of the model that have changed by less than this share of what is usual are not named.
 _NAMED_TAU = 0.1
 
@@ -60,26 +55,16 @@ class _Today(NamedTuple):
         return cls(in_rad(table), table.positions, table.points, lengths, table.rows)
 
     @property
+    def measured(self):
+        """The same as the methods of a correction take them."""
+        return self.angles, self.positions, self.points, self.lengths
+
+    @property
     def said(self):
         """What they are, in words."""
         if self.points is not None:
             return f"{len(self.angles)} poses, measured by a tracker"
         return f"{len(self.angles)} poses in {len(np.unique(self.positions))} cones"
-
-    def register(self, saved, free=("probe",)):
-        """Probe and base through the correction."""
-        found = calibrate(
-            saved.arm, self.angles, self.positions, points=self.points, lengths=self.lengths,
-            correction=_of_angles(saved, saved.model), free=list(free),
-        )  # fmt: skip
-        turns = np.char.startswith(found.names, "base_r")
-        open_mm = reach_mm(saved.arm) * found.standard_deviations[turns].max(initial=0.0)
-        if open_mm > _WELL_KNOWN_MM:
-            raise TableError(
-                f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "
-                "points that are spread in all directions, not along a line."
-            )
-        return found
 
     def left(self, y, predicted=0.0):
         """Mean distance of corrected points from where they should be, mm."""
@@ -100,14 +85,11 @@ def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
     saved, out = _opened(options)
     today = _Today.of(options, saved.arm)
-    found = today.register(saved)
-    new = saved.registered(found)
+    new = saved.register(*today.measured)
     said, facts = _what_has_moved(saved, new)
-    y = found.residuals(today.angles, today.points, today.positions)
-    left, usual = (
-        today.left(y, _of_angles(new, new.model).predict(today.angles)),
-        _usual_mm(saved, today),
-    )
+    y = new.calibration.residuals(today.angles, today.points, today.positions)
+    left = today.left(y, new.model.predict(new.inputs(today.angles)))
+    usual = _usual_mm(saved, today)
     _refuse_another_arm(left, usual)
     print(f"Registered with {today.said}.", *said, sep="\n")
     print(f"Mean deviation {today.left(y):.3f} -> {left:.3f} mm.")
@@ -126,14 +108,11 @@ def update(options):
     """Register, and bring the correction up to date with the same poses."""
     saved, out = _opened(options)
     today = _Today.of(options, saved.arm)
-    found = today.register(saved)
-    moved = saved.registered(found)
-    y = found.residuals(today.angles, today.points, today.positions)
-    date = options.date or calendar.today().isoformat()
-    X = saved.inputs(today.angles)
-    model = update_correction(moved.model, X, y, groups=today.positions, date=date)
-    said, facts = _what_has_moved(saved, moved)
-    was, now = moved.model.predict(X), model.predict(X)
+    new = saved.update(*today.measured, date=options.date)
+    y = new.calibration.residuals(today.angles, today.points, today.positions)
+    X, model = saved.inputs(today.angles), new.model
+    said, facts = _what_has_moved(saved, new)
+    was, now = saved.move(new.arm.probe).model.predict(X), model.predict(X)
     before, after = today.left(y, was), today.left(y, now)
     _refuse_another_arm(after, _usual_mm(saved, today))
     print(f"Updated with {today.said}.", *said, sep="\n")
@@ -150,20 +129,17 @@ def update(options):
     )
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"tau": dict(tau), "before_mm": before, "after_mm": after}
-    _write(replace(moved, model=model), out, "update", today, facts)
+    _write(new, out, "update", today, facts)
     return OK, facts
 
 
 def move(options):
     """Move the correction to a probe whose vector is known."""
     saved, out = _opened(options)
-    if not hasattr(saved.model, "with_arm"):
-        raise TableError("this correction has no model of causes: register the new probe instead.")
-    arm = saved.arm.replace(probe=vector_of(options.probe))
-    new = replace(saved, arm=arm, model=saved.model.with_arm(arm))
+    new = saved.move(vector_of(options.probe))
     said, facts = _what_has_moved(saved, new)
     print(*said, sep="\n")
-    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, arm.n_joints))
+    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, new.arm.n_joints))
     old_mm, new_mm = (
         np.sqrt(np.square(one.model.linear_model_.predict(one.inputs(tried))[0]).sum(axis=1).mean())
         for one in (saved, new)
@@ -179,11 +155,11 @@ def move(options):
 def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
     inputs = [options.table, *files_of(options.model)]
-    check_places(filter(None, (options.record, options.chart)), inputs)
+    check_places(filter(None, [options.record]), inputs)
     saved = load_correction(options.model)
     has_causes = isinstance(saved.model, ArmResidualRegressor) and saved.model.helps_
     by_spread = saved.facts["measure"] == "2S" and not options.points
-    needed = [f"--{name}" for name in ("record", "chart", "lengths") if getattr(options, name)]
+    needed = [f"--{name}" for name in ("record", "lengths") if getattr(options, name)]
     if not has_causes and (needed or not by_spread):
         raise TableError(
             f"{' and '.join(needed) or 'this check'} needs a model of causes; this correction has "
@@ -245,20 +221,9 @@ def highest_mean(learnt, n, rate):
 
 def _by_causes(saved, today, options, rate):
     """Whether the model sees a change in today's poses, the facts of it, and rows that slipped."""
-    refitted = ()
-    if today.points is None:
-        y = position_residuals(saved.arm.forward(today.angles), today.positions)
-    elif saved.base is None or options.new_base:
-        y = today.register(saved, free=()).residuals(today.angles, today.points)
-        refitted = ("base",)
+    found = saved.check(*today.measured, new_base=options.new_base, false_alarm_rate=rate)
+    if today.points is not None and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
-    else:
-        y = saved.residuals(today.angles, today.points)
-    X = saved.inputs(today.angles)
-    found = check_correction(
-        saved.model, X, y, groups=today.positions, lengths=today.lengths, refitted=refitted,
-        false_alarm_rate=rate,
-    )  # fmt: skip
     changed = bool(found.matters and not found.holds)
     if not found.holds:
         worth = as_said(found.advice) if changed else "That is too little to act on."
@@ -272,24 +237,8 @@ def _by_causes(saved, today, options, rate):
     if options.record:
         found.append_to(options.record)
         print(f"Appended to {options.record}")
-    if options.chart:
-        records = read_check_records(options.record) if options.record else [found.record]
-        write_whole({options.chart: chart_of(records)})
-        print(f"Written to {options.chart}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     return changed, {name: getattr(found, name) for name in names}, found.slipped
-
-
-def _of_angles(saved, model):
-    """The model as one of angles alone, to be registered: of each cause counts what is usual."""
-    more = {}
-    if hasattr(model, "with_arm"):
-        more["with_arm"] = lambda arm: _of_angles(saved, model.with_arm(arm))
-    return SimpleNamespace(
-        predict=lambda angles: model.predict(saved.inputs(angles)),
-        arm_=getattr(model, "arm_", None),
-        **more,
-    )
 
 
 def _opened(options):

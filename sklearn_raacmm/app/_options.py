@@ -45,8 +45,8 @@ WORDS = (
     ),
     Word(
         "check", "_life", "ask whether a correction still holds today",
-        "raacmm check small_test.csv --model my_arm --record checks.csv --chart chart.svg",
-        f"{_TODAY} --new-base --record --chart",
+        "raacmm check small_test.csv --model my_arm --record checks.csv",
+        f"{_TODAY} --new-base --record",
     ),
     Word(
         "register", "_life", "find a new probe or a new place through the correction",
@@ -160,7 +160,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": {"metavar": "CSV", "help": "file to append the line of this check to"},
-    "--chart": {"metavar": "SVG", "help": "control chart of the record to write"},
     "--date": {"help": "when they were measured (today)"},
     "move --probe": {
         "metavar": "X,Y,Z", "required": True,

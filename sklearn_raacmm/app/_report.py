@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.app._figures import figures_of
-from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection
+from sklearn_raacmm.correction import Correction, CorrectionScores
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.export import fingerprint
 from sklearn_raacmm.metrics import length_error
-from sklearn_raacmm.utils import show, write_whole
+from sklearn_raacmm.utils import write_whole
 
 # Rows shown of tables that may be long.
 _MOST_ROWS = 40
@@ -30,7 +30,7 @@ _MOST_HARMONICS = 12
 
 
 def write_report(
-    result: LearnedCorrection,
+    result: Correction,
     path: str | PathLike[str],
     *,
     limit_2s: float | None = None,
@@ -41,7 +41,7 @@ def write_report(
 
     Parameters
     ----------
-    result : LearnedCorrection
+    result : Correction
         What `learn_correction` returned.
     path : str or path-like
         File to write, beside its place and renamed when complete.
@@ -146,7 +146,7 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
     if scores.measure != "2S":
         raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
     if not 0 < limit < np.inf:
-        raise ValueError(f"the limit of 2S must be a positive number in mm, got {show(limit)}.")
+        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
     mean, low, high = scores.summary["after"]
     word = "PASS" if high <= limit else "FAIL" if low > limit else "OPEN"
     what = {
@@ -211,7 +211,7 @@ def _sheet(scores):
 
 def _deviations(result):
     """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
-    columns = result.saved.columns(result.saved.inputs(result.angles))
+    columns = result.columns(result.inputs(result.angles))
     names = (
         ("of a coordinate within a position", columns[:, 6:9]),
         ("of a coordinate in the base frame", columns[:, 3:6]),

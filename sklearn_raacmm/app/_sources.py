@@ -7,9 +7,9 @@ import re
 import zipfile
 from functools import partial
 from itertools import islice
+from pathlib import Path
 
 from sklearn_raacmm.app._cells import Dialect, TableError, clean, find_encoding, text_dialect
-from sklearn_raacmm.utils import check_path
 
 _LOOKED_AT = 300
 # A record of a program stands within so many, or the file is none.
@@ -51,7 +51,7 @@ def find_source(path, n_numbers, sheet=None):
 
     `sheet` is the name or number, from 1, of a spreadsheet's; None: the first with such rows.
     """
-    path = check_path("path", path)
+    path = Path(path)
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
     kind = path.suffix.lower()

@@ -21,7 +21,6 @@ from sklearn_raacmm.arm._checks import (
     names_of,
     numbers,
     pair_of,
-    show,
 )
 from sklearn_raacmm.arm._files import JsonMixin
 from sklearn_raacmm.arm._kinematics import (
@@ -147,13 +146,13 @@ class Arm(JsonMixin, UrdfMixin):
             "limits": limits_of(self.limits, n),
         }
         if np.any(np.abs(checked["joint_signs"]) != 1):
-            raise ValueError(f"joint_signs must be -1 or 1 each, got {show(self.joint_signs)}.")
+            raise ValueError(f"joint_signs must be -1 or 1 each, got {self.joint_signs!r:.60}.")
         if not (isinstance(self.convention, str) and self.convention in ("standard", "modified")):
             raise ValueError(
-                f"convention must be 'standard' or 'modified', got {show(self.convention)}."
+                f"convention must be 'standard' or 'modified', got {self.convention!r:.60}."
             )
         if not is_name(self.name):
-            raise ValueError(f"name must be a string of whole characters, got {show(self.name)}.")
+            raise ValueError(f"name must be a string of whole characters, got {self.name!r:.60}.")
         if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
             raise ValueError(
                 f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "

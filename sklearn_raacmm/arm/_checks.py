@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, floats, say_findings, show
+from sklearn_raacmm.utils import Finding, floats, say_findings
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -49,7 +49,7 @@ def names_of(names, n):
     found = tuple(names) if isinstance(names, list | tuple) else ("",)
     whole = all(name and is_name(name) for name in found)
     if not whole or len(found) not in (0, n) or len(set(found)) < len(found):
-        raise ValueError(f"names must be {n} different names of joints, got {show(names)}.")
+        raise ValueError(f"names must be {n} different names of joints, got {names!r:.60}.")
     return found
 
 
@@ -89,7 +89,7 @@ def pair_of(name, value, low, high):
         whole = False
     if not whole or len(pair) != 2 or not all(low <= v <= high for v in pair) or len({*pair}) < 2:
         raise ValueError(
-            f"{name} must be two different whole numbers from {low} to {high}, got {show(value)}."
+            f"{name} must be two different whole numbers from {low} to {high}, got {value!r:.60}."
         )
     return tuple(int(v) for v in pair)
 
@@ -97,7 +97,7 @@ def pair_of(name, value, low, high):
 def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another."""
     if not (isinstance(angle_unit, str) and angle_unit in ("rad", "deg")):
-        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {show(angle_unit)}.")
+        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {angle_unit!r:.60}.")
     angles = floats("angles", angles)
     if angles.ndim != 2 or angles.shape[1] != n_joints:
         raise ValueError(

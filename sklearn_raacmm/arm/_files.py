@@ -10,7 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from sklearn_raacmm.arm._checks import show
 from sklearn_raacmm.utils import write_whole
 
 _FORMAT = "sklearn_raacmm.Arm"
@@ -73,10 +72,10 @@ class JsonMixin:
         keys = _JSON_KEYS | {f: key for f, key in _OPTIONAL_KEYS.items() if key in content}
         unknown = sorted(set(content) - {*keys.values(), "format", "format_version"})
         if unknown:  # misspelt, or of a later version: it would be ignored silently
-            raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
+            raise ValueError(f"{where} has the unknown field {unknown[0]!r:.60}.")
         for key in keys.values():  # true and false would pass for 1 and 0
             if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
-                raise ValueError(f"{where}: {key} must hold numbers, got {show(content[key])}.")
+                raise ValueError(f"{where}: {key} must hold numbers, got {content[key]!r:.60}.")
         try:
             return cls(**{field: content[key] for field, key in keys.items()})
         except (ValueError, TypeError) as error:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
 from sklearn_raacmm.calibration._checks import (
@@ -33,7 +34,6 @@ from sklearn_raacmm.calibration._gate import (
     wrong_units,
 )
 from sklearn_raacmm.calibration._observability import observability
-from sklearn_raacmm.calibration._orientation import turn_vectors
 from sklearn_raacmm.calibration._problem import (
     ANGLES_RAD,
     LONG_MM,
@@ -92,7 +92,6 @@ def calibrate(
     groups: ArrayLike | None = None,
     *,
     points: ArrayLike | None = None,
-    orientations: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
     tools: ArrayLike | None = None,
     stations: ArrayLike | None = None,
@@ -120,10 +119,6 @@ def calibrate(
         Label of the fixed point of each sample. Needed unless `points` is given.
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
-    orientations : array-like of shape (n_samples, 3, 3) or Rotation, default=None
-        Measured orientations of the target beside `points`, from the target's axes to those of the
-        points: rotation matrices, or a :class:`scipy.spatial.transform.Rotation`. How the target
-        sits on the last link is found.
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between the fixed points of two groups, mm: tuples or the rows of an array.
     tools : array-like of shape (n_samples,), default=None
@@ -210,7 +205,7 @@ def calibrate(
         correction = checked_correction(correction, angles, angle_unit)
     angles = check_arm_angles(arm, angles, angle_unit)
     problem, tool_labels, station_labels = check_problem(
-        angles, groups, points, lengths, tools, stations, orientations
+        angles, groups, points, lengths, tools, stations
     )
     poses, angles, problem = one_row_a_pose(angles, problem)
     say_findings(wrong_units(arm, angles, problem))
@@ -319,13 +314,11 @@ def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
     """Everything that is to be known of a fit that has settled."""
     problem, names, kind = fit.problem, wanted.names, wanted.kind
     mask = fit.mask_of(wanted.is_free)
-    all_names, x_names = _all_names(fit, names, station_labels)
-    found = _identified(fit, mask, x_names)
-    sd = found["standard_deviations"][: len(all_names)]
+    all_names = _all_names(fit, names, station_labels)
     rows, limit, weight = _outliers(fit)
-    values = fit.x[: len(all_names)].copy()
+    values = fit.x.copy()
     for s in range(problem.n_stations):
-        values[fit.base_columns(s)[:3]] = turn_vectors(fit.rotations[s])
+        values[fit.base_columns(s)[:3]] = Rotation.from_matrix(fit.rotations[s]).as_rotvec()
     shifts = [values[fit.base_columns(s)[3:]] for s in range(problem.n_stations)]
     stations = list(zip(fit.rotations, shifts, strict=True))
     return CalibrationResult(
@@ -345,7 +338,6 @@ def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
         residuals_mm=fit.residuals(slips(fit)),
         length_errors_mm=fit.length_errors(),
         sigma_mm=float(fit.sigma),
-        sigma_rad=None if problem.turns is None else float(fit.sigma_turn),
         outliers=rows,
         outlier_limit_mm=limit,
         sample_weight=weight,
@@ -354,24 +346,22 @@ def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
         bases=_by_label(station_labels, stations),
         base_rotation=stations[0][0] if stations else None,
         base_translation=stations[0][1] if stations else None,
-        target_rotation=None if problem.turns is None else fit.targets[0],
         converged=fit.converged,
-        **found | {"standard_deviations": sd},
+        **_identified(fit, mask, all_names),
     )
 
 
 def _all_names(fit, names, station_labels):
-    """Names of table, probes and bases, and of all parameters x, the targets' turns behind them."""
+    """Names of all parameters x: of the table, the probes and the bases."""
     labels = [""] if station_labels is None else [f"[{label}]" for label in station_labels]
     labels = labels[: fit.problem.n_stations]
-    all_names = [*names, *(f"base_{c}{at}" for at in labels for c in _BASE_COORDINATES)]
-    return all_names, all_names + [f"target{i}" for i in range(len(fit.x) - len(all_names))]
+    return [*names, *(f"base_{c}{at}" for at in labels for c in _BASE_COORDINATES)]
 
 
 def _identified(fit, mask, x_names):
     """What the data say of the free parameters, as fields of a `CalibrationResult`."""
     free_names = [name for name, is_in in zip(x_names, mask, strict=True) if is_in]
-    angle = np.array([is_angle(name) or name.startswith("target") for name in x_names])
+    angle = np.array([is_angle(name) for name in x_names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)
     wide[: len(fit.nominal)] = fit.prior_sd
     unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)

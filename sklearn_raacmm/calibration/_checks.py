@@ -8,19 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, check_angles, reach_mm
-from sklearn_raacmm.calibration._orientation import check_turns
 from sklearn_raacmm.calibration._problem import Problem
 from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.measurements import within_turn
-from sklearn_raacmm.utils import (
-    Finding,
-    encode_groups,
-    floats,
-    listed,
-    refuse_huge,
-    say_findings,
-    show,
-)
+from sklearn_raacmm.utils import Finding, encode_groups, floats, listed, say_findings
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
 _LENGTH_OUTLIER = 5.0
@@ -43,7 +34,7 @@ _MEANING = {
 }
 
 
-def check_problem(angles, groups, points, lengths, tools, stations, orientations):
+def check_problem(angles, groups, points, lengths, tools, stations):
     """The data of a calibration as a `Problem`, and the labels of tools and stations."""
     n = len(angles)
     if n == 0:
@@ -56,15 +47,13 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
     )
     if points is not None:
         points = _check_points(points, n, lengths)
-        turns = None if orientations is None else check_turns(orientations, n)
-        problem = Problem(None, points, [], tools=tools, stations=stations, turns=turns)
+        problem = Problem(None, points, [], tools=tools, stations=stations)
         return problem, tool_labels, station_labels
-    for name, value in (("stations", stations), ("orientations", orientations)):
-        if value is not None:
-            raise ValueError(
-                f"{name} are of measured points. In a test without a tracker, a fixed point that "
-                "is measured from another place is another group: give it a label of its own."
-            )
+    if stations is not None:
+        raise ValueError(
+            "stations are of measured points. In a test without a tracker, a fixed point that is "
+            "measured from another place is another group: give it a label of its own."
+        )
     labels, index = encode_groups(groups, n)
     labels = labels.tolist()
     lengths = [check_length(entry, labels) for entry in lengths]
@@ -81,13 +70,9 @@ def check_problem(angles, groups, points, lengths, tools, stations, orientations
 
 
 def _check_points(points, n, lengths):
-    points = floats("points", points)
+    points = floats("points", points, finite=True)
     if points.shape != (n, 3):
         raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-    if not np.all(np.isfinite(points)):
-        row = np.argwhere(~np.isfinite(points))[0, 0]
-        raise ValueError(f"points hold NaN or infinity, first in row {row}.")
-    refuse_huge("points", points)
     if lengths:
         raise ValueError("lengths are between groups; measured points have no use for them.")
     return points
@@ -155,7 +140,7 @@ def check_arm_angles(arm, angles, angle_unit):
 def check_free(free):
     free = listed("free", free)
     if not all(isinstance(name, str) and name in FIELDS for name in free):
-        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {show(free)}.")
+        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     return free
 
 
@@ -167,7 +152,7 @@ def check_length(entry: Any, labels: Any) -> Any:
     except (TypeError, ValueError):
         raise ValueError(
             "each of lengths must be (label, label, length, standard deviation), got "
-            f"{show(entry)}."
+            f"{entry!r:.60}."
         ) from None
     for label in (first, second):
         if label not in labels:
@@ -177,7 +162,7 @@ def check_length(entry: Any, labels: Any) -> Any:
         raise ValueError(
             f"a length must join two different groups, it must be positive and at most "
             f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
-            f"got {show(entry)}."
+            f"got {entry!r:.60}."
         )
     return labels.index(first), labels.index(second), length, sd
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
-from sklearn_raacmm.calibration._orientation import flange_turns
 from sklearn_raacmm.calibration._problem import points_and_jacobian
 from sklearn_raacmm.measurements import (
     base_motions,
@@ -43,8 +42,6 @@ def one_row_a_pose(angles, problem):
     say_findings(poses.findings())
     names = ("index", "points", "correction", "tools", "stations")
     parts = {name: poses.mean(getattr(problem, name)) for name in names}
-    if problem.turns is not None:
-        parts["turns"] = problem.turns[poses.first]
     problem = replace(problem, **parts)
     if problem.points is None and problem.n_informative == 0:
         raise ValueError("each group has one pose: none can scatter.")
@@ -136,7 +133,7 @@ def set_up_moved(fit, mask, poses):
     if problem.points is None or problem.n_stations > 1 or problem.n_tools > 1:
         return
     points, columns = points_and_jacobian(fit.nominal_arm, fit.angles, fit.x[:n], problem)
-    turns = flange_turns(fit.arm(), fit.angles)[0]
+    turns = fit.arm().frames(fit.angles)[:, -1, :3, :3]
     columns = columns[:, :, mask[:n]]
     ridge = np.square(fit.sigma / fit.prior_sd[:n][mask[:n]])
     parts = fit.residuals(), columns, ridge, points, turns, fit.weights, poses.first

@@ -40,7 +40,6 @@ class Problem:
     correction: np.ndarray | None = None  # (n, 3) mm, subtracted from the arm's points
     tools: np.ndarray | None = None  # (n,) numbers; None where all rows share one
     stations: np.ndarray | None = None
-    turns: np.ndarray | None = None  # (n, 3, 3) orientations of the target beside `points`
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
 
@@ -64,7 +63,7 @@ class Problem:
     def n_coordinates(self) -> int:
         """Coordinates that were measured, less those that the unknown fixed points take."""
         if self.points is not None:
-            return (3 if self.turns is None else 6) * self.n_informative
+            return 3 * self.n_informative
         return 3 * (self.n_informative - self.n_useful)
 
     def rows_of_tool(self, tool: int) -> Any:

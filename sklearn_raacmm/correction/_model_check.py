@@ -3,12 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import csv
 from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +21,6 @@ from scipy.stats import chi
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
-from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.error_model import ArmResidualRegressor, LinearModel
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
@@ -30,7 +31,6 @@ from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
     one_warning,
-    show,
     validate_params,
 )
 
@@ -114,18 +114,31 @@ class CorrectionCheck:
     record: dict[str, Any] = field(repr=False)
 
     def append_to(self, path: str | PathLike[str]) -> None:
-        """Append the record to a file, for :class:`~sklearn_raacmm.display.ControlChartDisplay`.
+        """Append the record to a CSV file, a line for each check: the data of a control chart.
 
         Parameters
         ----------
         path : str or path-like
-            A CSV file if its name ends in .csv, else one JSON object in each line.
+            Made, with a header, if it does not exist.
+
+        Raises
+        ------
+        ValueError
+            If the file has another header.
 
         Examples
         --------
         >>> check.append_to("checks_of_arm_7.csv")  # doctest: +SKIP
         """
-        append_record(path, self.record)
+        path = Path(path)
+        header = path.read_bytes().splitlines()[:1] if path.exists() else []
+        if header and header != [",".join(self.record).encode()]:
+            raise ValueError(f"{path} is not the record of checks: its first line is no header.")
+        with path.open("a", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, self.record)
+            if not header:
+                writer.writeheader()
+            writer.writerow(self.record)
 
 
 @one_blas_thread
@@ -372,7 +385,7 @@ class _Poses(NamedTuple):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
         refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
+            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
         place = self.rows(place_columns(self.linear.arm, self.angles, with_base=True))
         place = place[:, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
         if self.codes is None:

@@ -13,7 +13,7 @@ from sklearn_raacmm.calibration import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._new_poses import linear_model_of, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
 from sklearn_raacmm.inference import narrowed
-from sklearn_raacmm.utils import centred, check_whole_number, encode_groups, listed, show
+from sklearn_raacmm.utils import centred, check_whole_number, encode_groups, listed
 
 # Noise of a coordinate where no model says it, mm: about that of a UR10 before a tracker
 # (benchmarks/bench_next_poses.py). Beside wide priors its size hardly changes the order of poses.
@@ -104,7 +104,7 @@ def next_poses(
     (3, True)
     """
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
-        raise ValueError(f'criterion must be "I" or "D", got {show(criterion)}.')
+        raise ValueError(f'criterion must be "I" or "D", got {criterion!r:.60}.')
     linear = None if isinstance(model, Arm) else linear_model_of(model, "planned for", in_use=False)
     if free is None:
         columns, half = _of_model(linear)
@@ -161,7 +161,7 @@ def _of_arm(arm, free, groups):
     """The same of base, probe and fields of an arm, as `calibrate` would find them."""
     free, known = listed("free", free), ("base", *FIELDS)
     if not free or not all(isinstance(name, str) and name in known for name in free):
-        raise ValueError(f"free must name some of {', '.join(known)}, got {show(free)}.")
+        raise ValueError(f"free must name some of {', '.join(known)}, got {free!r:.60}.")
     n = arm.n_joints
     counts = [n, n, n, n, 3]  # entries of each field
     taken = np.flatnonzero(np.isin(np.repeat(np.array(FIELDS), counts), free))

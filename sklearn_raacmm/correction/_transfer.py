@@ -185,7 +185,7 @@ def _checked(models, arm):
         if _families(linear.terms) != _families(linears[0].terms):
             raise ValueError(
                 f"models[{i}] has other families of columns than models[0]: fit all with the same "
-                "causes and extra columns, with orientations or without."
+                "causes and extra columns."
             )
     return linears
 

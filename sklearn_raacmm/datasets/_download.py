@@ -3,14 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import hashlib
 from pathlib import Path
 
 from sklearn.datasets import get_data_home
 
 # The public `fetch_file` does the same, but refuses addresses of local files.
 from sklearn.datasets._base import RemoteFileMetadata, _fetch_remote
-
-from sklearn_raacmm.utils import digest_of
 
 _LINES = """
 9ac0f8ab838a253443f4fbb4314103c99eec11702ab16f3202b276e542d6893c panda_2/back_left/hole_0.csv
@@ -62,7 +61,7 @@ def cached_file(name, folder, address, *, download_if_missing, n_retries, delay)
     if not download_if_missing:
         if not path.is_file():
             raise OSError(f"{path} is not there, and download_if_missing=False.")
-        if (found := digest_of(path.read_bytes())) != sha256:
+        if (found := hashlib.sha256(path.read_bytes()).hexdigest()) != sha256:
             raise OSError(
                 f"{path} has the SHA-256 checksum {found}, but {sha256} is expected: it was cut "
                 "short or changed, and download_if_missing=False."

@@ -238,7 +238,7 @@ def fetch_ur10_tracker(
             Measured points in the tracker's frame, mm.
         tracker_orientations : ndarray of shape (11911, 3, 3)
             Measured orientations of the tracker's target, as rotation matrices from the target's
-            axes to the tracker's, for ``calibrate(..., orientations=)``.
+            axes to the tracker's.
         time : ndarray of datetime64 of shape (11911,)
             When each pose was measured, to a second. Ten poses do not stand in this order.
         DESCR : str

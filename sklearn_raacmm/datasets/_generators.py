@@ -15,7 +15,7 @@ from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_whole_number, floats, show, validate_params
+from sklearn_raacmm.utils import check_whole_number, floats, validate_params
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -363,7 +363,7 @@ def _check_lengths(lengths, machine) -> np.ndarray:
     # Both ends in the shell: the longest gauge spans it.
     longest = 2 * _SHARE_OF_REACH[1] * machine.reach
     if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():
-        raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {show(lengths)}.")
+        raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {lengths!r:.60}.")
     return lengths
 
 

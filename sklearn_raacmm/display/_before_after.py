@@ -24,7 +24,7 @@ from sklearn_raacmm.metrics import (
     repeatability_interval,
     single_point_repeatability,
 )
-from sklearn_raacmm.utils import check_points
+from sklearn_raacmm.utils import floats
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 
@@ -129,7 +129,7 @@ class RepeatabilityDisplay(PointsDisplay):
             If shapes differ, values are not finite, a position holds a single point, or `interval`
             is not between 0 and 1.
         """
-        points = check_points(points, n_coordinates=3)
+        points = floats("points", points, 3)
         options: dict = {"statistic": statistic, "aggregate": None}
 
         def spread(points):
@@ -273,7 +273,7 @@ class LengthErrorDisplay(PointsDisplay):
             measured length is not within half of the calibrated one (residuals given as points?),
             or there are not as many axes as lengths.
         """
-        points = check_points(points, n_coordinates=3)
+        points = floats("points", points, 3)
 
         def errors(correction):
             measured = gauge_lengths(subtract(points, correction), groups, pairs)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.utils import check_points, deviations_by_group, show
+from sklearn_raacmm.utils import deviations_by_group, floats
 
 # Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
 # have no order, so that no line joins them.
@@ -32,7 +32,7 @@ class BeforeAfter:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise TypeError(f"name must be a text for the legend, got {show(self.name)}.")
+            raise TypeError(f"name must be a text for the legend, got {self.name!r:.60}.")
 
 
 class PointsDisplay(BeforeAfter):
@@ -95,7 +95,7 @@ class PosesDisplay(BeforeAfter):
 
 def before_and_after(n_rows, y, y_pred, groups):
     """Residuals (n, 3) of so many poses, and what is left of them; None without a prediction."""
-    y = check_points(y, n_coordinates=3)
+    y = floats("y", y, 3)
     if len(y) != n_rows:
         raise ValueError(f"X has {n_rows} rows, but y {len(y)}.")
     if y_pred is None:
@@ -106,7 +106,7 @@ def before_and_after(n_rows, y, y_pred, groups):
 
 def subtract(points, correction):
     """Take a correction (n, 3) off points (n, 3), both checked."""
-    correction = check_points(correction, n_coordinates=3)
+    correction = floats("correction", correction, 3)
     if len(correction) != len(points):
         raise ValueError(f"{len(points)} points, but a correction for {len(correction)}.")
     return points - correction
@@ -123,7 +123,7 @@ def pyplot():
 def check_model(estimator):
     """Refuse what is no fitted model."""
     if not hasattr(estimator, "predict"):
-        raise TypeError(f"estimator must be a fitted model, got {show(estimator)}.")
+        raise TypeError(f"estimator must be a fitted model, got {estimator!r:.60}.")
     check_is_fitted(estimator)
 
 
@@ -136,7 +136,7 @@ def axes_grid(axes, shape, **options):
         raise ValueError(f"{axes.size} axes were given, but {np.prod(shape)} are needed.")
     for ax in axes.flat:
         if not hasattr(ax, "axhline"):
-            raise TypeError(f"Axes of matplotlib are needed to draw on, got {show(ax)}.")
+            raise TypeError(f"Axes of matplotlib are needed to draw on, got {ax!r:.60}.")
     return axes.reshape(shape)
 
 

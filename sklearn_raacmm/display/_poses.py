@@ -18,7 +18,7 @@ from sklearn_raacmm.display._drawing import (
     before_and_after,
     pyplot,
 )
-from sklearn_raacmm.utils import check_option, check_whole_number, show
+from sklearn_raacmm.utils import check_option, check_whole_number
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
 _BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
@@ -156,7 +156,7 @@ class ArmPosesDisplay(PosesDisplay):
             check_option("magnification", magnification, ("auto",))
         elif not (isinstance(magnification, Real) and 0 < magnification < np.inf):
             raise ValueError(
-                f'magnification must be "auto" or positive, got {show(magnification)}.'
+                f'magnification must be "auto" or positive, got {magnification!r:.60}.'
             )
         if ax is None:
             ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")

@@ -4,14 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model._checks import check_poses, check_turns
+from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._columns import (
     LOAD,
     PUSH,
     SHIFT,
     Terms,
     column_table,
-    observed_columns,
     term_columns,
 )
 from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
@@ -36,13 +35,11 @@ __all__ = [
     "angles_for",
     "check_extra",
     "check_poses",
-    "check_turns",
     "column_table",
     "constrained",
     "force_on_probe",
     "lever_mm",
     "limits_of",
-    "observed_columns",
     "order_price",
     "smooth_shares",
     "term_columns",

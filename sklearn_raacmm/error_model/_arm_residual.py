@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
     check_fit,
-    check_turns,
     poses_of,
 )
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
@@ -195,7 +194,6 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
-        orientation_residuals: ArrayLike | None = None,
         probes: ArrayLike | None = None,
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
@@ -214,10 +212,6 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         lengths : iterable of (label, label, length, standard deviation), default=()
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
             offsets, only they tell the model of what happens between positions.
-        orientation_residuals : array-like of shape (n_samples, 3), default=None
-            Rotation vectors in rad from the measured orientation to that which the arm shows, in
-            its base frame, as :meth:`CalibrationResult.orientation_residuals` gives them: three
-            more rows of each pose, weighed by the noise that they show beside that of the points.
         probes : array-like of shape (n_samples, 3), default=None
             Vector of the probe of each row in the last frame, mm, where several took turns:
             ``result.arms[label].probe`` of a calibration with `tools`. The causes are then learnt
@@ -232,9 +226,9 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         ------
         ValueError
             If shapes, labels, weights, causes or lengths do not fit together, something is NaN or
-            infinite, the model has no columns at all, ``offsets=True`` comes without `groups`, or
-            orientations come with offsets; if `y` are the probe's points, or half of them longer
-            than a twentieth of the arm's reach.
+            infinite, the model has no columns at all, or ``offsets=True`` comes without `groups`;
+            if `y` are the probe's points, or half of them longer than a twentieth of the arm's
+            reach.
 
         Warns
         -----
@@ -245,9 +239,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         """
         rows, positions = check_fit(self, X, y, sample_weight, groups, lengths, probes)
         arm, used = rows.arm, rows.weights > 0
-        turns = check_turns(orientation_residuals, len(used), rows.codes)
-        rows, turns = rows.at(used), None if turns is None else turns[used]
-        dwells, rows, turns = poses_of(rows, self.extra, turns)
+        dwells, rows = poses_of(rows.at(used), self.extra)
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
@@ -257,8 +249,8 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         with_field = isinstance(self.orders, Integral)
         known = groups is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
-        fitted = fit_with_constants(rows, of_constants, terms, with_field, turns)
-        rows = fitted.rows if turns is None else rows
+        fitted = fit_with_constants(rows, of_constants, terms, with_field)
+        rows = fitted.rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         model = replace(model, n_positions=float(positions.max() + 1))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, say_findings, show
+from sklearn_raacmm.utils import Finding, say_findings
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
@@ -41,13 +41,13 @@ def parsed(name, n_joints):
         if not 1 <= int(rest[0]) <= n_joints:
             raise ValueError(f"extra names {name!r}, but the arm has joints 1 to {n_joints}.")
         return kind, int(rest[0]) - 1
-    raise ValueError(f"extra must hold names of columns, {_FORMS}; got {show(name)}.")
+    raise ValueError(f"extra must hold names of columns, {_FORMS}; got {name!r:.60}.")
 
 
 def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
-        raise ValueError(f"extra must be a list of names, one for each column, got {show(extra)}.")
+        raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")
     names = tuple(extra)
     found = [parsed(name, n_joints) for name in names]
     for i, one in enumerate(found):

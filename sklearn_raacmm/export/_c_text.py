@@ -8,8 +8,6 @@ import textwrap
 
 import numpy as np
 
-from sklearn_raacmm.utils import show
-
 # C99 promises 63 significant characters within a file; the rest is for what is appended.
 _MAX_NAME = 40
 _KEYWORDS = """
@@ -32,7 +30,7 @@ def check_name(name):
     if not fits or "__" in name or len(name) > _MAX_NAME:
         raise ValueError(
             "name must be a C identifier: a letter, then letters, digits or single underscores, "
-            f"at most {_MAX_NAME} characters; got {show(name)}."
+            f"at most {_MAX_NAME} characters; got {name!r:.60}."
         )
     if name in _KEYWORDS.split():
         raise ValueError(f"name must not be a word of C or C++, got {name!r}.")

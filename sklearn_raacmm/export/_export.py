@@ -1,4 +1,4 @@
-"""A fitted model on its way: as C99, as ONNX, as JSON, and what to say of it."""
+"""A fitted model as C99 and as ONNX: the public functions that write files."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -18,23 +18,22 @@ from sklearn_raacmm.export._any_probe import AnyProbe
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._c_project import project_files
 from sklearn_raacmm.export._c_text import check_name
-from sklearn_raacmm.export._json import ExportedModel, program_of_text, text_of
 from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
 from sklearn_raacmm.export._steps import check_fitted, check_std
-from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
+from sklearn_raacmm.utils import check_flags, write_whole
 
 
 def _check(std, card, dtype="double"):
     """Refuse what cannot be one of these parameters."""
     check_std(std)
     if not (card is None or isinstance(card, str | dict)):
-        raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
+        raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
-        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
+        raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
 
 
 def _rows_of(model, poses, std, n_inputs, dtype="double"):
@@ -169,11 +168,11 @@ def export_c(
     int sine_predict_n(const double *features, double *prediction, size_t n);
     const char *sine_fingerprint(void);
     """
-    path = check_path("path", path)
+    path = Path(path)
     if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z0-9_.+-]+", path.name, re.ASCII):
         raise ValueError(
             "path must name a file of letters, digits, '_', '.', '+' and '-' that ends in .c, got "
-            f"{show(str(path))}."
+            f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
     _check(std, card, dtype)
@@ -213,115 +212,6 @@ def _proved_in_c(model, program, rows, dtype):
     return notes
 
 
-def to_json(
-    model: Any,
-    path: str | PathLike[str] | None = None,
-    *,
-    std: bool = False,
-    card: ModelCard | str | None = None,
-    poses: ArrayLike | None = None,
-) -> str:
-    """Write a fitted model as JSON: for other languages, and for an archive of twenty years.
-
-    Parameters
-    ----------
-    model : estimator
-        Fitted, of a kind that :func:`export_c` writes.
-
-    path : str or path-like, default=None
-        File to write, renamed when complete. None only returns the text.
-
-    std : bool, default=False
-        Also write the standard deviation.
-
-    card : ModelCard or str, default=None
-        Facts to keep in the file, see :func:`describe`.
-
-    poses : array-like of shape (n, n_inputs), default=None
-        Rows for the test rows in the file, as :func:`export_c` takes them; None takes random ones.
-
-    Returns
-    -------
-    str
-        JSON: the operations that the model is made of, their constants, and 32 test rows with what
-        ``predict`` gives. All numbers are the shortest decimals that read back as the same float64.
-        The page "Numerics" describes the fields.
-
-    Raises
-    ------
-    ValueError
-        If something in the model cannot be written (the sentence says what), or if the text, read
-        again, does not give what ``predict`` gives.
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_raacmm import RBFNetRegressor
-    >>> from sklearn_raacmm.export import from_json, to_json
-    >>> X = np.linspace(0, 6, 50)[:, None]
-    >>> model = RBFNetRegressor(5).fit(X, np.sin(X[:, 0]))
-    >>> again = from_json(to_json(model))
-    >>> bool(np.abs(again.predict(X) - model.predict(X)).max() < 1e-12)
-    True
-    """
-    path = None if path is None else check_path("path", path)
-    _check(std, card)
-    program = program_of(model, std)
-    rows = _rows_of(model, poses, std, program.n_inputs)
-    if card is not None:
-        program.about["card"] = str(card)
-    text = text_of(program, dict_of_rows(rows))
-    notes = _proved("the JSON text", program_of_text(text)[0], rows)
-    if notes:
-        program.about["accuracy"] = notes
-        text = text_of(program, dict_of_rows(rows))
-    if path is not None:
-        write_whole({path: text})
-    return text
-
-
-def _proved(what, program, rows):
-    found = run(program, rows["X"])
-    return proved(what, rows, found["y"], found.get("std"))
-
-
-def from_json(source: str | PathLike[str]) -> ExportedModel:
-    """Read a model that :func:`to_json` wrote. Nothing in it is run but the listed operations.
-
-    Parameters
-    ----------
-    source : str or path-like
-        File, or the text itself.
-
-    Returns
-    -------
-    ExportedModel
-        Has ``predict(X, return_std=False)`` with the predictions of the model that was written, to
-        rounding. It is no estimator any more: skops and joblib files keep that.
-
-    Raises
-    ------
-    ValueError
-        If the text is not such a model, of another version of the format, or damaged, or if its
-        own test rows do not come out.
-    OSError
-        If the file cannot be read.
-    """
-    if isinstance(source, str) and source.lstrip().startswith("{"):
-        text, where = source, "the JSON text"
-    else:
-        content, where = check_path("source", source).read_bytes(), str(source)
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{source} is not valid JSON: {error}.") from None
-    program, rows = program_of_text(text, where)
-    _proved(where, program, rows)
-    return ExportedModel(program, rows)
-
-
 def fingerprint(model: Any) -> str:
     """Fingerprint of what a fitted model computes.
 
@@ -334,7 +224,7 @@ def fingerprint(model: Any) -> str:
     -------
     str
         SHA-256 as 64 hexadecimal digits, of every constant and operation of the prediction in
-        double precision. The same one is in the files of C, ONNX and JSON.
+        double precision. The same one is in the files of C and ONNX.
 
     Raises
     ------
@@ -406,8 +296,8 @@ def to_onnx(
     """
     _check(std, card, dtype)
     if target_opset is not None and not isinstance(target_opset, int | dict):
-        raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
-    path = None if path is None else check_path("path", path)
+        raise ValueError(f"target_opset must be a whole number, got {target_opset!r:.60}.")
+    path = None if path is None else Path(path)
     check_fitted(model)
     facts = {"sklearn_raacmm_version": __version__}
     try:

@@ -24,7 +24,7 @@ from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
 from sklearn_raacmm.export._steps import check_std
-from sklearn_raacmm.utils import check_path, show, write_whole
+from sklearn_raacmm.utils import write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
 _FLAGS = ("-std=c99", "-O3", "-shared", "-fPIC")
@@ -263,7 +263,7 @@ def _library(text, compiler, folder, flags):
     parts = [*text, compiler, *flags, platform.platform(), platform.machine()]
     place = f"{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()}.so"
     given = folder is not None
-    folder = check_path("cache_dir", folder) if given else _own_folder()
+    folder = Path(folder) if given else _own_folder()
     try:
         _make_own(folder)
     except OSError:
@@ -311,7 +311,7 @@ def _make_own(folder):
     facts = folder.stat()
     if facts.st_uid != os.getuid() or facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise ValueError(
-            f"Compiled models are loaded from {show(str(folder))}, which others may write to: "
+            f"Compiled models are loaded from {str(folder)!r:.60}, which others may write to: "
             "choose a folder of your own, or take the others' right to write (chmod 700)."
         )
     if not os.access(folder, os.W_OK | os.X_OK):

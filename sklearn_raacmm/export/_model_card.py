@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
-from sklearn.utils import check_array, check_consistent_length
+from sklearn.utils import check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
@@ -24,14 +24,7 @@ from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
 from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import (
-    centred,
-    encode_groups,
-    refuse_disguised,
-    safe_indexing,
-    share_of_means,
-    show,
-)
+from sklearn_raacmm.utils import centred, encode_groups, floats, safe_indexing, share_of_means
 
 # Positions' mean residuals count as taken off below this share of their squares that chance would
 # leave: those of a single-point test are zero but for the digits of a file. Noise alone at twelve
@@ -178,7 +171,7 @@ def describe(
         raise ValueError("y and groups describe rows of X, which is None.")
     whole = isinstance(n_folds, int | np.integer) and not isinstance(n_folds, bool)
     if not whole or n_folds < 0 or n_folds == 1:
-        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {show(n_folds)}.")
+        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {n_folds!r:.60}.")
     arm, unit = _arm(model)
     first = next(leaves(model)).estimator
     then = "".join(f", then {name}" for name, _ in extra_of(model))
@@ -218,16 +211,14 @@ def _of_rows(model, X, y, groups, n_folds):
     """The card's sections on the rows given: `training`, and with y `error`."""
     first, (arm, unit) = next(leaves(model)).estimator, _arm(model)
     given = X  # a table keeps the names that the model was fitted with
-    refuse_disguised("X", X)
-    X = check_array(X, dtype=np.float64, input_name="X")
+    X = floats("X", X, -1)
     if X.shape[1] != first.n_features_in_:
         raise ValueError(
             f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
         )
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if y is not None:
-        refuse_disguised("y", y)
-        y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
+        y = floats("y", y, finite=True)
         check_consistent_length(X, y)
     sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_of(model)])}
     sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
@@ -240,7 +231,7 @@ def _of_rows(model, X, y, groups, n_folds):
 def _text(name, value):
     """A field of text, or one clear sentence."""
     if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"{name} must be text, got {show(value)}.")
+        raise ValueError(f"{name} must be text, got {value!r:.60}.")
     return value
 
 

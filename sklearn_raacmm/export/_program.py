@@ -1,4 +1,4 @@
-"""A model as one list of simple operations on arrays: C, ONNX and JSON are written from it.
+"""A model as one list of simple operations on arrays: C and ONNX are written from it.
 
 Every value is a row of numbers. The first is the input; each operation makes one more from values
 before it and from constants of its own. `OPERATIONS` says what each does, for many rows at once;
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.utils import chunks, show
+from sklearn_raacmm.utils import chunks
 
 # Numbers that a value of many rows may hold at a time while a program runs.
 _CHUNK = 2**20
@@ -172,7 +172,7 @@ def size_of(name, given, sizes):
     """Numbers in a row of an operation's result; ValueError if it is no operation that fits."""
     known = OPERATIONS.get(name) if isinstance(name, str) else None
     if known is None:
-        raise ValueError(f"{show(name)} is no operation: only {', '.join(OPERATIONS)} are")
+        raise ValueError(f"{name!r:.60} is no operation: only {', '.join(OPERATIONS)} are")
     if set(given) != set(known.constants):
         raise ValueError(
             f"operation {name!r} has the constants {', '.join(sorted(given)) or 'none'} in place "

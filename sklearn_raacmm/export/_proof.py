@@ -75,17 +75,6 @@ def dict_of_rows(rows):
     }
 
 
-def rows_of_dict(content):
-    """The opposite of `dict_of_rows`."""
-    numbers = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
-    return {
-        key: np.array(
-            [[v if isinstance(v, float | int) else numbers[v] for v in row] for row in of]
-        )
-        for key, of in content.items()
-    }
-
-
 def proved(what, rows, y, std=None, dtype="double"):
     """How far a file is from ``predict`` at some rows, or ValueError if that is too far.
 

@@ -17,7 +17,6 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import show
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
@@ -55,7 +54,7 @@ def leaves(model, path=None):
 def check_fitted(model: Any) -> None:
     """Refuse a class, or an estimator that is not fitted, with one sentence."""
     if isinstance(model, type) or not hasattr(model, "fit"):
-        raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
+        raise TypeError(f"model must be a fitted estimator, got {model!r:.60}.")
     for path, step in leaves(model):
         try:
             check_is_fitted(step)
@@ -66,7 +65,7 @@ def check_fitted(model: Any) -> None:
 def check_std(std):
     """Refuse what is neither True nor False."""
     if not isinstance(std, bool):
-        raise ValueError(f"std must be True or False, got {show(std)}.")
+        raise ValueError(f"std must be True or False, got {std!r:.60}.")
 
 
 def _azimuth_arm(path, azimuth):

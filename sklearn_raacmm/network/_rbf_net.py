@@ -24,7 +24,6 @@ from sklearn_raacmm.utils import (
     StrOptions,
     VersionedEstimator,
     check_features,
-    check_fitted,
     check_flags,
     check_shapes,
     check_whole_number,
@@ -448,7 +447,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return of_mean, self._shaped([part for _, part in parts], axis=1)
 
     def _checked_rows(self, X) -> np.ndarray:
-        check_fitted(self, "networks_")
         return check_features(self, X, dtype=np.float64, reset=False)
 
     def _shaped(self, parts, axis=-1):

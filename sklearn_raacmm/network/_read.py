@@ -13,7 +13,6 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     share_of_means,
-    show,
 )
 
 # Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.
@@ -103,7 +102,7 @@ def check_kernel(kernel, length_scale, n_outputs):
     if names.shape != (n_outputs,) or not all(name in KERNELS for name in names.tolist()):
         raise ValueError(
             f"kernel must be a name, or one of {', '.join(KERNELS)} for each of the {n_outputs} "
-            f"outputs; got {show(kernel)}."
+            f"outputs; got {kernel!r:.60}."
         )
     if np.ndim(length_scale) != 2:
         raise ValueError(
@@ -126,7 +125,7 @@ def check_length_scale(length_scale, X, n_outputs, alpha, shared):
         raise ValueError("length_scale has a row for each output, which shared=True rules out.")
     if not np.all(width >= 1 / LARGEST):
         raise ValueError(
-            f"length_scale must be positive, at least {1 / LARGEST:g}; got {show(length_scale)}."
+            f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r:.60}."
         )
     width = width if width.ndim == 2 else np.broadcast_to(width, d).copy()
     ranges = np.ptp(X, axis=0)
@@ -156,5 +155,5 @@ def of_each_output(name, given, n_outputs):
             f"the {n_outputs} outputs."
         )
     if not np.all((values >= 0) & np.isfinite(values)):
-        raise ValueError(f"{name} must be finite and not negative; got {show(given)}.")
+        raise ValueError(f"{name} must be finite and not negative; got {given!r:.60}.")
     return np.broadcast_to(values, n_outputs).copy()

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import (
     MIN_LENGTH_MM,
@@ -23,7 +24,6 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     check_feature_names_in,
     check_features,
-    check_fitted,
     fit_context,
     whole_fit,
 )
@@ -159,7 +159,6 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             If the wrist lies on the shoulder, which leaves `theta_dis` undefined, or, with
             `append_azimuth`, the probe on the base axis, which leaves its azimuth undefined.
         """
-        check_fitted(self, "arm_")
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         angles = check_angles(X, self.arm_.n_joints, self.angle_unit)
         turns = np.floor((angles - self.turn_start_) / _TURN)
@@ -190,7 +189,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             `theta3`, `theta4`, `theta_dis` by the numbers of the arm's joints, or these with
             `_cos` and `_sin` for the periodic encoding.
         """
-        check_fitted(self, "arm_")
+        check_is_fitted(self)
         check_feature_names_in(self, input_features)
         return np.asarray(self._names(), dtype=object)
 

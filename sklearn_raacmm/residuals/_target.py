@@ -13,9 +13,9 @@ from sklearn import get_config
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
-from sklearn.utils import check_consistent_length, get_tags
+from sklearn.utils import check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
-from sklearn.utils.validation import validate_data
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
@@ -41,10 +41,6 @@ from sklearn_raacmm.utils import (
     RegressorMixin,
     StrOptions,
     VersionedEstimator,
-    check_array,
-    check_feature_names,
-    check_fitted,
-    check_n_features,
     check_weights,
     encode_groups,
     fit_context,
@@ -52,7 +48,6 @@ from sklearn_raacmm.utils import (
     is_plain,
     one_warning,
     refuse_disguised,
-    refuse_huge,
     safe_indexing,
     say_findings,
     whole_fit,
@@ -181,11 +176,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             If a motion of the arm's base explains nearly all of `y`.
         """
         X = _with_shape(X)
-        refuse_disguised("y", y)
         validate_data(self, X, y, skip_check_array=True)
-        y = check_array(y, ensure_2d=False, dtype="numeric", input_name="y", estimator=self)
-        y = floats("y", y) if y.dtype.kind == "O" else y  # a list of numbers and text
-        refuse_huge("y", y)
+        y = floats("y", y, finite=True)
         check_consistent_length(X, y)
         groups = fit_params.pop("regressor__groups", groups)
         codes = None if groups is None else encode_groups(groups, len(y))[1]
@@ -274,7 +266,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             are rotated as those of independent radial, tangential and axial components, which is
             how scikit-learn's Gaussian process predicts them.
         """
-        check_fitted(self, "regressor_")
+        if "regressor_" not in vars(self):
+            check_is_fitted(self)  # which takes as long as the prediction of one row
         if predict_params.get("return_cov"):
             raise ValueError(
                 "return_cov=True is not supported: a covariance between rows would have to be "
@@ -284,9 +277,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             X = _with_shape(X)
             if np.ndim(X) == 1:
                 check_array(X, estimator=self)  # for its sentence on how to reshape
-            # As validate_data, which would also check the array and collect the tags of all steps.
-            check_feature_names(self, X, reset=False)
-            check_n_features(self, X, reset=False)
+            validate_data(self, X, reset=False, skip_check_array=True)
         features, direction = self._split(X)
         regressor = self.regressor_
         if get_config()["enable_metadata_routing"]:
@@ -304,7 +295,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm; None where there is no arm."""
-        check_fitted(self, "regressor_")
+        check_is_fitted(self)
         arm = self._arm()
         return None if arm is None or not self._rotates else arm.forward(X)
 

@@ -37,10 +37,7 @@ else:
     RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
 
 safe_indexing: Callable[..., Any] = utils._safe_indexing
-check_array: Callable[..., np.ndarray] = utils.check_array
-check_feature_names: Callable[..., None] = validation._check_feature_names
 check_feature_names_in: Callable[..., np.ndarray] = validation._check_feature_names_in
-check_n_features: Callable[..., None] = validation._check_n_features
 check_sample_weight: Callable[..., np.ndarray] = validation._check_sample_weight
 HasMethods: Any = _param_validation.HasMethods
 Interval: Any = _param_validation.Interval

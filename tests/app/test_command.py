@@ -8,9 +8,10 @@ import shutil
 import subprocess
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction, read_check_records
+from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import _commands, _files, _life, main
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._lengths import length_of, read_places
@@ -153,17 +154,15 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, other_make, t
         knocked = readings.copy()
         knocked[:, 3] += change * np.cos(readings[:, 3])
         other_make.write_log(tmp_path / "today.csv", knocked, cones)
-        kept = ["--record", f"{tmp_path}/checks.csv", "--chart", f"{tmp_path}/chart.svg"]
+        kept = ["--record", f"{tmp_path}/checks.csv"]
         assert main(["check", f"{tmp_path}/today.csv", "--model", str(folder), *kept]) == code
         out = capsys.readouterr().out
         assert re.search(said, out)
         # The encoder of joint 4 has become eccentric.
         assert ("Suspect: harmonics of joint 4" in out) == (code == 3)
-    first, second = read_check_records(tmp_path / "checks.csv")
-    assert (first["suspect"], second["suspect"]) == ("nothing", "harmonics of joint 4")
-    assert second["mean_mm"] > second["mean_high_mm"]
-    chart = (tmp_path / "chart.svg").read_text(encoding="utf-8")
-    assert chart.count("harmonics of joint 4") == 1
+    records = pd.read_csv(tmp_path / "checks.csv")
+    assert records["suspect"].tolist() == ["nothing", "harmonics of joint 4"]
+    assert records["mean_mm"][1] > records["mean_high_mm"][1]
 
 
 def test_a_suspect_changes_the_exit_code(

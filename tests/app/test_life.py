@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, LearnedCorrection, learn_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.app import main, read_table
 from sklearn_raacmm.app._causes import tools_of
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
@@ -85,13 +85,13 @@ POINTS = ("--points", "x,y,z")
 
 
 def test_load_is_the_other_half_of_save(folder):
-    saved = LearnedCorrection.load(folder / "tracker")
+    saved = Correction.load(folder / "tracker")
     assert saved.arm == saved.model.arm_
     rotation, translation = saved.base
     # The base that was simulated, as well as 128 poses of 10 um show it beside the arm's errors.
     assert np.abs(rotation - TURN).max() < 1e-3
     assert np.abs(translation - SHIFT).max() < 0.5
-    assert LearnedCorrection.load(folder / "cones").base is None
+    assert Correction.load(folder / "cones").base is None
 
 
 @pytest.mark.parametrize(("learnt", "table", "more"), [
@@ -103,7 +103,7 @@ def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, t
         capsys, "register", folder / table, "--model", folder / learnt, "--out", tmp_path, *more
     )
     assert code == 0, said
-    saved = LearnedCorrection.load(tmp_path)
+    saved = Correction.load(tmp_path)
     # Of the vector that was built: two cones show it to some hundredths, the table to some tenths.
     assert abs(saved.arm.probe - with_probe(250).true_arm.probe)[2] < 0.2
     assert saved.model.arm_ == saved.arm
@@ -144,7 +144,7 @@ def test_update_keeps_a_history(folder, tmp_path, capsys, learnt):
     )
     assert code == 0
     assert "mean deviation" in said
-    saved = LearnedCorrection.load(tmp_path)
+    saved = Correction.load(tmp_path)
     assert len(saved.model.updates_) == 1
     assert saved.facts["history"][-1]["n_poses"] == 40
 
@@ -155,14 +155,14 @@ def test_move_by_a_known_vector(folder, tmp_path, capsys, learnt):
     code, said = run(capsys, "move", "--model", model, "--probe", "0,0,250", "--out", tmp_path)
     assert code == 0
     assert "register the probe" in said
-    assert LearnedCorrection.load(tmp_path).arm.probe.tolist() == [0, 0, 250]
+    assert Correction.load(tmp_path).arm.probe.tolist() == [0, 0, 250]
     code, said = run(capsys, "move", "--model", model, "--probe", "0,250", "--out", tmp_path)
     assert code == 2
     assert "three numbers" in said
 
 
 def test_each_row_is_corrected_by_its_own_probe(folder, tmp_path, capsys):
-    saved = LearnedCorrection.load(folder / "cones")
+    saved = Correction.load(folder / "cones")
     tools = {"1": saved.arm.probe.tolist(), "long": [0.0, 0.0, 250.0]}
     replace(saved, facts=saved.facts | {"tools": tools}).save(tmp_path / "model")
     head, *lines = (folder / "new.csv").read_text().splitlines()
@@ -186,7 +186,7 @@ def test_each_row_is_corrected_by_its_own_probe(folder, tmp_path, capsys):
 
 def test_a_probe_that_no_row_names_is_not_guessed(folder, tmp_path, capsys):
     """Which of two probes the rows are of is asked for, or said; one registered since is meant."""
-    saved = LearnedCorrection.load(folder / "cones")
+    saved = Correction.load(folder / "cones")
     tools = {"1": saved.arm.probe.tolist(), "long": [0.0, 0.0, 250.0]}
     replace(saved, facts=saved.facts | {"tools": tools}).save(tmp_path / "model")
     model, table, out = ("--model", tmp_path / "model"), folder / "new.csv", tmp_path / "out.csv"

@@ -1,12 +1,9 @@
 """Random chains of every kind: each way out of Python gives what predict gives."""
 
 import ctypes
-import json
-import runpy
 import shutil
 import subprocess
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,10 +18,11 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.export import export_c, from_json, to_json, to_onnx
+from sklearn_raacmm.export import export_c, to_onnx
+from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._program import run
 from sklearn_raacmm.network import KERNELS
 
-plain_python = runpy.run_path(str(Path(__file__).parents[2] / "doc" / "read_json.py"))["run"]
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
 SANITIZE = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -141,11 +139,8 @@ def ways_out(folder, model, X, std):
     """Name, mean and deviation or None of every way out of Python."""
     for compiler in COMPILERS:
         yield compiler, *in_c(folder, compiler, model, X, std)
-    text = to_json(model, std=std)
-    read = from_json(text)
-    yield "JSON", *(read.predict(X, return_std=True) if std else (read.predict(X), None))
-    rows = [plain_python(json.loads(text), row) for row in X.tolist()]
-    yield "plain Python", *(np.array([row.get(key, [0]) for row in rows]) for key in ("y", "std"))
+    found = run(program_of(model, std), X)
+    yield "program", found["y"], found.get("std")
     try:
         import onnxruntime
     except ImportError:

@@ -370,4 +370,4 @@ def test_findings_travel_with_what_is_learnt():
     assert not learned.helps
     assert not learned.scores.judged
     assert learned.verdict.startswith("Not judged: first repair this. The fixed point")
-    assert learned.facts()["findings"][0]["code"] in {f.code for f in learned.findings}
+    assert learned.facts["findings"][0]["code"] in {f.code for f in learned.findings}
