@@ -24,17 +24,12 @@ import numpy as np
 from _arm_folds import read_panda, read_ur10
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
-from sklearn_raacmm.datasets import ArmErrors, make_single_point
-from sklearn_raacmm.error_model import Terms, term_columns
+from sklearn_raacmm.datasets import SimulatedArm
 
-ARCSEC = np.pi / 180 / 3600
 NOISE_MM, N_OTHERS = 0.01, 400
 COUNTS = (60, 90, 125, 200, 300, 400)
-KINDS = {  # arc seconds of gravity's columns, and of the eccentricity of the encoders
-    "gravity": (6.0, 1.0),
-    "encoders": (0.5, 8.0),
-    "both": (3.0, 4.0),
-}
+SOURCES = ("eccentricity", "torsion", "sag", "wobble", "runout")
+KINDS = ("typical", "gravity", "eccentricity")
 
 
 def deviation(left):
@@ -44,24 +39,18 @@ def deviation(left):
 def ranged_arm(seed, width, kind):
     """An arm measured by a tracker in a range of its joints: draws angles, and measures points."""
     rng = np.random.default_rng([21, seed])
-    arm = Arm.from_name("ur10", probe=(0, 0, 93))
-    bend, encoder = KINDS[kind]
-    gravity = Terms(np.empty((0, 2), int), True, False, False)
-    n_columns = term_columns(arm, np.zeros((1, 6)), gravity).shape[2]
-    of_gravity = rng.normal(0, bend, n_columns)
-    amplitude, phase = rng.normal(0, encoder, (6, 2)), rng.uniform(0, 2 * np.pi, (6, 2))
-    centre = rng.uniform(-1.2, 1.2, 6)
+    machine = SimulatedArm(kind, random_state=seed)
+    centre = np.array([0.0, -0.9, 0.0, 1.4, 0.0, 0.6]) + rng.uniform(-0.4, 0.4, 6)
 
     def draw(n):
         return centre + rng.uniform(-width, width, (n, 6))
 
     def measure(angles, noise):
-        turns = sum(amplitude[:, k] * np.cos((k + 1) * angles - phase[:, k]) for k in range(2))
-        off = np.einsum("nij,nj->ni", arm.jacobian(angles), turns * ARCSEC)
-        off += term_columns(arm, angles, gravity) @ of_gravity
-        return arm.forward(angles) - off + rng.normal(0, noise, off.shape)
+        off = machine.deviations(angles)
+        points = machine.true_arm.forward(angles) + sum(off[name] for name in SOURCES)
+        return points + rng.normal(0, noise, points.shape)
 
-    return arm, draw, measure
+    return machine.nominal_arm, draw, measure
 
 
 def tracked(arm, angles, points, train, others):
@@ -76,7 +65,7 @@ def narrow(n_draws, n_poses, width=0.25):
     """One line a draw: what is left, and the deviations that the families were given."""
     ratios, start = [], time.process_time()
     for seed in range(n_draws):
-        arm, draw, measure = ranged_arm(seed, width, "both")
+        arm, draw, measure = ranged_arm(seed, width, KINDS[seed % 3])
         angles = np.concatenate([draw(n_poses), draw(N_OTHERS)])
         points = measure(angles, NOISE_MM)
         points[n_poses:] = measure(angles[n_poses:], 0.0)
