@@ -65,7 +65,7 @@ def narrow(n_draws, n_poses, width=0.25):
     """One line a draw: what is left, and the deviations that the families were given."""
     ratios, start = [], time.process_time()
     for seed in range(n_draws):
-        arm, draw, measure = ranged_arm(seed, width, KINDS[seed % 3])
+        arm, draw, measure = ranged_arm(seed, width, "gravity")
         angles = np.concatenate([draw(n_poses), draw(N_OTHERS)])
         points = measure(angles, NOISE_MM)
         points[n_poses:] = measure(angles[n_poses:], 0.0)
@@ -129,7 +129,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--narrow", action="store_true", help="simulated arms in narrow ranges")
     parser.add_argument("--draws", type=int, default=0, help="20 narrow ones, 3 of each curve")
-    parser.add_argument("--poses", type=int, default=150, help="of each narrow arm")
+    parser.add_argument("--poses", type=int, default=300, help="of each narrow arm")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     if options.narrow:
