@@ -3,17 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils import check_scalar
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.calibration import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._new_poses import linear_model_of, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
 from sklearn_raacmm.inference import narrowed
-from sklearn_raacmm.utils import centred, check_whole_number, encode_groups, listed
+from sklearn_raacmm.utils import centred, encode_groups, listed
 
 # Noise of a coordinate where no model says it, mm: about that of a UR10 before a tracker
 # (benchmarks/bench_next_poses.py). Beside wide priors its size hardly changes the order of poses.
@@ -124,7 +126,9 @@ def next_poses(
         labels, codes = np.arange(len(X)), np.arange(len(X))
     else:
         labels, codes = encode_groups(groups, len(X))
-    check_whole_number("n_poses", n_poses, 1, len(labels))  # no more than there are candidates
+    check_scalar(
+        n_poses, "n_poses", Integral, min_val=1, max_val=len(labels)
+    )  # no more than there are candidates
     if measured is not None:
         if groups is not None:
             raise ValueError("measured poses count one by one: give them, or groups.")

@@ -8,13 +8,14 @@ from datetime import date as calendar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings, validate_params
+from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py have 1.0 to 1.9.

@@ -3,15 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
-from sklearn_raacmm.utils import check_whole_number, floats
+from sklearn_raacmm.utils import floats
 
 _ARCSEC = np.pi / (180 * 3600)  # rad
 
@@ -322,7 +323,7 @@ class SimulatedArm:
         """
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
-        check_whole_number("n_poses", n_poses, 0)
+        check_scalar(n_poses, "n_poses", Integral, min_val=0)
         arm = self.nominal_arm
         found = np.empty((0, 6))
         for _ in range(10):

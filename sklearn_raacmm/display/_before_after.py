@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import (
-    PointsDisplay,
+    FittedDisplay,
     axes_grid,
     draw_sides,
     name_places,
@@ -30,7 +30,7 @@ _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class RepeatabilityDisplay(PointsDisplay):
+class RepeatabilityDisplay(FittedDisplay):
     """Single-point repeatability of every position, before and after the correction.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`. Judge a correction at
@@ -82,6 +82,7 @@ class RepeatabilityDisplay(PointsDisplay):
     statistic: str = "2s"
     before_interval: np.ndarray | None = None
     after_interval: np.ndarray | None = None
+    name: str = "after"
     ax_: Any = field(init=False)
     figure_: Any = field(init=False)
     unit_: str = field(init=False)
@@ -183,7 +184,7 @@ class RepeatabilityDisplay(PointsDisplay):
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class LengthErrorDisplay(PointsDisplay):
+class LengthErrorDisplay(FittedDisplay):
     """Length errors of gauges in several placements, before and after the correction.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`. Each calibrated length gets
@@ -228,6 +229,7 @@ class LengthErrorDisplay(PointsDisplay):
     after: np.ndarray
     lengths: np.ndarray
     floor: np.ndarray | None = None
+    name: str = "after"
     axes_: Any = field(init=False)
     figure_: Any = field(init=False)
     unit_: str = field(init=False)

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -24,34 +23,29 @@ _SHIFT = 0.12
 _MICROMETRES_UP_TO = 0.1
 
 
-@dataclass(kw_only=True, eq=False, repr=False)
-class BeforeAfter:
-    """What a correction does: drawn of given predictions, or of those of a fitted model."""
+class FittedDisplay:
+    """What a correction does, drawn of given predictions or of those of a fitted model."""
 
-    name: str = "after"
+    name: str
+    # Whether `from_predictions` takes the joint angles beside the points or residuals.
+    _draws_poses = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise TypeError(f"name must be a text for the legend, got {self.name!r:.60}.")
 
-
-class PointsDisplay(BeforeAfter):
-    """A display of measured points."""
-
     @classmethod
-    def from_estimator(
-        cls, estimator: Any, X: ArrayLike, points: ArrayLike, **options: Any
-    ) -> Self:
-        """Draw points corrected by a fitted model.
+    def from_estimator(cls, estimator: Any, X: ArrayLike, y: ArrayLike, **options: Any) -> Self:
+        """Draw what a fitted model corrects.
 
         Parameters
         ----------
         estimator : object
             Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-        X : array-like of shape (n_points, n_features)
+        X : array-like of shape (n_rows, n_features)
             What the model takes, such as joint angles.
-        points : array-like of shape (n_points, 3)
-            Measured points, mm.
+        y : array-like of shape (n_rows, 3)
+            Measured points or Cartesian residuals, mm, as in :meth:`from_predictions`.
         **options : dict
             The other parameters of :meth:`from_predictions`.
 
@@ -62,35 +56,8 @@ class PointsDisplay(BeforeAfter):
         """
         check_model(estimator)
         display: Any = cls
-        return display.from_predictions(points, estimator.predict(X), **options)
-
-
-class PosesDisplay(BeforeAfter):
-    """A display of the residuals of poses."""
-
-    @classmethod
-    def from_estimator(cls, estimator: Any, X: ArrayLike, y: ArrayLike, **options: Any) -> Self:
-        """Draw residuals and what a fitted model leaves of them.
-
-        Parameters
-        ----------
-        estimator : object
-            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-        X : array-like of shape (n_poses, n_joints)
-            Joint angles.
-        y : array-like of shape (n_poses, 3)
-            Cartesian residuals dx, dy, dz, mm.
-        **options : dict
-            The other parameters of :meth:`from_predictions`.
-
-        Returns
-        -------
-        display : object
-            What was drawn.
-        """
-        check_model(estimator)
-        display: Any = cls
-        return display.from_predictions(X, y, estimator.predict(X), **options)
+        given = (X, y) if cls._draws_poses else (y,)
+        return display.from_predictions(*given, estimator.predict(X), **options)
 
 
 def before_and_after(n_rows, y, y_pred, groups):

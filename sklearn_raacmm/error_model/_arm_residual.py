@@ -10,6 +10,8 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.base import MultiOutputMixin, RegressorMixin
+from sklearn.utils._param_validation import Interval, StrOptions
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
@@ -24,12 +26,7 @@ from sklearn_raacmm.error_model._in_use import FittedArmModel
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.utils import (
-    Interval,
-    MultiOutputMixin,
-    RegressorMixin,
-    StrOptions,
     VersionedEstimator,
-    fit_context,
     many_without_weight,
     one_blas_thread,
     say_findings,
@@ -184,8 +181,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         self.fade = fade
 
     @one_blas_thread
-    @fit_context(prefer_skip_nested_validation=True)
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=True)
     def fit(
         self,
         X: ArrayLike,

@@ -17,8 +17,8 @@ from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of
 from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
-    CENTRED,
     Finding,
+    are_deviations,
     check_data,
     check_features,
     check_weights,
@@ -34,7 +34,7 @@ from sklearn_raacmm.utils import (
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
-# A share of the means between CENTRED and 1 is worth a word where independent rows have one as
+# A share of means that are no deviations is worth a warning where independent rows have one as
 # small in fewer fits than one of a thousand.
 _BY_CHANCE = 1e-3
 
@@ -134,14 +134,15 @@ def _have_offsets(offsets, y, weights, positions):
         return False
     if offsets != "auto":
         return offsets
-    share = share_of_means(y, positions, weights)
-    if share >= CENTRED:
-        say_findings(_deviations_of_other_rows(share, y.shape[1], positions, weights))
-    return share < CENTRED
+    deviations = are_deviations(y, positions, weights)
+    if not deviations:
+        say_findings(_deviations_of_other_rows(y, positions, weights))
+    return deviations
 
 
-def _deviations_of_other_rows(share, n_outputs, codes, weights):
+def _deviations_of_other_rows(y, codes, weights):
     """Means that are not zero, and smaller than those of independent rows."""
+    share, n_outputs = share_of_means(y, codes, weights), y.shape[1]
     weights = weights / min(weights[weights > 0].mean(), 1.0)
     n_groups = len(np.unique(codes[weights > 0]))
     n_free = weights.sum() - n_groups

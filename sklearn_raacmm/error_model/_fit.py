@@ -197,7 +197,7 @@ def fit_linear_model(rows, terms, with_field) -> Any:
     The harmonics of `terms` are those that are offered; `with_field` allows a smooth function of
     each angle. Families of extra columns that are not worth their price stay out.
     """
-    idle = frozenset()
+    idle: frozenset[int] = frozenset()
     while True:
         structures = structures_of(rows.arm, terms, with_field, idle)
         state, factor = _fit(rows, terms, structures)

@@ -5,11 +5,12 @@
 
 import warnings
 from copy import copy
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_arm
@@ -20,7 +21,7 @@ from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
 from sklearn_raacmm.error_model._solve import angles_for
 from sklearn_raacmm.residuals import PointCorrectionMixin
-from sklearn_raacmm.utils import check_flags, check_whole_number, floats, warn_user
+from sklearn_raacmm.utils import check_flags, floats, warn_user
 
 
 class FittedArmModel(PointCorrectionMixin):
@@ -242,7 +243,7 @@ class FittedArmModel(PointCorrectionMixin):
         (10, 3, 200)
         """
         check_flags(with_noise=with_noise, with_unseen=with_unseen)
-        check_whole_number("n_samples", n_samples, 1)
+        check_scalar(n_samples, "n_samples", Integral, min_val=1)
         linear, rng = self.linear_model_, check_random_state(random_state)
         root = linear.std_scale * linear.root_at(check_poses(self, X), with_unseen)
         draws = root @ rng.normal(size=(root.shape[1], n_samples))

@@ -11,7 +11,13 @@ from sklearn import get_config
 from sklearn.metrics import make_scorer
 from sklearn.utils import Bunch
 
-from sklearn_raacmm.utils import check_groups, check_option, deviations_by_group, floats, group_sums
+from sklearn_raacmm.utils import (
+    check_groups,
+    check_option,
+    deviations_by_group,
+    floats,
+    group_means,
+)
 
 # Of deviations (n, q) about the means of positions: one row for each position.
 _DISTANCES = ("2s", "max", "mean")
@@ -364,9 +370,10 @@ def _difference(y_true, y_pred):
 def _of_positions(values, position, counts, statistic):
     """Statistic of values (n, q) about their position's mean, or of distances from it."""
     if statistic == "2s":
-        return 2 * np.sqrt(group_sums(values**2, position) / (counts[:, None] - 1))
+        counts = counts[:, None]
+        return 2 * np.sqrt(group_means(values**2, position) * counts / (counts - 1))
     if statistic == "mean":
-        return group_sums(values, position) / counts[:, None]
+        return group_means(values, position)
     low, high = np.zeros((2, len(counts), values.shape[1]))  # 0, the mean, lies between
     np.minimum.at(low, position, values)
     np.maximum.at(high, position, values)

@@ -6,13 +6,12 @@ from sklearn_raacmm.network._blocks import ArrayChunks, chunked_problem, dask_ch
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._rows import merge, prepare
 from sklearn_raacmm.utils import (
-    CENTRED,
     LARGEST,
+    are_deviations,
     check_data,
     check_weights,
     encode_groups,
     floats,
-    share_of_means,
 )
 
 # Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.
@@ -63,7 +62,7 @@ def read_problem(estimator, X, y, sample_weight, groups, labelled, rng):
         return in_blocks(ArrayChunks(X, Y, weights), X.shape[1])
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if labelled is None and codes is not None:
-        labelled = share_of_means(Y, codes, weights) < CENTRED
+        labelled = are_deviations(Y, codes, weights)
     return prepare(merge(X, Y, weights, codes=codes if labelled else None), degree, ridged)
 
 

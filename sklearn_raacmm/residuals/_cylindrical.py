@@ -8,16 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
-from sklearn.utils import check_array
+from sklearn.utils import _safe_indexing, check_array
 
-from sklearn_raacmm.utils import (
-    centred,
-    check_weights,
-    encode_groups,
-    floats,
-    safe_indexing,
-    slip_factors,
-)
+from sklearn_raacmm.utils import centred, check_weights, encode_groups, floats, slip_factors
 
 # A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
 NORM_TOLERANCE = 1e-5
@@ -200,7 +193,7 @@ def without_direction(X):
     if type(X) is np.ndarray and X.dtype == np.float64:  # of which only the norm remains to check
         features, tail = X[:, :-2], X[:, -2:]
     else:
-        features, tail = (safe_indexing(X, s, axis=1) for s in (slice(None, -2), slice(-2, None)))
+        features, tail = (_safe_indexing(X, s, axis=1) for s in (slice(None, -2), slice(-2, None)))
         tail = check_array(tail, dtype=[np.float64, np.float32], input_name="X")
     norm = np.hypot(*tail.T)
     wrong = np.flatnonzero(~(np.abs(norm - 1) <= NORM_TOLERANCE))

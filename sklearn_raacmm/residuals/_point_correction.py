@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.metrics import r2_score
 
-from sklearn_raacmm.residuals._positions import are_deviations
-from sklearn_raacmm.utils import centred, check_weights, encode_groups, floats
+from sklearn_raacmm.utils import are_deviations, centred, check_weights, encode_groups, floats
 
 # Reference points that are the same to so many digits of a mm are those of one position.
 _DIGITS = 3

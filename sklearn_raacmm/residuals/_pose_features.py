@@ -7,7 +7,9 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils.validation import check_is_fitted
+from sklearn.base import TransformerMixin
+from sklearn.utils._param_validation import StrOptions
+from sklearn.utils.validation import _check_feature_names_in, check_is_fitted
 
 from sklearn_raacmm.arm import (
     MIN_LENGTH_MM,
@@ -18,15 +20,7 @@ from sklearn_raacmm.arm import (
     dh_theta,
     probe_points,
 )
-from sklearn_raacmm.utils import (
-    StrOptions,
-    TransformerMixin,
-    VersionedEstimator,
-    check_feature_names_in,
-    check_features,
-    fit_context,
-    whole_fit,
-)
+from sklearn_raacmm.utils import VersionedEstimator, check_features, whole_fit
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _TURN = 2 * np.pi
@@ -110,8 +104,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         self.joints = joints
         self.append_azimuth = append_azimuth
 
-    @fit_context(prefer_skip_nested_validation=True)
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=True)
     def fit(self, X: ArrayLike, y: ArrayLike | None = None) -> Self:
         """Check the number of joints, and find where each joint's turn starts.
 
@@ -190,7 +183,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             `_cos` and `_sin` for the periodic encoding.
         """
         check_is_fitted(self)
-        check_feature_names_in(self, input_features)
+        _check_feature_names_in(self, input_features)
         return np.asarray(self._names(), dtype=object)
 
     def _names(self):

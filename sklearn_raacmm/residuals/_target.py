@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.base import clone
+from sklearn.base import RegressorMixin, clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
-from sklearn.utils import check_array, check_consistent_length, get_tags
+from sklearn.utils import _safe_indexing, check_array, check_consistent_length, get_tags
+from sklearn.utils._param_validation import HasMethods, StrOptions
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -29,7 +30,6 @@ from sklearn_raacmm.residuals._cylindrical import (
 )
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
-    are_deviations,
     before_last,
     constants_of,
     last_step_of,
@@ -37,18 +37,14 @@ from sklearn_raacmm.residuals._positions import (
     takes_groups,
 )
 from sklearn_raacmm.utils import (
-    HasMethods,
-    RegressorMixin,
-    StrOptions,
     VersionedEstimator,
+    are_deviations,
     check_weights,
     encode_groups,
-    fit_context,
     floats,
     is_plain,
     one_warning,
     refuse_disguised,
-    safe_indexing,
     say_findings,
     whole_fit,
 )
@@ -133,8 +129,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         self.regressor = regressor
         self.azimuth = azimuth
 
-    @fit_context(prefer_skip_nested_validation=False)
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=False)
     def fit(
         self,
         X: ArrayLike,
@@ -380,7 +375,7 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
         for name, value in fit_params.items()
     }
     X, groups, codes = (
-        v if v is None else safe_indexing(v, dwells.first) for v in (X, groups, codes)
+        v if v is None else _safe_indexing(v, dwells.first) for v in (X, groups, codes)
     )
     return X, dwells.mean(y), groups, codes, merged
 

@@ -12,7 +12,6 @@ from sklearn_raacmm.utils._checks import (
     check_flags,
     check_option,
     check_weights,
-    check_whole_number,
     floats,
     is_plain,
     listed,
@@ -31,13 +30,15 @@ from sklearn_raacmm.utils._findings import (
     FindingWarning,
     hear,
     heard_findings,
+    numbered_rows,
     one_warning,
+    row_numbers,
     say_findings,
     unheard,
     with_findings,
 )
 from sklearn_raacmm.utils._groups import (
-    CENTRED,
+    are_deviations,
     centred,
     check_groups,
     deviations_by_group,
@@ -52,20 +53,7 @@ from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._matrices import align, nearest_rotation
 from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
 from sklearn_raacmm.utils._shapes import check_shapes
-from sklearn_raacmm.utils._sklearn import (
-    HasMethods,
-    Interval,
-    MultiOutputMixin,
-    RegressorMixin,
-    StrOptions,
-    TransformerMixin,
-    check_feature_names_in,
-    fit_context,
-    one_blas_thread,
-    safe_indexing,
-    validate_parameter_constraints,
-    validate_params,
-)
+from sklearn_raacmm.utils._sklearn import one_blas_thread
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
 from sklearn_raacmm.utils._whole_fit import stage, whole_fit

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.utils.validation import check_is_fitted, validate_data
-
-from sklearn_raacmm.utils._sklearn import check_sample_weight
+from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 # Smaller numbers can be squared, summed and squared again without overflow.
 LARGEST = 1e50
@@ -166,7 +164,7 @@ def check_weights(
 ) -> np.ndarray:
     """Weights (n,) as float64, not negative and not all zero."""
     refuse_disguised(name, sample_weight)
-    weights = check_sample_weight(sample_weight, X, dtype=np.float64)
+    weights = _check_sample_weight(sample_weight, X, dtype=np.float64)
     _refuse_huge(name, weights)
     if np.any(weights < 0):
         raise ValueError(
@@ -199,12 +197,3 @@ def listed(name: str, value: Any) -> list[Any]:
         return [value] if isinstance(value, str) else list(value)
     except TypeError:
         raise ValueError(f"{name} must be a list, got {value!r:.60}.") from None
-
-
-def check_whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
-    """Refuse what is not a whole number from `low` to `high`, without an upper bound if None."""
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not whole or int(value) < low or (high is not None and int(value) > high):
-        bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name} must be a whole number {bounds}, got {value!r:.60}.")
-    return int(value)

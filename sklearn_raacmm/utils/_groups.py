@@ -19,7 +19,7 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 # Mean residuals of positions, as a share of what the scatter within positions explains, below which
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
-CENTRED = 0.5
+_CENTRED = 0.5
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
 # Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
@@ -175,6 +175,11 @@ def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> flo
     if np.any(factor < 1):  # they may be deviations from means without slips
         shares.append(_share_of_means(y, codes, weights * factor))
     return min(shares)
+
+
+def are_deviations(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> bool:
+    """Whether residuals (n, ...) are known up to a constant at each position: small means there."""
+    return share_of_means(y.reshape(len(y), -1), codes, weights) < _CENTRED
 
 
 def _share_of_means(y, codes, weights):
