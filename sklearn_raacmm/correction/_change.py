@@ -57,7 +57,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
     half = after.half[:p] + fold @ after.half[p:]
     # As many columns as rows hold the same covariance.
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T if half.shape[1] > p else half
-    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out.errors)))
+    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out[0])))
     model = replace(
         linear,
         coef=after.mean[:p] + fold @ after.mean[p:],

@@ -132,7 +132,7 @@ def _updated(model, new, date):
         say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return updated
     say_findings(what_is_wrong(model, poses))
-    left = poses.residuals - model.second_stage(poses.angles)
+    left = poses.residuals
     changed = changed_model(linear, poses._replace(residuals=left))
     if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
