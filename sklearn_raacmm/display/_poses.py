@@ -25,7 +25,7 @@ _BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
 _AFTER = {"color": AFTER["color"], "linewidth": 1.0}
 # The longest residual is drawn as long as this share of the arm, or a little shorter.
 _LONGEST = 0.3
-# Matplotlib leaves room around a box in space for any view; the usual ones need less.
+# Matplotlib leaves space around a box in space for any view; the usual ones need less.
 _ZOOM = 1.05
 
 
