@@ -20,14 +20,12 @@ if TYPE_CHECKING:
         check_correction,
         cross_validate_correction,
         learn_correction,
-        next_poses,
         plan_poses,
         search_table,
-        transfer_correction,
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
-    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning, directions_of
+    from sklearn_raacmm.measurements import directions_of
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -38,6 +36,7 @@ if TYPE_CHECKING:
         position_residuals,
         shoulder_wrist_distance,
     )
+    from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
 __all__ = [
     "Arm",
@@ -64,12 +63,10 @@ __all__ = [
     "elbow_angle",
     "learn_correction",
     "lengths_of_places",
-    "next_poses",
     "plan_poses",
     "position_residuals",
     "search_table",
     "shoulder_wrist_distance",
-    "transfer_correction",
     "update_correction",
 ]
 

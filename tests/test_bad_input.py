@@ -31,11 +31,9 @@ from sklearn_raacmm import (
     export,
     learn_correction,
     metrics,
-    next_poses,
     position_residuals,
     search_table,
     shoulder_wrist_distance,
-    transfer_correction,
     update_correction,
 )
 
@@ -112,9 +110,6 @@ def doors():
     yield "azimuth there", angle, lambda v: cartesian_to_cylindrical(RESIDUALS, v)
     yield "azimuth back", angle, lambda v: cylindrical_to_cartesian(RESIDUALS, v)
     measures = metrics
-    linear = harmonics().fit(ANGLES, RESIDUALS)
-    yield "next_poses", ANGLES, lambda v: next_poses(linear, v, 3)[1]
-    yield "next_poses, targets", ANGLES, lambda v: next_poses(linear, ANGLES, 3, targets=v)[1]
     yield "2S", POINTS, lambda v: measures.single_point_repeatability(v, GROUPS)
     interval = measures.repeatability_interval
     yield "interval", POINTS, lambda v: interval(v, GROUPS, n_resamples=9)
@@ -165,8 +160,6 @@ def doors_to_be_refused_at():
     yield "update, X", ANGLES, lambda v: update(linear, v, RESIDUALS).coef_
     yield "update, y", RESIDUALS, lambda v: update(linear, ANGLES, v).coef_
     yield "update, weights", WEIGHTS, lambda v: update(linear, ANGLES, RESIDUALS, sample_weight=v)
-    yield "transfer, X", ANGLES, lambda v: transfer_correction(linear, ARM, v, RESIDUALS).coef_
-    yield "transfer, y", RESIDUALS, lambda v: transfer_correction(linear, ARM, ANGLES, v).coef_
     yield "check, X", ANGLES, lambda v: check_correction(linear, v, RESIDUALS)
     yield "check, y", RESIDUALS, lambda v: check_correction(linear, ANGLES, v)
     yield "search_table, angles", ANGLES, lambda v: search_table(ARM, v, GROUPS) is None
@@ -187,8 +180,6 @@ def label_doors():
     yield "both stages", lambda v: both().fit(ANGLES, CENTRED, groups=v).predict(ANGLES)
     yield "calibrate", lambda v: calibrate(ARM, ANGLES, v, free=["probe"]).values
     yield "position_residuals", lambda v: position_residuals(POINTS, v)
-    linear = harmonics().fit(ANGLES, RESIDUALS)
-    yield "next_poses", lambda v: next_poses(linear, ANGLES, 3, groups=v)[1]
     yield "2S", lambda v: metrics.single_point_repeatability(POINTS, v)
     yield "interval", lambda v: metrics.repeatability_interval(POINTS, v, n_resamples=9)
     yield "report", lambda v: metrics.repeatability_report(POINTS, v).half_range_x
@@ -205,7 +196,6 @@ def label_doors():
 def label_doors_to_be_refused_at():
     linear = harmonics().fit(ANGLES, RESIDUALS)
     yield "update", lambda v: update_correction(linear, ANGLES, RESIDUALS, groups=v)
-    yield "transfer", lambda v: transfer_correction(linear, ARM, ANGLES, CENTRED, groups=v)
     yield "check", lambda v: check_correction(linear, ANGLES, RESIDUALS, groups=v)
     yield "search_table", lambda v: search_table(ARM, ANGLES, v)
     yield "learn", lambda v: learn_correction(ARM, ANGLES, v)

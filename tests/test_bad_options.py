@@ -22,7 +22,6 @@ from sklearn_raacmm import (
     elbow_angle,
     export,
     learn_correction,
-    next_poses,
     search_table,
     update_correction,
 )
@@ -76,12 +75,6 @@ def test_the_doors_that_judge(judge, option, value, sentence):
 def test_what_is_no_arm(door, arm):
     with pytest.raises(TypeError, match=f"arm must be an Arm, got {type(arm).__name__}"):
         door(arm)
-
-
-@pytest.mark.parametrize("free", [1, [["a"]], [], ["length"], [None], MANY])
-def test_what_to_plan_for(free):
-    with pytest.raises(ValueError, match=r"^free must (name some of base, a, .*|be a list), got"):
-        next_poses(TEST.arm, TEST.data, 3, free=free)
 
 
 @pytest.mark.parametrize("date", [20240131, ["2024-01-31"], np.datetime64("2024-01-31")])
@@ -143,7 +136,6 @@ def test_what_is_no_probability(probability):
         lambda: Arm.from_name("aacmm6").replace(name=MANY),
         lambda: TEST.arm.forward(TEST.data, angle_unit=MANY),
         lambda: single_point_repeatability(TEST.points, TEST.groups, aggregate=MANY),
-        lambda: next_poses(TEST.arm, TEST.data, 3, free=["probe"], criterion=MANY),
         lambda: ArmErrors(sag_um=MANY),
     ],
 )
@@ -160,10 +152,9 @@ def test_a_large_value_does_not_fill_the_screen(call):
         lambda model, X: cross_validate_correction(DATA[0], X, TEST.groups),
         lambda model, X: update_correction(model, X, TEST.target, groups=TEST.groups),
         lambda model, X: check_correction(model, X, TEST.target, groups=TEST.groups),
-        lambda model, X: next_poses(model, X, 3, groups=TEST.groups),
         lambda model, X: elbow_angle(TEST.arm, X),
     ],
-    ids=["learn", "judge", "update", "check", "plan", "elbow"],
+    ids=["learn", "judge", "update", "check", "elbow"],
 )
 def test_degrees_are_warned_of_once_on_the_line_of_the_call(model, door):
     with warnings.catch_warnings(record=True) as caught:

@@ -19,7 +19,6 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
-    next_poses,
     position_residuals,
 )
 from sklearn_raacmm.datasets import (
@@ -184,10 +183,6 @@ RIGHT = {
         lambda: ArmResidualRegressor(ARM).fit(ANGLES, RESIDUALS * 0).predict(ANGLES),
         np.zeros((40, 3)),
     ),
-    "planning: nothing was wrong": (
-        lambda: np.diff(next_poses(harmonics().fit(ANGLES, RESIDUALS * 0), ANGLES, 5)[1]) < 0,
-        np.ones(5, dtype=bool),
-    ),
     "arm: no poses": (lambda: ARM.forward(np.empty((0, 6))), np.empty((0, 3))),
     "arm: denormal angles": (
         lambda: ARM.forward(ANGLES * TINY),
@@ -274,10 +269,6 @@ SENTENCES = {
     "harmonics: no columns": (
         lambda: jhr(ANGLES, RESIDUALS, orders=0, causes=[]),
         "no columns",
-    ),
-    "planning: criterion": (
-        lambda: next_poses(harmonics().fit(ANGLES, RESIDUALS), ANGLES, 1, criterion=["I"]),
-        "criterion must be",
     ),
     "calibrate: no rows": (lambda: calibrate(ARM, ANGLES[:0], []), "empty|0 sample"),
     "calibrate: arm by name": (lambda: calibrate("aacmm6", ANGLES, GROUPS), "must be an instance"),

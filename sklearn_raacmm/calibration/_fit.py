@@ -10,7 +10,20 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
-from sklearn_raacmm.calibration._problem import are_long, left_jacobian, points_and_jacobian, unpack
+from sklearn_raacmm.arm import FIELDS
+from sklearn_raacmm.calibration._problem import (
+    ANGLES_RAD,
+    LONG_MM,
+    SHORT_MM,
+    UNKNOWN_PLACE_MM,
+    are_long,
+    in_brackets,
+    left_jacobian,
+    pack,
+    points_and_jacobian,
+    unpack,
+)
+from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.utils import align, robust_scale
 
@@ -21,6 +34,10 @@ WEIGHTS = {
     "huber": lambda u: 2.5 / np.maximum(u, 2.5),
     "cauchy": lambda u: 1 / (1 + (u / 4) ** 2),
 }
+# Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
+# how many parameters that were seen the guess is worth, and its bounds.
+KINDS = ("length_mm", "angle_rad", "probe_mm", "short_length_mm")
+_FOUND = (LONG_MM, ANGLES_RAD, None, SHORT_MM)
 _MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
 MAX_ROUNDS = 20
 # Rounds in which prior standard deviations are found; two digits of them are enough.
@@ -50,19 +67,22 @@ class Fit:
     of each station; beside them stand the weights of the rows, `sigma` (mm), and the prior standard
     deviations.
 
-    families : list of (ndarray of int, (float, float, float, float))
-        Parameters whose common prior standard deviation is found by the evidence, with a guess of
-        it, how many parameters that were seen the guess is worth, and its bounds.
+    `priors` are standard deviations of lengths (mm), angles (rad) and the probe (mm); "auto" is
+    found by the evidence.
     """
 
-    def __init__(self, arm, angles, problem, nominal, prior_sd, loss, families=()):
-        self.nominal_arm, self.angles, self.problem = arm, angles, problem
-        self.nominal, self.prior_sd, self.loss = nominal, prior_sd.astype(float), loss
-        self.families = families
+    def __init__(
+        self, arm, angles, problem, loss, free=FIELDS, priors=("auto", "auto", UNKNOWN_PLACE_MM)
+    ):
+        self.nominal_arm, self.angles = arm, angles
+        self.problem: Any = problem
+        self.loss, self.priors = loss, priors
+        self._name_parameters(free)
+        nominal = self.nominal
         self.x = nominal.copy()
         self.rotations = np.empty((0, 3, 3))
         self.converged = False
-        self._evaluated = None
+        self._evaluated: Any = None
         points, jac = self._points_and_jacobian(self.x)
         if problem.points is not None:
             self._place(points)
@@ -76,6 +96,30 @@ class Fit:
         total = length @ nominal
         self.scale = length / total if total > 0 else length
         self.reset_weights()
+
+    def _name_parameters(self, free):
+        """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
+        arm, problem = self.nominal_arm, self.problem
+        tools = in_brackets(problem.tool_labels, problem.n_tools)
+        self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
+        self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
+        kind = np.array([int(is_angle(name)) for name in self.names])
+        lengths = kind == 0
+        kind[lengths] = np.where(are_long(self.nominal[: len(kind)][lengths]), 0, 3)
+        is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)
+        n_probes = 3 * len(tools)
+        self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
+        self.kind = np.r_[kind, np.full(n_probes, 2)]
+        self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
+        # Parameters whose common prior standard deviation is found by the evidence, and how.
+        self.families, sds = [], []
+        for i, sd in enumerate((*self.priors, self.priors[0])):
+            found: Any = _FOUND[i]
+            if sd == "auto":
+                self.families.append((np.flatnonzero(self.kind == i), found))
+                sd = found[0]
+            sds.append(sd)
+        self.prior_sd = np.array(sds, dtype=float)[self.kind]
 
     def _place(self, points):
         """First guess of every base."""
@@ -214,7 +258,7 @@ class Fit:
             self._evaluated = arm_x.copy(), *found
         return self._evaluated[1:]
 
-    def _data_residuals(self, x, mask):
+    def _data_residuals(self, x, mask) -> Any:
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
         problem, n = self.problem, len(self.nominal)
         points, jac = self._points_and_jacobian(x)

@@ -40,6 +40,8 @@ class Problem:
     correction: np.ndarray | None = None  # (n, 3) mm, subtracted from the arm's points
     tools: np.ndarray | None = None  # (n,) numbers; None where all rows share one
     stations: np.ndarray | None = None
+    tool_labels: tuple = ()  # what the numbers stand for
+    station_labels: tuple = ()
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
 
@@ -130,6 +132,11 @@ def left_jacobian(rotvec):
         + (1 - np.cos(angle)) / angle**2 * cross
         + (angle - np.sin(angle)) / angle**3 * cross @ cross
     )
+
+
+def in_brackets(labels, n):
+    """What follows the names of the parameters of each of n tools or stations."""
+    return [f"[{label}]" for label in labels] or [""] * n
 
 
 def are_long(lengths):

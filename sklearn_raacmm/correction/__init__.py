@@ -7,11 +7,9 @@ from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._files import TRUSTED_TYPES
 from sklearn_raacmm.correction._learn import cross_validate_correction, learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table
-from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
@@ -24,9 +22,7 @@ __all__ = [
     "check_correction",
     "cross_validate_correction",
     "learn_correction",
-    "next_poses",
     "plan_poses",
     "search_table",
-    "transfer_correction",
     "update_correction",
 ]

@@ -121,6 +121,8 @@ def say_worth_of_directions(data, left, unknown):
 
 def say_make(model):
     """Say whether earlier arms of the make were believed."""
+    if not hasattr(model, "updates_"):
+        return  # none of them was one that it could start from
     (entry,) = model.updates_
     n, gain, believed = entry["n_arms"], entry["gain_nats"], bool(entry["tau"])
     said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "

@@ -81,9 +81,11 @@ def learn_correction(
         which joints came are offered, too, and the findings say what they are worth at positions
         left out.
     like : list of ArmResidualRegressor, default=()
-        Models of earlier arms of the make, see :func:`transfer_correction`: what they have in
-        common is where this one starts, if the evidence for it is at least 4 nats. Not with
-        `model`; known lengths are then used by the calibration only.
+        Models of earlier arms of the make: the mean and the spread of their coefficients are the
+        prior of this one's, if the evidence for it is at least 4 nats against a model that is
+        fitted to these rows alone; ``learned.model.updates_`` keeps it as `gain_nats`. One that
+        does not fit to this arm is passed over with a warning. Not with `model`; known lengths are
+        then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None
         Label of the probe of each row, where several took turns: their vectors are found, and the
         causes are learnt from all of them. `arm` and `model` are then those of the label that sorts

@@ -46,22 +46,20 @@ _USUAL = 0.95
 # Sets of poses drawn for the limits of the control chart: 5 lie beyond each limit at a rate of 1 %.
 _DRAWS = 1000
 # What is suspected, and what to do. A turn of the base about z is the same as an offset of joint 1.
-_MOVED = (
-    "The base or the tracker has moved: register again, by calibrate(..., correction=model, "
-    "free=['probe'])."
-)
+_MOVED = "The base or the tracker has moved: register again (Correction.register, raacmm register)."
 _ADVICE = {
     "nothing": "Nothing: the correction holds.",
     "base": _MOVED,
     "base turned": _MOVED,
     "drift": "Base or tracker move while you measure: let them settle, fix the stand, and measure "
     "anew.",
-    "probe": "Register again, by calibrate(..., correction=model, free=['probe']).",
+    "probe": "Register again (Correction.register, raacmm register).",
     "scale": "Bring the arm to its usual temperature, or check its scale by a known length.",
     "noise": "Look for a loose probe, a dirty seat or an unsteady stand, and measure anew.",
     "offset of joint 1": "Register again: a base that has turned looks the same. If that does not "
-    "hold, update the correction by update_correction.",
-    "arm": "Update the correction by update_correction; if that does not hold, measure anew.",
+    "hold, update the correction (Correction.update, raacmm update).",
+    "arm": "Update the correction (Correction.update, raacmm update); if that does not hold, "
+    "measure anew.",
 }
 # Beside what a correction that holds leaves, half of that adds an eighth to the error: a choice.
 _WORTH = 0.5

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, say_findings
+from sklearn_raacmm.utils import Finding, row_numbers, say_findings
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
@@ -96,12 +96,13 @@ def _beyond(name, known, column):
     room = _BEYOND * (high - low)
     far = np.flatnonzero((column < low - room) | (column > high + room))
     if room > 0 and len(far):
+        rows = row_numbers(far)
         said = (
-            f"The column {name!r} is {column[far[0]]:g} in row {far[0]}, and in the fit it was "
+            f"The column {name!r} is {column[far[0]]:g} in row {rows[0]}, and in the fit it was "
             f"from {low:g} to {high:g}."
         )
         advice = "Is the sensor alive, and the unit that of the fit?"
-        yield Finding("column-out-of-range", said, advice, rows=tuple(far.tolist()))
+        yield Finding("column-out-of-range", said, advice, rows=rows)
 
 
 def force_on_probe(extra: Any, values: np.ndarray) -> Any:

@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import contextlib
-
 from sklearn_raacmm.correction import TRUSTED_TYPES
 from sklearn_raacmm.export._export import (
     export_c,
@@ -13,7 +11,6 @@ from sklearn_raacmm.export._export import (
 )
 from sklearn_raacmm.export._load_c import CompiledModel, load_c
 from sklearn_raacmm.export._model_card import ModelCard, describe
-from sklearn_raacmm.export._onnx import register_onnx
 
 __all__ = [
     "TRUSTED_TYPES",
@@ -23,9 +20,5 @@ __all__ = [
     "export_c",
     "fingerprint",
     "load_c",
-    "register_onnx",
     "to_onnx",
 ]
-
-with contextlib.suppress(ImportError):  # wherever skl2onnx is, it knows this package's estimators
-    register_onnx()

@@ -22,9 +22,15 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
-from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
+from sklearn_raacmm.export._steps import (
+    check_fitted,
+    described,
+    extra_columns,
+    find_arm,
+    leaves,
+)
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import centred, encode_groups, floats, share_of_means
+from sklearn_raacmm.utils import encode_groups, floats, share_of_means
 
 # Positions' mean residuals count as taken off below this share of their squares that chance would
 # leave: those of a single-point test are zero but for the digits of a file. Noise alone at twelve
@@ -173,8 +179,8 @@ def describe(
     if not whole or n_folds < 0 or n_folds == 1:
         raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {n_folds!r:.60}.")
     arm, unit = _arm(model)
-    first = next(leaves(model)).estimator
-    then = "".join(f", then {name}" for name, _ in extra_of(model))
+    first = next(leaves(model))[1]
+    then = "".join(f", then {name}" for name, _ in extra_columns(model))
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=_fingerprint(model),
@@ -193,7 +199,7 @@ def describe(
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
-    last = list(leaves(model))[-1].estimator
+    *_, (_, last) = leaves(model)
     findings = vars(model).get("findings_") or vars(last).get("findings_", ())
     if findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in findings]
@@ -209,7 +215,7 @@ def describe(
 
 def _of_rows(model, X, y, groups, n_folds):
     """The card's sections on the rows given: `training`, and with y `error`."""
-    first, (arm, unit) = next(leaves(model)).estimator, _arm(model)
+    first, (arm, unit) = next(leaves(model))[1], _arm(model)
     given = X  # a table keeps the names that the model was fitted with
     X = floats("X", X, -1)
     if X.shape[1] != first.n_features_in_:
@@ -220,7 +226,7 @@ def _of_rows(model, X, y, groups, n_folds):
     if y is not None:
         y = floats("y", y, finite=True)
         check_consistent_length(X, y)
-    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_of(model)])}
+    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_columns(model)])}
     sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
     if y is not None:
         named = given if hasattr(first, "feature_names_in_") else X
@@ -248,7 +254,7 @@ def _data_fingerprint(X, y, codes):
 
 def _arm(model):
     try:
-        return arm_of(model)
+        return find_arm(model)
     except ValueError:  # an azimuth that is not an arm's, or two arms: not what can be described
         return None, None
 
@@ -309,7 +315,9 @@ def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) ->
     facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}
     for when, left in (("before", y), ("after", y - predicted)):
         # Residuals of a single-point test say nothing of a position's mean, nor can the model.
-        left = centred(left, codes) if relative else left
+        if relative:
+            means = [left[codes == code].mean(axis=0) for code in range(int(codes.max()) + 1)]
+            left = left - np.array(means)[codes]
         size = np.abs(left) if y.ndim == 1 else np.linalg.norm(left, axis=1)
         facts[f"mean_{when}_mm"] = float(size.mean())
         facts[f"largest_{when}_mm"] = float(size.max())
