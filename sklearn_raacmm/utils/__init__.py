@@ -1,9 +1,9 @@
-"""Shared by all wings: groups, input checks, files, and what scikit-learn keeps private."""
+"""Shared by all subpackages: groups, checks of input, files, and decorators of fits."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-# ruff: noqa: F401  (handed on to the other wings)
+# ruff: noqa: F401  (used by the other subpackages)
 
 from sklearn_raacmm.utils._checks import (
     LARGEST,

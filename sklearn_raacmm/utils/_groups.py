@@ -61,7 +61,7 @@ def encode_groups(
 
 
 def _labels(groups, name):
-    """Labels as an array of one dimension, in which what is missing can be told from text."""
+    """Labels as an array of one dimension, in which what is missing differs from text."""
     try:
         array = np.asarray(groups)
         if array.dtype.kind == "U" and not isinstance(groups, np.ndarray):
