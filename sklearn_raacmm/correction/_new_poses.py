@@ -9,8 +9,8 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses, check_turns
-from sklearn_raacmm.utils import check_points, check_weights, encode_groups
+from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
+from sklearn_raacmm.utils import check_weights, encode_groups, floats
 
 
 class NewPoses(NamedTuple):
@@ -20,13 +20,12 @@ class NewPoses(NamedTuple):
     residuals: np.ndarray  # (n, 3) mm, without the correction
     weights: np.ndarray  # (n,)
     codes: np.ndarray | None  # (n,) position of each, where positions have unknown offsets
-    turns: np.ndarray | None = None  # (n, 3) residuals of the orientation, rad
 
     @classmethod
-    def checked(cls, model, X, y, groups, sample_weight, turns=None):
+    def checked(cls, model, X, y, groups, sample_weight):
         """New poses of a fitted model; each fault gets one clear sentence."""
         angles = check_poses(model, X)
-        y = check_points(y, 3)
+        y = floats("y", y, 3)
         if len(y) != len(angles):
             raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
         if groups is None and model.linear_model_.offsets:
@@ -35,13 +34,7 @@ class NewPoses(NamedTuple):
                 "each new pose."
             )
         codes = None if groups is None else encode_groups(groups, len(y))[1]
-        turns = check_turns(turns, len(y), codes)
-        if turns is not None and not model.linear_model_.turn_mm:
-            raise ValueError(
-                "orientation_residuals were given, but the model was fitted without any: leave "
-                "them out, or fit it again."
-            )
-        return cls(angles, y, check_weights(sample_weight, angles), codes, turns)
+        return cls(angles, y, check_weights(sample_weight, angles), codes)
 
     @property
     def n_coordinates(self):

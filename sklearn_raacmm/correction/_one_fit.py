@@ -18,11 +18,11 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
 from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
-from sklearn_raacmm.correction._transfer import transfer_correction
+from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_points, encode_groups, listed, unheard
+from sklearn_raacmm.utils import encode_groups, floats, listed, unheard
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -56,7 +56,7 @@ class Data:
         angles = within_turn(angles)
         lengths = listed("lengths", lengths)
         if points is not None:
-            points = check_points(points, 3)
+            points = floats("points", points, 3)
             if len(points) != len(angles):
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
             if positions is None:
@@ -171,19 +171,16 @@ class Data:
     def fit(self, model, calibration, rows):
         """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
         y = self.residuals(calibration, rows)
+        fitted = None
         if self.like and model is None:
-            fitted = self._like_others(calibration.arm, rows, y)
-        else:
+            of_rows = self.inputs[rows], y, self.positions[rows]
+            fitted = transferred_model(self.like, calibration.arm, *of_rows)
+        if fitted is None:
             fitted = self._fit_alone(model, calibration, rows, y)
         left = y - self.at_probes(fitted, calibration, rows).predict(self.inputs[rows])
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
-
-    def _like_others(self, arm, rows, y):
-        """A model that starts from earlier arms of the make, where these are believed."""
-        X, groups = self.inputs[rows], self.positions[rows]
-        return transfer_correction(list(self.like), arm, X, y, groups=groups)
 
     def _fit_alone(self, model, calibration, rows, y):
         fitted = model_for(model, calibration.arm, self.causes)

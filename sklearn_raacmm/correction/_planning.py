@@ -3,17 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils import check_scalar
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.calibration import ANGLE_RAD, LENGTH_MM, UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._new_poses import linear_model_of, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
 from sklearn_raacmm.inference import narrowed
-from sklearn_raacmm.utils import centred, check_whole_number, encode_groups, listed, show
+from sklearn_raacmm.utils import centred, encode_groups, listed
 
 # Noise of a coordinate where no model says it, mm: about that of a UR10 before a tracker
 # (benchmarks/bench_next_poses.py). Beside wide priors its size hardly changes the order of poses.
@@ -104,7 +106,7 @@ def next_poses(
     (3, True)
     """
     if not (isinstance(criterion, str) and criterion in ("I", "D")):
-        raise ValueError(f'criterion must be "I" or "D", got {show(criterion)}.')
+        raise ValueError(f'criterion must be "I" or "D", got {criterion!r:.60}.')
     linear = None if isinstance(model, Arm) else linear_model_of(model, "planned for", in_use=False)
     if free is None:
         columns, half = _of_model(linear)
@@ -124,7 +126,9 @@ def next_poses(
         labels, codes = np.arange(len(X)), np.arange(len(X))
     else:
         labels, codes = encode_groups(groups, len(X))
-    check_whole_number("n_poses", n_poses, 1, len(labels))  # no more than there are candidates
+    check_scalar(
+        n_poses, "n_poses", Integral, min_val=1, max_val=len(labels)
+    )  # no more than there are candidates
     if measured is not None:
         if groups is not None:
             raise ValueError("measured poses count one by one: give them, or groups.")
@@ -161,7 +165,7 @@ def _of_arm(arm, free, groups):
     """The same of base, probe and fields of an arm, as `calibrate` would find them."""
     free, known = listed("free", free), ("base", *FIELDS)
     if not free or not all(isinstance(name, str) and name in known for name in free):
-        raise ValueError(f"free must name some of {', '.join(known)}, got {show(free)}.")
+        raise ValueError(f"free must name some of {', '.join(known)}, got {free!r:.60}.")
     n = arm.n_joints
     counts = [n, n, n, n, 3]  # entries of each field
     taken = np.flatnonzero(np.isin(np.repeat(np.array(FIELDS), counts), free))

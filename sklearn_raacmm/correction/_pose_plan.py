@@ -3,15 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.arm import Arm, check_arm, reach_mm
 from sklearn_raacmm.error_model import angles_for, limits_of
-from sklearn_raacmm.utils import check_whole_number, floats
+from sklearn_raacmm.utils import floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
 _PLACES, _STARTS = 4, 8
@@ -48,14 +49,13 @@ def plan_poses(
     n_poses: int = 12,
     *,
     region: ArrayLike | None = None,
-    lean_deg: float | None = 60.0,
+    lean_deg: float | None = None,
     random_state: int | np.random.RandomState | None = 0,
 ) -> PosePlan:
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
-    allows, and in an order of short ways. Spread cones are what a plan is worth: a choice by
-    :func:`next_poses` is no better in a first test.
+    allows, and in an order of short ways (``benchmarks/bench_first_test.py``).
 
     Parameters
     ----------
@@ -66,9 +66,10 @@ def plan_poses(
     region : array-like of shape (2, 3), default=None
         Lowest and highest x, y and z where cones can stand, base frame, mm. None: all around the
         base, from a quarter to 85 % of the reach away, up to 45 % of it high.
-    lean_deg : float or None, default=60
+    lean_deg : float or None, default=None
         How far the probe may lean from the vertical, degrees; no frame of the wrist may be lower
-        than the cone then. None: a probe that may come from anywhere, as a ball in a magnet.
+        than the cone then. Give 60 for cones that are fixed on a table. None: the probe may come
+        from anywhere, as a ball in a magnet, which shows more of the arm.
     random_state : int, RandomState instance or None, default=0
         Draws the places and poses that are tried.
 
@@ -93,8 +94,8 @@ def plan_poses(
     True
     """
     check_arm(arm)
-    check_whole_number("n_positions", n_positions, 1)
-    check_whole_number("n_poses", n_poses, 2)
+    check_scalar(n_positions, "n_positions", Integral, min_val=1)
+    check_scalar(n_poses, "n_poses", Integral, min_val=2)
     rng, reach = check_random_state(random_state), reach_mm(arm)
     if region is not None:
         region = floats("region", region)

@@ -15,7 +15,6 @@ from sklearn.preprocessing import FunctionTransformer
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    next_poses,
 )
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
@@ -232,7 +231,6 @@ def test_through_pipelines_and_searches(lagging):
     assert_array_equal(again.predict(X), best.predict(X))
     # Whatever the direction, the lengths of standard deviations and of the fading are there.
     assert best.distance_std(X[:5], X[5:10]).shape == best.fading(X[:5]).shape == (5,)
-    assert len(next_poses(best, X, 2)[0]) == 2
 
 
 def test_what_is_refused(lagging):
