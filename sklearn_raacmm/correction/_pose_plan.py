@@ -102,7 +102,7 @@ def plan_poses(
         if region.shape != (2, 3) or not np.all(region[0] <= region[1]):
             raise ValueError(
                 "region must be the lowest and the highest x, y and z in mm, shape (2, 3), got "
-                f"{region.tolist()}."
+                f"{region.tolist()!s:.60}."
             )
     places, poses = [], []
     for _ in range(_PLACES * n_positions):
