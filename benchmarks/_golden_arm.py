@@ -17,8 +17,8 @@ from _arm_folds import (
     ur10b_folds,
 )
 from bench_after_the_lab import mean_deviation, one_draw
-from bench_calibrate import simulated as simulated_cones
 from bench_check import knock, poses_of_simulated_arm
+from bench_speed import simulated as simulated_cones
 from bench_transfer import Robot
 
 from sklearn_raacmm import (

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
-    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning, directions_of
+    from sklearn_raacmm.measurements import directions_of
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         position_residuals,
         shoulder_wrist_distance,
     )
+    from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
 __all__ = [
     "Arm",

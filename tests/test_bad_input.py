@@ -167,8 +167,6 @@ def doors_to_be_refused_at():
     for name, learn in (("learn", learn_correction), ("judge", cross_validate_correction)):
         yield f"{name}, angles", ANGLES, lambda v, learn=learn: learn(ARM, v, GROUPS)
         yield f"{name}, points", POINTS, lambda v, learn=learn: learn(ARM, ANGLES, GROUPS, v)
-    turns, known = np.tile(np.eye(3), (40, 1, 1)), {"points": POINTS}
-    yield "orientations", turns, lambda v: calibrate(ARM, ANGLES, orientations=v, **known)
     gauge = display.LengthErrorDisplay.from_predictions
     lengths = metrics.gauge_lengths(POINTS, GROUPS, [[0, 1]])
     pairs = {"groups": GROUPS, "pairs": [[0, 1]], "lengths": lengths}
@@ -284,8 +282,6 @@ FINE = {
     # Infinitely wide is a feature that does not count; wider than can be told apart, too.
     ("length_scale", "infinity"),
     ("length_scale", "too large"),
-    # Of a model without an arm the card says no more than the number of rows.
-    ("describe", "too large"),
     # No new pose is the old model. Angles in another unit are what is searched for.
     ("update, X", "no rows"),
     ("search_table, angles", "too large"),

@@ -94,7 +94,7 @@ def test_killed_worker_of_a_grid_search(tmp_path):
 @pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
 @pytest.mark.parametrize("room", [0, 300])  # bytes, less than any of the files has
 def test_full_disk_leaves_what_was_there(model, tmp_path, room):
-    pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+    pytest.importorskip("onnx", reason="needs the extra onnx")
     resource = pytest.importorskip("resource")
     ARM.to_json(tmp_path / "arm.json")
     export_c(model, tmp_path / "model.c")

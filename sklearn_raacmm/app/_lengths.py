@@ -6,16 +6,16 @@
 from os import PathLike
 from typing import Any
 
-from sklearn_raacmm.app._cells import TableError, number_of
+from sklearn_raacmm.app._cells import TableError, parse_number
 from sklearn_raacmm.app._sources import find_source
 from sklearn_raacmm.calibration import lengths_of_places
 
 
-def length_of(text):
+def parse_length(text):
     """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them."""
     try:
         first, second, length, sd = (part.strip() for part in text.split(":"))
-        return first, second, number_of(length), number_of(sd)
+        return first, second, parse_number(length), parse_number(sd)
     except ValueError:
         raise TableError(
             "--length needs two positions, their distance and its standard deviation in mm, such "

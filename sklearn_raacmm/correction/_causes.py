@@ -11,7 +11,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model import IDLE_SD, check_extra
 from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
-from sklearn_raacmm.utils import Finding, floats, say_findings, show
+from sklearn_raacmm.utils import Finding, floats, say_findings
 
 # The family of columns by which each kind of cause is judged.
 _FAMILIES = {"time": "temperature", "payload": "force"}
@@ -36,7 +36,7 @@ def checked_causes(extra, in_order, angles):
 def _given(extra, n_rows):
     """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
     if extra is not None and not isinstance(extra, Mapping):
-        raise ValueError(f"extra must be a dict of names and values, got {show(extra)}.")
+        raise ValueError(f"extra must be a dict of names and values, got {extra!r:.60}.")
     found = {}
     for name, value in (extra or {}).items():
         said = f"extra[{name!r}]"

@@ -5,6 +5,7 @@
 
 import json
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import joblib
@@ -13,7 +14,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import Finding, check_path, digest_of, whole_file, write_whole
+from sklearn_raacmm.utils import Finding, digest_of, whole_file, write_whole
 
 _FACTS = "correction.json"
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
@@ -65,7 +66,7 @@ def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -
 
     Whatever interrupts the writing, the folder holds the old correction or this one.
     """
-    folder = check_path("folder", folder)
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     facts = facts | {"files": {name: digest_of(content) for name, content in contents.items()}}
     contents = {_FACTS: json.dumps(facts, indent=1, ensure_ascii=False) + "\n", **contents}
@@ -76,7 +77,7 @@ def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -
 
 def read_folder(folder: Any, names: Any) -> tuple[dict[str, Any], list[bytes]]:
     """Facts of ``correction.json``, and the contents of files that were written with it."""
-    folder = check_path("folder", folder)
+    folder = Path(folder)
     if not (folder / _FACTS).is_file():
         raise FileNotFoundError(f"{folder} has no {_FACTS}; learning a correction writes one.")
     try:

@@ -9,6 +9,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils._param_validation import HasMethods, StrOptions, validate_parameter_constraints
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
@@ -20,15 +21,7 @@ from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
-from sklearn_raacmm.utils import (
-    Finding,
-    HasMethods,
-    StrOptions,
-    encode_groups,
-    hear,
-    say_findings,
-    validate_parameter_constraints,
-)
+from sklearn_raacmm.utils import Finding, encode_groups, hear, say_findings
 
 
 def learn_correction(

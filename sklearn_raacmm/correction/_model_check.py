@@ -10,12 +10,14 @@ from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
+from sklearn.utils._param_validation import Interval, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
@@ -23,16 +25,12 @@ from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, plac
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
-    Interval,
     centred,
-    check_path,
     encode_groups,
     group_means,
     listed,
     one_blas_thread,
     one_warning,
-    show,
-    validate_params,
 )
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -43,27 +41,25 @@ _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 # Poses farther off than this share of all, if errors were normal, count as though they were there:
 # those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
 # this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
-# (benchmarks/bench_check.py --real). With 0.9 fewer knocks were found.
+# (benchmarks/bench_check.py changes --real). With 0.9 fewer knocks were found.
 _USUAL = 0.95
 # Sets of poses drawn for the limits of the control chart: 5 lie beyond each limit at a rate of 1 %.
 _DRAWS = 1000
 # What is suspected, and what to do. A turn of the base about z is the same as an offset of joint 1.
-_MOVED = (
-    "The base or the tracker has moved: register again, by calibrate(..., correction=model, "
-    "free=['probe'])."
-)
+_MOVED = "The base or the tracker has moved: register again (Correction.register, raacmm register)."
 _ADVICE = {
     "nothing": "Nothing: the correction holds.",
     "base": _MOVED,
     "base turned": _MOVED,
     "drift": "Base or tracker move while you measure: let them settle, fix the stand, and measure "
     "anew.",
-    "probe": "Register again, by calibrate(..., correction=model, free=['probe']).",
+    "probe": "Register again (Correction.register, raacmm register).",
     "scale": "Bring the arm to its usual temperature, or check its scale by a known length.",
     "noise": "Look for a loose probe, a dirty seat or an unsteady stand, and measure anew.",
     "offset of joint 1": "Register again: a base that has turned looks the same. If that does not "
-    "hold, update the correction by update_correction.",
-    "arm": "Update the correction by update_correction; if that does not hold, measure anew.",
+    "hold, update the correction (Correction.update, raacmm update).",
+    "arm": "Update the correction (Correction.update, raacmm update); if that does not hold, "
+    "measure anew.",
 }
 # Beside what a correction that holds leaves, half of that adds an eighth to the error: a choice.
 _WORTH = 0.5
@@ -131,7 +127,7 @@ class CorrectionCheck:
         --------
         >>> check.append_to("checks_of_arm_7.csv")  # doctest: +SKIP
         """
-        path = check_path("path", path)
+        path = Path(path)
         header = path.read_bytes().splitlines()[:1] if path.exists() else []
         if header and header != [",".join(self.record).encode()]:
             raise ValueError(f"{path} is not the record of checks: its first line is no header.")
@@ -380,7 +376,7 @@ class _Poses:
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
         refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
+            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
         place = self.rows(place_columns(self.linear.arm, self.angles, with_base=True))
         place = place[:, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
         if self.codes is None:
@@ -401,7 +397,7 @@ class _Poses:
         if self.codes is None:  # of a single-point test the base shows nothing
             # Together they are six numbers, too many for what three explain: of 40 bases of the
             # UR10 that settled by 40 um none was named, apart 27 are
-            # (benchmarks/bench_check_kinds.py --real). About z it is an offset of joint 1.
+            # (benchmarks/bench_check.py kinds --real). About z it is an offset of joint 1.
             causes |= {"base": place[:, 3:6], "base turned": place[:, 6:8]}
         points = arm.forward(angles)
         if self.codes is not None:  # a position is one point: what it shows about it is no scale

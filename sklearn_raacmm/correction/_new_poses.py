@@ -7,8 +7,8 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses, check_turns
-from sklearn_raacmm.utils import check_points, check_weights, encode_groups
+from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
+from sklearn_raacmm.utils import check_weights, encode_groups, floats
 
 
 class NewPoses:
@@ -16,12 +16,12 @@ class NewPoses:
 
     `angles` (n, n_joints + n_extra) in rad, then the extra columns; `residuals` (n, 3) in mm,
     without the correction; `weights` (n,); `codes` (n,), the position of each where positions have
-    unknown offsets; `turns` (n, 3), residuals of the orientation in rad, or None.
+    unknown offsets, or None.
     """
 
-    def __init__(self, model, X, y, groups, sample_weight, turns=None):
+    def __init__(self, model, X, y, groups, sample_weight):
         angles = check_poses(model, X)
-        y = check_points(y, 3)
+        y = floats("y", y, 3)
         if len(y) != len(angles):
             raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
         if groups is None and model.linear_model_.offsets:
@@ -30,13 +30,7 @@ class NewPoses:
                 "each new pose."
             )
         codes = None if groups is None else encode_groups(groups, len(y))[1]
-        turns = check_turns(turns, len(y), codes)
-        if turns is not None and not model.linear_model_.turn_mm:
-            raise ValueError(
-                "orientation_residuals were given, but the model was fitted without any: leave "
-                "them out, or fit it again."
-            )
-        self.angles, self.residuals, self.codes, self.turns = angles, y, codes, turns
+        self.angles, self.residuals, self.codes = angles, y, codes
         self.weights = check_weights(sample_weight, angles)
 
     @property

@@ -21,7 +21,7 @@ from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_points, encode_groups, listed, unheard
+from sklearn_raacmm.utils import encode_groups, floats, listed, unheard
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -45,7 +45,7 @@ class Data:
         angles = within_turn(angles)
         lengths = listed("lengths", lengths)
         if points is not None:
-            points = check_points(points, 3)
+            points = floats("points", points, 3)
             if len(points) != len(angles):
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
             if positions is None:

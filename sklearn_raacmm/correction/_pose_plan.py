@@ -3,15 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.arm import Arm, check_arm, reach_mm
 from sklearn_raacmm.error_model import angles_for, limits_of
-from sklearn_raacmm.utils import check_whole_number, floats
+from sklearn_raacmm.utils import floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
 _PLACES, _STARTS = 4, 8
@@ -92,8 +93,8 @@ def plan_poses(
     True
     """
     check_arm(arm)
-    check_whole_number("n_positions", n_positions, 1)
-    check_whole_number("n_poses", n_poses, 2)
+    check_scalar(n_positions, "n_positions", Integral, min_val=1)
+    check_scalar(n_poses, "n_poses", Integral, min_val=2)
     rng, reach = check_random_state(random_state), reach_mm(arm)
     if region is not None:
         region = floats("region", region)

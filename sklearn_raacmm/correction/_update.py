@@ -8,13 +8,14 @@ from datetime import date as calendar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings, validate_params
+from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
@@ -33,7 +34,6 @@ def update_correction(
     arm: Arm | None = None,
     groups: ArrayLike | None = None,
     sample_weight: ArrayLike | None = None,
-    orientation_residuals: ArrayLike | None = None,
     date: str | None = None,
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
@@ -61,8 +61,6 @@ def update_correction(
         Label of the position of each sample, for the offsets of a single-point test.
     sample_weight : array-like of shape (n_samples,), default=None
         Weights. Poses that lie far off are left out by themselves.
-    orientation_residuals : array-like of shape (n_samples, 3), default=None
-        Residuals of the orientation, as `fit` takes them, for a model that was fitted with some.
     date : str, default=None
         When the new poses were measured, for the record; None: today.
 
@@ -77,8 +75,8 @@ def update_correction(
     TypeError
         If the model holds no linear model in use: such a one can be registered, not updated.
     ValueError
-        If shapes do not fit, something is NaN or infinite, groups are missing though the model has
-        offsets, or orientations are given to a model that was fitted without.
+        If shapes do not fit, something is NaN or infinite, or groups are missing though the model
+        has offsets.
 
     Warns
     -----
@@ -119,7 +117,7 @@ def update_correction(
     model = model if arm is None else model.with_arm(arm)
     if np.shape(X)[:1] == (0,):
         return deepcopy(model)
-    new = X, y, groups, sample_weight, orientation_residuals
+    new = X, y, groups, sample_weight
     updated, found = hear(_updated, model, new, date)
     updated.findings_ = tuple(found)
     return updated

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model._checks import check_poses, check_turns
+from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._columns import (
     LOAD,
     PUSH,
@@ -12,7 +12,6 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     column_table,
     given_factors,
-    observed_columns,
     term_columns,
 )
 from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
@@ -37,14 +36,12 @@ __all__ = [
     "angles_for",
     "check_extra",
     "check_poses",
-    "check_turns",
     "column_table",
     "constrained",
     "force_on_probe",
     "given_factors",
     "lever_mm",
     "limits_of",
-    "observed_columns",
     "order_price",
     "smooth_shares",
     "term_columns",

@@ -11,14 +11,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn import config_context
-from sklearn.base import clone
+from sklearn.base import MultiOutputMixin, RegressorMixin, clone
+from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
     check_fit,
     check_poses,
-    check_turns,
     poses_of,
 )
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
@@ -31,15 +31,9 @@ from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
-    HasMethods,
-    Interval,
-    MultiOutputMixin,
-    RegressorMixin,
-    StrOptions,
     VersionedEstimator,
     centred,
     check_flags,
-    fit_context,
     heard_findings,
     many_without_weight,
     one_blas_thread,
@@ -205,8 +199,7 @@ class ArmResidualRegressor(
         self.regressor = regressor
 
     @one_blas_thread
-    @fit_context(prefer_skip_nested_validation=True)
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=True)
     def fit(
         self,
         X: ArrayLike,
@@ -215,7 +208,6 @@ class ArmResidualRegressor(
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
-        orientation_residuals: ArrayLike | None = None,
         probes: ArrayLike | None = None,
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
@@ -234,10 +226,6 @@ class ArmResidualRegressor(
         lengths : iterable of (label, label, length, standard deviation), default=()
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
             offsets, only they tell the model of what happens between positions.
-        orientation_residuals : array-like of shape (n_samples, 3), default=None
-            Rotation vectors in rad from the measured orientation to that which the arm shows, in
-            its base frame, as :meth:`CalibrationResult.orientation_residuals` gives them: three
-            more rows of each pose, weighed by the noise that they show beside that of the points.
         probes : array-like of shape (n_samples, 3), default=None
             Vector of the probe of each row in the last frame, mm, where several took turns:
             ``result.arms[label].probe`` of a calibration with `tools`. The causes are then learnt
@@ -252,8 +240,8 @@ class ArmResidualRegressor(
         ------
         ValueError
             If shapes, labels, weights, causes or lengths do not fit together, something is NaN or
-            infinite, the model has no columns at all, ``offsets=True`` comes without `groups`, or
-            orientations come with offsets; if `y` are the probe's points, or half of them longer
+            infinite, the model has no columns at all, or ``offsets=True`` comes without `groups`;
+            if `y` are the probe's points, or half of them longer
             than a twentieth of the arm's reach; if `probes` come with a second stage.
 
         Warns
@@ -265,9 +253,7 @@ class ArmResidualRegressor(
         """
         rows, positions = check_fit(self, X, y, sample_weight, groups, lengths, probes)
         arm, used = rows.arm, rows.weights > 0
-        turns = check_turns(orientation_residuals, len(used), rows.codes)
-        rows, turns = rows.at(used), None if turns is None else turns[used]
-        dwells, rows, turns = poses_of(rows, self.extra, turns)
+        dwells, rows = poses_of(rows.at(used), self.extra)
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
@@ -277,8 +263,8 @@ class ArmResidualRegressor(
         with_field = isinstance(self.orders, Integral)
         known = groups is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
-        fitted = fit_with_constants(rows, of_constants, terms, with_field, turns)
-        rows = fitted.rows if turns is None else rows
+        fitted = fit_with_constants(rows, of_constants, terms, with_field)
+        rows = fitted.rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
         model = replace(model, n_positions=float(positions.max() + 1))

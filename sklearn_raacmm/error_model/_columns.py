@@ -46,7 +46,6 @@ class Terms(NamedTuple):
     harmonics (n_pairs, 2): joint from 0 and order; each is a cosine and a sine column, first of
     all. Then those of the families that are on.
     extra: name and reference of each column of X after the angles, as `with_references` makes them.
-    target: three turns of a target on the last link, which its orientation shows and no point does.
     """
 
     harmonics: np.ndarray
@@ -54,7 +53,6 @@ class Terms(NamedTuple):
     kinematics: bool
     wobble: bool
     extra: tuple[Any, ...] = ()
-    target: bool = False
 
 
 class Column(NamedTuple):
@@ -191,20 +189,13 @@ def _extra(arm, extra):
             yield Column(of, DIRECTION, TURN, frame, 2, unit, by=by, reference=reference[0])
 
 
-def _target(arm):
-    """Turns of the target about the axes of the last frame; of the probe they move nothing."""
-    for axis in range(3):
-        yield Column(f"target_{'xyz'[axis]}", KINEMATICS, TURN, arm.n_joints, axis, 0.0)
-
-
 @lru_cache(maxsize=64)
-def _others(arm, gravity, kinematics, wobble, extra, target):
+def _others(arm, gravity, kinematics, wobble, extra):
     """Columns that are no harmonics, in their order."""
     columns = [*_gravity(arm)] if gravity else []
     columns += _kinematics(arm) if kinematics else []
     columns += _wobble(arm) if wobble else []
     columns += _extra(arm, extra)
-    columns += _target(arm) if target else []
     return tuple(columns)
 
 
@@ -269,10 +260,10 @@ class _Plan(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _planned(arm, pairs, gravity, kinematics, wobble, extra, target):
+def _planned(arm, pairs, gravity, kinematics, wobble, extra):
     """`_Plan` of an arm and terms; `pairs` are the bytes of the harmonics."""
     harmonics = np.frombuffer(pairs, dtype=int).reshape(-1, 2)
-    terms = Terms(harmonics, gravity, kinematics, wobble, extra, target)
+    terms = Terms(harmonics, gravity, kinematics, wobble, extra)
     table = column_table(arm, terms)
     n_axes = 3 * (arm.n_joints + 1)
     axis = 3 * table.frame + table.axis
@@ -353,36 +344,23 @@ def _filled(rows):
     return slice(some[0], some[-1] + 1) if len(some) else slice(0, 0)
 
 
-def factored_columns(arm, angles, terms, of_turns=False):
+def factored_columns(arm, angles, terms):
     """Columns as `term_columns` gives them, not multiplied out."""
-    return _factored(arm, angles, _plan_of(arm, terms), terms, of_turns, None)
+    return _factored(arm, angles, _plan_of(arm, terms), terms, None)
 
 
-def term_columns(arm: Arm, angles: np.ndarray, terms: Terms, of_turns: bool = False) -> np.ndarray:
+def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
     """Columns (n, 3, n_columns) of the model, in mm per unit coefficient.
 
     The angles (n, n_joints + n_extra) are in rad; then come the extra columns that `terms` names;
-    then the probe of each row in the last frame, mm, where it is not the arm's. Of turns: rotation
-    vectors of the last link in the base frame, rad per unit coefficient.
+    then the probe of each row in the last frame, mm, where it is not the arm's.
     """
     plan = _plan_of(arm, terms)
     out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
-    found = _factored(arm, angles, plan, terms, of_turns, out[:, :, plan.rest :])
+    found = _factored(arm, angles, plan, terms, out[:, :, plan.rest :])
     for start, end, vector, waves in found.runs:
         np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
     return out
-
-
-def observed_columns(arm: Arm, angles: np.ndarray, terms: Terms, turn_mm: float) -> Any:
-    """Columns of the residuals that a fit has: (n, 3, n_columns), or (n, 6, n_columns).
-
-    Turns in rad are multiplied by `turn_mm`, so that their noise is that of a coordinate; it is 0
-    where no orientations were measured.
-    """
-    columns = term_columns(arm, angles, terms)
-    if not turn_mm:
-        return columns
-    return np.concatenate([columns, turn_mm * term_columns(arm, angles, terms, True)], axis=1)
 
 
 def parts_of_rows(arm: Arm, terms: Terms, rows: np.ndarray) -> tuple[Any, Any, Any]:
@@ -402,25 +380,19 @@ def _plan_of(arm, terms):
     return _planned(arm, pairs, *terms[1:])
 
 
-def _factored(arm, angles, plan, terms, of_turns, out):
+def _factored(arm, angles, plan, terms, out):
     """`FactoredColumns` by a plan; its `rest` is written to `out`, where that is given."""
     angles, values, probes = parts_of_rows(arm, terms, angles)
     vectors, places = axis_vectors(arm, angles, probes)
-    effect = vectors
-    if of_turns:
-        n_axes = vectors.shape[2] // 2
-        effect = np.concatenate([vectors[:, :, n_axes:], np.zeros_like(vectors[:, :, :n_axes])], 2)
     phase = angles[:, plan.wave_joint] * plan.wave_order
     wave = np.empty((len(angles), 2 * phase.shape[1]))
     np.cos(phase, out=wave[:, 0::2])
     np.sin(phase, out=wave[:, 1::2])
     runs = [
-        (start, end, effect[:, :, which] * unit, wave[:, start:end])
+        (start, end, vectors[:, :, which] * unit, wave[:, start:end])
         for start, end, which, unit in plan.runs
     ]
     factor = np.tile(plan.unit, (len(angles), 1))
-    if terms.target and of_turns:
-        factor[:, -3:] = ARCSEC
     if len(plan.loads):
         x, y = (places[:, i, plan.load_of] - places[:, i, plan.load_frame] for i in (0, 1))
         ux, uy = (vectors[:, i, plan.load_x] for i in (0, 1))
@@ -433,7 +405,7 @@ def _factored(arm, angles, plan, terms, of_turns, out):
         factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
         columns, by, reference = plan.given
         factor[:, columns] *= values[:, by] - reference
-    rest = np.multiply(np.take(effect, plan.which, axis=2), factor[:, None], out=out)
+    rest = np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out)
     return FactoredColumns(runs, rest)
 
 

@@ -12,7 +12,7 @@ a constant is drawn to 0 as by rows of the weight s / v.
 import numpy as np
 
 from sklearn_raacmm.error_model._fit import fit_linear_model
-from sklearn_raacmm.utils import Finding, group_means, group_sums, group_weights, say_findings
+from sklearn_raacmm.utils import Finding, group_means, group_sums, say_findings
 
 # Rounds of the two variances, and the change of their ratio at which they have settled.
 _ROUNDS, _SETTLED = 4, 0.1
@@ -23,14 +23,14 @@ _LEAST_RATIO = 1.0
 _MANY = 0.1
 
 
-def fit_with_constants(rows, positions, terms, with_field, turns=None):
+def fit_with_constants(rows, positions, terms, with_field):
     """Fit the model and, where the evidence asks for them, constants of the positions.
 
     `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
     those given less their constants.
     """
-    fitted, known, rounds = fit_linear_model(rows, terms, with_field, turns), np.inf, 0
-    if positions is None or rows.codes is not None or turns is not None:
+    fitted, known, rounds = fit_linear_model(rows, terms, with_field), np.inf, 0
+    if positions is None or rows.codes is not None:
         return fitted
     while True:
         # Of a position that is off as a whole no row may have any weight left.
@@ -46,7 +46,7 @@ def fit_with_constants(rows, positions, terms, with_field, turns=None):
         rounds += 1
         if rounds == _ROUNDS:
             break
-    total = group_weights(positions, weights)
+    total = np.bincount(positions, weights)
     constants = group_sums(left, positions, weights) / (total + known)[:, None]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
     say_findings(
@@ -65,7 +65,7 @@ def fit_with_constants(rows, positions, terms, with_field, turns=None):
 
 def _known(left, positions, weights):
     """Noise variance over that of the constants, by the analysis of variance of what is left."""
-    total = group_weights(positions, weights)
+    total = np.bincount(positions, weights)
     used = total > 0
     n, n_groups = weights.sum(), used.sum()
     if np.count_nonzero(weights) < 2 * n_groups:

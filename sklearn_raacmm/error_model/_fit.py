@@ -38,9 +38,6 @@ _REFIT_STEPS = 5
 _FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
-# Points and turns are weighed anew by what the model leaves of them, at most so often, and until
-# the ratio of their noises changes by less than this share.
-_TURN_ROUNDS, _SETTLED_TURNS = 4, 0.1
 
 
 class Rows(NamedTuple):
@@ -48,11 +45,10 @@ class Rows(NamedTuple):
 
     arm: Arm
     X: np.ndarray  # (n, n_joints + n_extra) angles in rad, extra columns, perhaps probes (n, 3)
-    y: np.ndarray  # (n, 3) residuals in mm; (n, 6) with those of the orientation times `turn_mm`
+    y: np.ndarray  # (n, 3) residuals in mm
     weights: np.ndarray  # (n,)
     codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
     lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
-    turn_mm: float = 0.0  # see `observed_columns`
     known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
 
     def at(self, which):
@@ -82,7 +78,7 @@ class Rows(NamedTuple):
     def sums(self, terms):
         """Sums over the rows, the harmonics of `terms` being the candidates; known lengths."""
         rows = self.arm, self.X, self.y, self.weights, self.codes
-        sums = candidate_sums(*rows, terms.harmonics, terms, self.turn_mm, self.known)
+        sums = candidate_sums(*rows, terms.harmonics, terms, self.known)
         if self.codes is None or self.known:
             return sums, None
         sums, lengths = without_motions(sums, self.arm, terms), None
@@ -113,36 +109,16 @@ class Fitted(NamedTuple):
     model: LinearModel
     state: State
     pose_weight: np.ndarray  # (n,)
-    rows: Rows  # with the orientations that were fitted
+    rows: Rows
 
 
 @stage("linear error model")
-def fit_linear_model(rows, terms, with_field, turns=None) -> Any:
+def fit_linear_model(rows, terms, with_field) -> Any:
     """Fit the model to rows of weights above 0, with robust weights of the poses: a `Fitted`.
 
     The harmonics of `terms` are those that are offered; `with_field` allows a smooth function of
-    each angle. `turns` (n, 3), in rad, are residuals of the orientation: three more rows of each
-    pose, weighed by the noise that they show beside that of the points.
+    each angle. Families of extra columns that are not worth their price stay out.
     """
-    if turns is None:
-        return _worth_their_price(rows, terms, with_field)
-    terms = terms._replace(target=True)
-    left, size, found = (rows.y, turns), 0.0, None
-    for _ in range(_TURN_ROUNDS):
-        weights = rows.weights if found is None else rows.weights * found.pose_weight
-        rms = [np.sqrt(weights @ np.square(part).sum(axis=1)) for part in left]
-        last, size = size, rms[0] / max(rms[1], 1e-12 * max(rms[0], 1e-300))
-        if abs(size - last) < _SETTLED_TURNS * size:
-            break
-        both = rows._replace(y=np.hstack([rows.y, size * turns]), turn_mm=size)
-        found = _worth_their_price(both, terms, with_field)
-        model = found.model
-        left = rows.y - model.predict(rows.X)[0], turns - model.predict_turn(rows.X)[0]
-    return found
-
-
-def _worth_their_price(rows, terms, with_field):
-    """Fit with those families of extra columns that are worth their price."""
     idle = frozenset()
     while True:
         structures = structures_of(rows.arm, terms, with_field, idle)
@@ -215,15 +191,11 @@ def _pose_weights(rows, expected, factor):
 
 
 def _expected(rows, terms, state):
-    """Residuals (n, 3) or (n, 6) that a state of these terms expects at the rows."""
+    """Residuals (n, 3) that a state of these terms expects at the rows."""
     coef = np.roll(state.coef, 2 * len(terms.harmonics))
     found = np.empty_like(rows.y)
     for part in chunks(len(rows.X), _POSES):
-        poses = rows.arm, rows.X[part], terms
-        found[part, :3] = factored_columns(*poses).dot(coef)
-        if rows.turn_mm:
-            turns = factored_columns(*poses, of_turns=True)
-            found[part, 3:] = rows.turn_mm * turns.dot(coef)
+        found[part] = factored_columns(rows.arm, rows.X[part], terms).dot(coef)
     return found
 
 
@@ -251,7 +223,6 @@ def model_of(rows, terms, state):
         log_bayes_factor=state.gains,
         gauge_free_half=half,
         fading_half=half,
-        turn_mm=rows.turn_mm,
     )
     poses = rows.X, rows.weights, rows.codes
     return constrained(model, *poses, keep_scale=not rows.lengths)

@@ -5,19 +5,19 @@
 
 import warnings
 from copy import copy
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.error_model._checks import check_poses
-from sklearn_raacmm.error_model._fading import warn_where_unknown
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
 from sklearn_raacmm.error_model._solve import angles_for
-from sklearn_raacmm.utils import check_flags, check_points, check_whole_number, warn_user
+from sklearn_raacmm.utils import check_flags, floats, warn_user
 
 
 class ModelInUseMixin:
@@ -118,7 +118,7 @@ class ModelInUseMixin:
         (10, 3, 200)
         """
         check_flags(with_noise=with_noise, with_unseen=with_unseen)
-        check_whole_number("n_samples", n_samples, 1)
+        check_scalar(n_samples, "n_samples", Integral, min_val=1)
         linear, rng = self.linear_model_, check_random_state(random_state)
         root = linear.std_scale * linear.root_at(check_poses(self, X), with_unseen)
         draws = root @ rng.normal(size=(root.shape[1], n_samples))
@@ -167,7 +167,7 @@ class ModelInUseMixin:
         >>> bool(np.abs(model.correct(found) - wanted).max() < 1e-6)
         True
         """
-        points = check_points(points, 3)
+        points = floats("points", points, 3)
         start = np.asarray(start, dtype=float)
         if start.ndim == 2 and len(start) == 1:
             start = np.repeat(start, len(points), axis=0)
@@ -193,46 +193,6 @@ class ModelInUseMixin:
                 f"to which the probe came as near as {off:.3g} mm. Their angles are NaN."
             )
         return np.rad2deg(angles) if self.angle_unit == "deg" else angles
-
-    def predict_orientation(
-        self: Any, X: ArrayLike, return_std: bool = False, with_noise: bool = False
-    ) -> Any:
-        """Predict how far the last link is turned from where the arm shows it.
-
-        A model that was fitted to points only does not know of a turn that no point shows, such as
-        the zero angle of a last joint whose axis goes through the probe.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            As for `predict`.
-        return_std : bool, default=False
-            Also return standard deviations.
-        with_noise : bool, default=False
-            Add the noise of a measured component to them, where orientations were in the fit.
-
-        Returns
-        -------
-        turns : ndarray of shape (n_samples, 3)
-            Rotation vectors in rad, in the arm's base frame: with R the matrix of one, ``R.T``
-            times the orientation that the arm shows is the corrected one. Faded as the correction
-            of the points is, and 0 where that is.
-        std : ndarray of shape (n_samples, 3)
-            Standard deviations in rad, where asked for.
-        """
-        check_flags(return_std=return_std, with_noise=with_noise)
-        X, model = check_poses(self, X), self.linear_model_
-        mean, std = model.predict_turn(X, return_std)
-        mean = mean * self.helps_
-        if self.fading_.factor > 0:
-            share = self.fading_.share(model.predict_with_doubt(X)[2])
-            if self.helps_:
-                warn_where_unknown(share)
-            mean = share[:, None] * mean
-        if not return_std:
-            return mean
-        noise = model.turn_noise if with_noise and model.turn_mm > 0 else 0.0
-        return mean, np.hypot(model.std_scale * std, noise)
 
     def fading(self: Any, X: ArrayLike) -> np.ndarray:
         """Share of the correction that `predict` returns at each pose.

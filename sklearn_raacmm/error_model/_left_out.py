@@ -19,7 +19,7 @@ from sklearn_raacmm.error_model._columns import points_of_rows
 from sklearn_raacmm.error_model._fit import model_of
 from sklearn_raacmm.error_model._structures import HIGHEST_OF_FEW, structures_of
 from sklearn_raacmm.inference import Problem, combined, interval_scales, search_at
-from sklearn_raacmm.utils import centred, group_means, group_weights, stage
+from sklearn_raacmm.utils import centred, group_means, stage
 
 # Blocks left out in turn, and the fewest positions that are worth leaving some out: of three the
 # rest is hardly the model that is judged.
@@ -81,7 +81,7 @@ def leave_out(fitted, terms, positions, weights):
     low[state.lines] = True
     if not low.any():  # only high ones are offered
         low[:] = True
-    terms = terms._replace(harmonics=terms.harmonics[low], target=rows.turn_mm > 0)
+    terms = terms._replace(harmonics=terms.harmonics[low])
     structures = structures_of(rows.arm, terms, state.with_field)
     start = state._replace(noise_variance=model.noise_variance)
     used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=())
@@ -106,13 +106,12 @@ def leave_out(fitted, terms, positions, weights):
 def _errors(model, rows, weights):
     """The fields of `LeftOut` at some rows by a model that has not seen them."""
     mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
-    y = rows.y[:, :3]
     if rows.codes is None:
-        return mean, doubt, y - mean, std
+        return mean, doubt, rows.y - mean, std
     columns = centred(model.columns(rows.X), rows.codes, weights)
     dots = columns @ model.half
     spread = np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
-    return mean, doubt, centred(y - mean, rows.codes, weights), spread
+    return mean, doubt, centred(rows.y - mean, rows.codes, weights), spread
 
 
 def _blocks(points, positions, weights):
@@ -142,7 +141,7 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
         return replace(model, noise_scale=wider, std_scale=wider)
     noise = np.full(left_out.errors.shape, model.noise_sd)
     if codes is not None:  # the position's own mean has taken its share of the noise
-        share = 1 / np.maximum(group_weights(codes, weights)[codes], 1.0)
+        share = 1 / np.maximum(np.bincount(codes, weights)[codes], 1.0)
         noise *= np.sqrt(1 - share)[:, None]
     worth = min(1.0, _EFFECTIVE_ROWS * n_positions / weights.sum())
     usual = 0.0 if codes is None else _USUAL_LOG_B

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.error_model._columns import observed_columns
+from sklearn_raacmm.error_model._columns import term_columns
 from sklearn_raacmm.inference import GramRows, Sums
 from sklearn_raacmm.utils import chunk_size, chunks
 
@@ -49,7 +49,7 @@ _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
 _NODES = 64
 
 
-def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0, known=0.0):
+def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
     """Sum up what the choice of harmonics needs, as `Sums`.
 
     `offered` (n_pairs, 2) are the candidates, joint from 0 and order, sorted by joint; the first
@@ -68,7 +68,7 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, turn_mm=0.0, 
     gram: Any = 0.0
     cross = [_WaveSums(orders, len(y)) for _, orders, _ in spans]
     for rows, starts in poses.parts:
-        columns = observed_columns(arm, poses.angles[rows], terms, turn_mm)
+        columns = term_columns(arm, poses.angles[rows], terms)
         turns[rows] = columns[:, :, : 2 * n_joints : 2]  # the cosines of order 0
         columns = np.concatenate([columns[:, :, 2 * n_joints :], poses.y[rows, :, None]], axis=2)
         weighted = _weighted_deviations(columns, poses.weights[rows], starts, known)

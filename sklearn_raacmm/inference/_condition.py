@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 
-from sklearn_raacmm.utils import invert_triangle, tukey_weights
+from sklearn_raacmm.utils import tukey_weights
 
 # Prior of tau: its median, and the standard deviation of its logarithm. A tenth is what wears; a
 # factor of 4.5 either way leaves room for nothing at all and for an exchanged joint. Chosen on two
@@ -179,7 +179,7 @@ class _Evidence:
         z = (logs - self.middle) / self.sd
         value = np.log(np.diag(factor)).sum() + self.n_rest * logs[-1]
         value += 0.5 * (self.y @ dual + z @ z)
-        invert_triangle(factor)
+        factor[:] = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
         inverse = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]
         slopes = np.exp(2 * logs) * (self.sums[:-1] @ (self.times * inverse[self.lower]))
         slopes += z / self.sd - dual @ self._pulls(logs, dual)

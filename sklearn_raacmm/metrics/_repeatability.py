@@ -9,15 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn import get_config
 from sklearn.metrics import make_scorer
-from sklearn.utils import Bunch, check_array
+from sklearn.utils import Bunch
 
 from sklearn_raacmm.utils import (
     check_groups,
     check_option,
-    check_points,
     deviations_by_group,
-    group_sums,
-    refuse_disguised,
+    floats,
+    group_means,
 )
 
 # Of deviations (n, q) about the means of positions: one row for each position.
@@ -324,8 +323,7 @@ class _RowScorer:
     """A scorer that looks the group of each row up by the row's content."""
 
     def __init__(self, X, groups, statistic, aggregate):
-        refuse_disguised("X", X)
-        X = check_array(X, dtype=np.float64)
+        X = floats("X", X, -1)
         self.labels, position = check_groups(groups, len(X))
         self.n_features, self.statistic, self.aggregate = X.shape[1], statistic, aggregate
         self.position_of_row = {}
@@ -338,8 +336,7 @@ class _RowScorer:
                 )
 
     def __call__(self, estimator, X, y):
-        refuse_disguised("X", X)
-        rows = check_array(X, dtype=np.float64)
+        rows = floats("X", X, -1)
         position = [self.position_of_row.get(row.tobytes(), -1) for row in rows]
         n_unknown = position.count(-1)
         if n_unknown:
@@ -364,7 +361,7 @@ class _RowScorer:
 
 
 def _difference(y_true, y_pred):
-    y_true, y_pred = check_points(y_true), check_points(y_pred)
+    y_true, y_pred = floats("y_true", y_true, -1), floats("y_pred", y_pred, -1)
     if y_true.shape != y_pred.shape:
         raise ValueError(f"y_true has shape {y_true.shape}, but y_pred {y_pred.shape}.")
     return y_true - y_pred
@@ -373,9 +370,10 @@ def _difference(y_true, y_pred):
 def _of_positions(values, position, counts, statistic):
     """Statistic of values (n, q) about their position's mean, or of distances from it."""
     if statistic == "2s":
-        return 2 * np.sqrt(group_sums(values**2, position) / (counts[:, None] - 1))
+        counts = counts[:, None]
+        return 2 * np.sqrt(group_means(values**2, position) * counts / (counts - 1))
     if statistic == "mean":
-        return group_sums(values, position) / counts[:, None]
+        return group_means(values, position)
     low, high = np.zeros((2, len(counts), values.shape[1]))  # 0, the mean, lies between
     np.minimum.at(low, position, values)
     np.maximum.at(high, position, values)

@@ -21,7 +21,7 @@ from sklearn_raacmm.network._rows import (
     merge,
     prepare,
 )
-from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge
+from sklearn_raacmm.utils import chunks, floats, one_blas_thread
 
 # Rows looked at together.
 CHUNK_ROWS = 2**16
@@ -88,7 +88,7 @@ def _of_chunk(X, Y, weights, start, function, combine, width):
         input_name="sample_weight",
     )
     for name, array in (("X", X), ("y", Y), ("sample_weight", weights)):
-        refuse_huge(name, array)
+        floats(name, array, finite=True)
     return ArrayChunks(X, Y, weights, start).reduce(function, combine, width)
 
 

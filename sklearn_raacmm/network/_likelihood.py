@@ -19,7 +19,7 @@ from scipy.linalg import LinAlgError, lapack
 
 from sklearn_raacmm.network._kernels import KERNELS, squared_distances
 from sklearn_raacmm.network._linear import without_constants
-from sklearn_raacmm.utils import group_sums, invert_triangle
+from sklearn_raacmm.utils import group_sums
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
@@ -213,7 +213,7 @@ def inverses(K, Y, alphas):
             raise LinAlgError("kernel matrix is not positive definite to working precision")
         log_det[i] = 2 * np.log(factor.diagonal()).sum()
         solved[:, i] = lapack.dpotrs(factor, Y[:, i], lower=1)[0]
-        invert_triangle(factor)
+        factor[:] = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
         one = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # its lower triangle
         trace[i] = np.trace(one)
         half = np.add(half, one, out=half) if i else one

@@ -5,7 +5,9 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.base import MultiOutputMixin, RegressorMixin
+from sklearn.utils import check_random_state, check_scalar
+from sklearn.utils._param_validation import Interval, StrOptions
 
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network
@@ -18,17 +20,10 @@ from sklearn_raacmm.network._read import (
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
-    Interval,
-    MultiOutputMixin,
-    RegressorMixin,
-    StrOptions,
     VersionedEstimator,
     check_features,
-    check_fitted,
     check_flags,
     check_shapes,
-    check_whole_number,
-    fit_context,
     one_blas_thread,
     whole_fit,
 )
@@ -211,9 +206,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.loss = loss
         self.random_state = random_state
 
-    @fit_context(prefer_skip_nested_validation=True)
     @one_blas_thread
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=True)
     def fit(
         self,
         X: Any,
@@ -408,7 +402,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         (2, 3)
         """
         X = self._checked_rows(X)
-        n_samples = check_whole_number("n_samples", n_samples, 1)
+        n_samples = check_scalar(n_samples, "n_samples", Integral, min_val=1)
         rng = check_random_state(random_state)
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
@@ -448,7 +442,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return of_mean, self._shaped([part for _, part in parts], axis=1)
 
     def _checked_rows(self, X) -> np.ndarray:
-        check_fitted(self, "networks_")
         return check_features(self, X, dtype=np.float64, reset=False)
 
     def _shaped(self, parts, axis=-1):

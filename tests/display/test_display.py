@@ -202,21 +202,6 @@ def test_residuals_turn_with_the_arm(cone, model):
     assert display.axes_[2, 2].get_xlabel() == "theta_dis (deg)"
 
 
-def test_residuals_alone_and_of_another_arm():
-    arm = Arm.from_name("ur10")
-    rng = np.random.default_rng(0)
-    display = ResidualDisplay.from_predictions(
-        rng.uniform(-1, 1, (20, 6)), rng.normal(size=(20, 3)), arm=arm
-    )
-    assert [ax.get_xlabel() for ax in display.axes_[2]] == [
-        "theta4 (deg)",
-        "theta3 (deg)",
-        "theta_dis (deg)",
-    ]
-    assert display.after is None
-    assert [len(ax.get_lines()) for ax in display.axes_.ravel()] == [1] * 9
-
-
 @pytest.mark.parametrize("name", ["aacmm6", "panda", "ur10"])
 def test_stick_figures_have_the_links_lengths(name):
     arm = Arm.from_name(name)

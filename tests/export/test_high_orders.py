@@ -98,7 +98,7 @@ def test_c(fitted, exact, tmp_path):
 
 def test_onnx(fitted, exact):
     runtime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
-    pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+    pytest.importorskip("onnx", reason="needs the extra onnx")
     model, X = fitted
     session = runtime.InferenceSession(
         to_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"]

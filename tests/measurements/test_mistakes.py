@@ -28,7 +28,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import FindingError, FindingWarning
+from sklearn_raacmm.utils import FindingError, FindingWarning
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
 OTHER = make_single_point(9, 16, machine="typical", random_state=77)  # another arm
