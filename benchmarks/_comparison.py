@@ -1,20 +1,17 @@
-"""What the examples share: the models that they compare, and tables for the terminal."""
+"""What the comparisons share: the models that they compare, and tables for the terminal."""
 
 import argparse
 import sys
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
-from matplotlib.backend_bases import FigureCanvasBase
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-from sklearn.linear_model import Ridge
-from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 
@@ -34,10 +31,6 @@ git clone https://github.com/platonics-delft/kinematics_calibration (commit 05a0
 panda_ball_socket) and https://github.com/christianlandgraf/ipa-robot-accuracy (commit 507fba6,
 Series_A/measurements_grid.csv, to ur10_tracker)."""
 UNCORRECTED = ("-", "uncorrected")
-ONE_WIDTH = (PAPER, "RBF network, one width")
-# Another arm may need other settings: each model finds its own, from its training rows alone.
-POLYNOMIAL_GRID = {PAPER: [1, 2, 3, 4, 5], ALL: [1, 2]}
-ALPHAS = [1e-2, 1.0, 1e2]
 
 
 def chain(arm, regressor, inputs):
@@ -48,19 +41,6 @@ def chain(arm, regressor, inputs):
     return CylindricalResidualTarget(steps, azimuth=arm.azimuth)
 
 
-def polynomial(arm, inputs, scoring, n_splits):
-    """Ridge on polynomial terms, degree and ridge chosen by cross-validation by group."""
-    regressor = make_pipeline(PolynomialFeatures(include_bias=False), StandardScaler(), Ridge())
-    name = "regressor__pipeline"
-    grid = {
-        f"{name}__polynomialfeatures__degree": POLYNOMIAL_GRID[inputs],
-        f"{name}__ridge__alpha": ALPHAS,
-    }
-    return GridSearchCV(
-        chain(arm, regressor, inputs), grid, scoring=scoring, cv=GroupKFold(n_splits)
-    )
-
-
 def gaussian_process(arm, inputs):
     """Gaussian process with one width per feature, found by marginal likelihood."""
     pose = PoseFeatures(arm, **INPUTS[inputs]).fit(np.zeros((1, arm.n_joints)))
@@ -69,21 +49,6 @@ def gaussian_process(arm, inputs):
         0.5, (1e-5, 1e2)
     )
     return chain(arm, GaussianProcessRegressor(kernel, normalize_y=True), inputs)
-
-
-def models_to_compare(arm, scoring="neg_root_mean_squared_error", n_splits=5):
-    """Unfitted models by (inputs, regressor); none of their settings come from the test rows."""
-    network = RBFNetRegressor(random_state=0)
-    return {
-        (PAPER, "polynomial ridge"): polynomial(arm, PAPER, scoring, n_splits),
-        (PAPER, "Gaussian process"): gaussian_process(arm, PAPER),
-        ONE_WIDTH: chain(arm, RBFNetRegressor(length_scale="isotropic", random_state=0), PAPER),
-        (PAPER, "RBF network"): chain(arm, network, PAPER),
-        (PERIODIC, "RBF network"): chain(arm, network, PERIODIC),
-        (ALL, "polynomial ridge"): polynomial(arm, ALL, scoring, n_splits),
-        (ALL, "Gaussian process"): gaussian_process(arm, ALL),
-        (ALL, "RBF network"): chain(arm, network, ALL),
-    }
 
 
 def fit(model, angles, residuals, groups, positions=None):
@@ -130,19 +95,6 @@ def fetched(fetch, *args, **options):
         return fetch(*args, **options)
     except OSError as error:
         raise SystemExit(f"{error}\n\n{WHERE}") from None
-
-
-def figure_file(text):
-    """Check the name of the figure before the work, not after it; for argparse."""
-    path = Path(text)
-    if not path.resolve().parent.is_dir():
-        raise argparse.ArgumentTypeError(f"no such folder: {path.resolve().parent}")
-    kinds = FigureCanvasBase.get_supported_filetypes()
-    if path.suffix[1:].lower() not in kinds:
-        raise argparse.ArgumentTypeError(
-            f"{text} must end in one of {', '.join(f'.{kind}' for kind in sorted(kinds))}"
-        )
-    return path
 
 
 class Table:

@@ -17,8 +17,8 @@ from _arm_folds import (
     ur10b_folds,
 )
 from bench_after_the_lab import mean_deviation, one_draw
-from bench_calibrate import simulated as simulated_cones
 from bench_check import knock, poses_of_simulated_arm
+from bench_speed import simulated as simulated_cones
 from bench_transfer import Robot
 
 from sklearn_raacmm import (
@@ -26,9 +26,9 @@ from sklearn_raacmm import (
     calibrate,
     check_correction,
     position_residuals,
-    transfer_correction,
     update_correction,
 )
+from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.datasets import make_single_point
 
 N_ROWS = 1500  # poses of the UR10 of which a model is made
@@ -186,7 +186,7 @@ def transfer(data_home):
             new = rng.uniform(-2, 2, (n, 6))
             own = calibrate(robot.nominal, new, points=robot.measure(new, rng))
             true = own.residuals(far, robot.measure(far, rng, 0.0))
-            moved = transfer_correction(earlier, own.arm, new, own.residuals_mm)
+            moved = transferred_model(earlier, own.arm, new, own.residuals_mm)
             left.append(mean_deviation(true - moved.predict(far)))
         found[f"transfer, robots, {n} poses: mean deviation"] = np.mean(left)
     nominal = Arm.from_name("panda", probe=(0, 0, 138))
@@ -198,7 +198,7 @@ def transfer(data_home):
     known = np.isin(placements, np.unique(placements)[:3])
     own = calibrate(nominal, angles[known], sockets[known])
     y = own.residuals(angles[known], groups=sockets[known])
-    moved = transfer_correction(model, own.arm, angles[known], y, groups=sockets[known])
+    moved = transferred_model([model], own.arm, angles[known], y, groups=sockets[known])
     left = own.residuals(angles[~known], groups=sockets[~known]) - moved.predict(angles[~known])
     left = mean_deviation(position_residuals(left, sockets[~known]))
     gain = moved.updates_[0]["gain_nats"]

@@ -8,7 +8,7 @@ the same kind that has nothing to do with its errors.
     python benchmarks/bench_extra.py --seeds 8
 
 ``--real`` asks the UR10 of `fetch_ur10_tracker` instead: what the directions from which its joints
-came are worth at three draws of a fifth of its goals, and orientations in the fit at the first.
+came are worth at three draws of a fifth of its goals.
 Calibration and models learn from poses of the other goals.
 
     python benchmarks/bench_extra.py --real --rows 1500
@@ -105,28 +105,6 @@ def real_directions(data, splits):
         print(f"| {title} | {'; '.join(lags) if n else ''} | {', '.join(left)} |", flush=True)
 
 
-def real_orientations(data, train, test):
-    """Points and orientations of the UR10 at goals left out, by what a model was fitted to."""
-    angles, points, turned = data.data, data.tracker_points, data.tracker_orientations
-    result = calibrate(
-        data.nominal_arm, angles[train], points=points[train], orientations=turned[train]
-    )
-    y = result.residuals(angles, points)
-    turns = result.orientation_residuals(angles, turned)
-    print("\n| fitted to | orientation, arc seconds | points, mm |\n|---|---|---|")
-
-    def show(title, turn, point):
-        arcsec = np.rad2deg(mean_length(turns[test] - turn)) * 3600
-        print(f"| {title} | {arcsec:.0f} | {mean_length(y[test] - point):.4f} |", flush=True)
-
-    show("nothing: calibrated only", 0.0, 0.0)
-    known = {"orientation_residuals": turns[train]}
-    for title, extra in (("points", {}), ("points and orientations", known)):
-        model = ArmResidualRegressor(result.arm)
-        model.fit(angles[train], y[train], groups=data.groups[train], **extra)
-        show(title, model.predict_orientation(angles[test]), model.predict(angles[test]))
-
-
 def split(data, n_rows, seed):
     """Training rows, and rows of a fifth of the goals, which are left out."""
     rng, n_goals = np.random.default_rng(seed), data.groups.max() + 1
@@ -138,7 +116,6 @@ def print_real(n_rows):
     data = fetch_ur10_tracker()
     splits = [split(data, n_rows, seed) for seed in range(N_SPLITS)]
     real_directions(data, splits)
-    real_orientations(data, *splits[0])
 
 
 def main():

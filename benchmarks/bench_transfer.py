@@ -22,7 +22,8 @@ import numpy as np
 from _arm_folds import arm_model
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, calibrate, transfer_correction
+from sklearn_raacmm import Arm, calibrate
+from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.datasets import fetch_panda_ball_socket, make_single_point
 from sklearn_raacmm.residuals import position_residuals
 
@@ -99,7 +100,7 @@ def robots(seeds, counts):
             row = {"calibrated": deviation(true), "alone": deviation(true - own.predict(far))}
             starts = (("of 4", earlier), ("of 1", earlier[:1]), ("misleading", misleading))
             for name, models in starts:
-                moved = transfer_correction(models, found.arm, new[:n], y)
+                moved = transferred_model(models, found.arm, new[:n], y)
                 row[name] = deviation(true - moved.predict(far))
                 row[f"{name} trusted"] = float(moved.updates_[0]["gain_nats"] > 0)
             table[n].append(row)
@@ -128,7 +129,7 @@ def measuring_arms(seeds, counts):
             row = {"calibrated": deviation(y[far])}
             models = {"alone": own}
             for name, some in (("of 4", earlier), ("of 1", earlier[:1])):
-                moved = transfer_correction(some, arm, *data, groups=groups[near])
+                moved = transferred_model(some, arm, *data, groups=groups[near])
                 models[name], row[f"{name} trusted"] = moved, moved.updates_[0]["gain_nats"] > 0
             for name, model in models.items():
                 left = y[far] - model.predict(angles[far])
@@ -157,8 +158,8 @@ def pandas(draws, counts):
                 true = found.residuals(angles[~known], groups=groups[~known])
                 own = arm_model(found.arm)
                 own.fit(angles[known], near, groups=groups[known])
-                moved = transfer_correction(
-                    model, found.arm, angles[known], near, groups=groups[known]
+                moved = transferred_model(
+                    [model], found.arm, angles[known], near, groups=groups[known]
                 )
                 row = {"calibrated": deviation(true)}
                 for name, one in (("alone", own), ("of 1", moved)):

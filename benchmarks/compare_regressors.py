@@ -17,17 +17,17 @@ import csv
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-import real_arm
-import real_tracker
 from _comparison import UNCORRECTED, Table, fetched, in_parallel, processes
 from _regressors import MODELS, Fold, run
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GroupKFold
+from sklearn.utils import Bunch
 
-from sklearn_raacmm import position_residuals
+from sklearn_raacmm import calibrate, position_residuals
 from sklearn_raacmm.datasets import (
     fetch_panda_ball_socket,
     fetch_ur10_tracker,
@@ -81,13 +81,46 @@ def simulated(mix, seed, n_positions, n_poses, n_folds):
     )
 
 
+def calibrated_without(data, placement):
+    """Calibrate on the other placements: the arm, its points, and the rows to learn from."""
+    train = data.placements != placement
+    known = [length for length in data.lengths if not length[0].startswith(f"{placement}/")]
+    result = calibrate(data.nominal_arm, data.data[train], data.groups[train], lengths=known)
+    learn = np.flatnonzero(train)
+    # Calibration weighs outliers down by itself; least squares of the residuals would not.
+    learn = learn[result.sample_weight > 0]
+    return SimpleNamespace(
+        arm=result.arm,
+        learn=learn,
+        test=~train,
+        points=result.arm.forward(data.data),
+    )
+
+
+def some_goals(data, n_rows):
+    """Keep goal positions drawn at random, with about so many rows."""
+    order = np.random.default_rng(0).permutation(data.groups.max() + 1)
+    kept = order[: max(3, n_rows * len(order) // len(data.groups))]
+    some = np.isin(data.groups, kept)
+    rows = {name: data[name][some] for name in ("data", "tracker_points", "groups")}
+    return Bunch(**rows, nominal_arm=data.nominal_arm)
+
+
+def calibrated(data, train):
+    """Calibrate on the training rows: the arm, and the residuals of all rows in its base frame."""
+    result = calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
+    true = (data.tracker_points - result.base_translation) @ result.base_rotation
+    residuals = result.arm.forward(data.data) - true
+    return SimpleNamespace(arm=result.arm, residuals=residuals)
+
+
 def panda(arm, data_home):
     """Every placement of the sockets left out once, by calibration, too."""
     data = fetched(fetch_panda_ball_socket, arm, data_home=data_home)
     names = np.unique(data.placements)
     folds, measured = [], []
     for name in names:
-        without = real_arm.without(data, name)
+        without = calibrated_without(data, name)
         residuals = np.zeros((len(data.data), 3))
         residuals[without.learn] = position_residuals(
             without.points[without.learn], data.groups[without.learn]
@@ -104,10 +137,10 @@ def panda(arm, data_home):
 def ur10(n_rows, data_home):
     """Three folds of goal positions; residuals against the tracker."""
     data = fetched(fetch_ur10_tracker, data_home=data_home)
-    data = real_tracker.some_goals(data, n_rows)
+    data = some_goals(data, n_rows)
     folds, measured = [], []
     for train, test in GroupKFold(3).split(data.data, groups=data.groups):
-        fold = real_tracker.calibrated(data, train, test)
+        fold = calibrated(data, train)
         labels = (data.groups, data.groups)
         folds.append(Fold(fold.arm, data.data, fold.residuals, *labels, train, test, absolute=True))
         measured.append(fold.residuals[test])

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import compare_regressors
 import numpy as np
-import real_tracker
 from _comparison import ALL, PAPER, fetched, processes
 from _regressors import ANGLES, MODELS
 
@@ -131,7 +130,7 @@ def few_poses(data_home, n_draws=5):
             ),
         }
         for name, (learn, test) in splits.items():
-            fold = real_tracker.calibrated(data, learn, test)
+            fold = compare_regressors.calibrated(data, learn)
             model = ArmResidualRegressor(fold.arm)
             model.fit(data.data[learn], fold.residuals[learn])
             left = fold.residuals[test] - model.predict(data.data[test])

@@ -20,7 +20,6 @@ from sklearn_raacmm import (
     check_correction,
     update_correction,
 )
-from sklearn_raacmm.display import ControlChartDisplay
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 LABORATORY = {"arcsec": (40, 60, 0, 50), "probe": (0, 0, 93), "shift": (2000, 0, 0)}
@@ -70,7 +69,15 @@ for number, week in enumerate(weeks):
         print(f"{week}, suspect: {check.suspect}. {check.advice}")
         in_use = update_correction(in_use, today, y, date=week)
 
-display = ControlChartDisplay(records=records).plot()
+fig, axes = plt.subplots(2, 1, sharex=True, figsize=(6, 4), layout="constrained")
+for ax, name in zip(axes, ("mean", "range"), strict=True):
+    columns = (f"{name}_low_mm", f"{name}_mm", f"{name}_high_mm")
+    low, value, high = ([record[column] for record in records] for column in columns)
+    ax.fill_between(weeks, low, high, color="0.9", label="if it holds")
+    ax.plot(weeks, value, "o-")
+    ax.set(ylabel=f"{name}, mm", ylim=(0, None))
+axes[1].tick_params(axis="x", rotation=45)
+axes[0].legend(frameon=False)
 plt.show()
 
 # %%

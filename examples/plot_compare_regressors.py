@@ -93,7 +93,7 @@ for inputs, (n, parameters) in INPUTS.items():
         model = CylindricalResidualTarget(steps, azimuth=arm.azimuth)
         results[inputs, name] = two_s(model, params={"groups": groups})
         print(f"{inputs:<24} {name:<23} {1e3 * results[inputs, name][0]:.1f} µm")
-# All are told which poses are of one position, and know of the unknown offset of each.
+# All get the position of each pose, and take the unknown offset of each position into account.
 linear = two_s(ArmResidualRegressor(arm), params={"groups": groups})
 print(f"{'all joints':<24} {'ArmResidualRegressor':<23} {1e3 * linear[0]:.1f} µm")
 

@@ -73,7 +73,7 @@ grid = [
 # %%
 # The search
 # ----------
-# With metadata routing off, which is scikit-learn's default, a scorer has to be told the groups
+# With metadata routing off, which is scikit-learn's default, a scorer has to be given the groups
 # beforehand, and the fit by another name; see :doc:`/user_guide/metadata_routing`.
 
 search = GridSearchCV(

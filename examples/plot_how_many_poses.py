@@ -4,8 +4,7 @@ How many positions, how many poses
 
 How much must be measured before a correction is worth it, and where? On simulated arms
 :class:`~sklearn_raacmm.ArmResidualRegressor` learns from more and more positions of the cone,
-with few or many poses at each, and corrects positions that it has never seen. In the second part
-:func:`~sklearn_raacmm.next_poses` chooses the positions, and is compared with a random choice.
+with few or many poses at each, and corrects positions that it has never seen.
 
 The data are simulated: two arms. The script takes about a minute. The shaded areas reach from one
 arm to the other. With more arms in ``SEEDS`` the curves become smoother.
@@ -14,12 +13,11 @@ arm to the other. With more arms in ``SEEDS`` the curves become smoother.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sklearn_raacmm import ArmResidualRegressor, next_poses, position_residuals
+from sklearn_raacmm import ArmResidualRegressor, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 
 SEEDS = [0, 1]
 POSITIONS, POSES = [3, 4, 6, 8, 12, 16], [5, 10, 20]
-FIRST, LAST = 4, 10
 
 
 def deviation(test, correction):
@@ -45,7 +43,6 @@ def fitted(pool, positions, n_poses):
 # 100 % is the reduction by a perfect model, which leaves nothing but noise.
 
 by_number = np.zeros((len(SEEDS), len(POSES), len(POSITIONS)))
-by_choice = np.zeros((len(SEEDS), 2, LAST - FIRST + 1))
 for k, seed in enumerate(SEEDS):
     pool = make_single_point(max(POSITIONS), max(POSES), random_state=seed)
     test = make_single_point(12, 30, machine=pool.simulation.machine, random_state=seed + 1000)
@@ -60,46 +57,28 @@ for k, seed in enumerate(SEEDS):
     for i, n_poses in enumerate(POSES):
         for j, n in enumerate(POSITIONS):
             by_number[k, i, j] = share(fitted(pool, order[:n], n_poses))
-    # One position at a time: at random, or where the model knows least.
-    chosen = order[:FIRST].tolist()
-    for i in range(LAST - FIRST + 1):
-        by_choice[k, 0, i] = share(fitted(pool, order[: FIRST + i], 20))
-        model = fitted(pool, chosen, 20)
-        by_choice[k, 1, i] = share(model)
-        rest = ~np.isin(pool.groups, chosen)
-        chosen += next_poses(model, pool.data[rest], 1, groups=pool.groups[rest])[0].tolist()
 
 print("poses" + "".join(f"{n:>6}" for n in POSITIONS) + "  positions")
 for n_poses, row in zip(POSES, by_number.mean(axis=0), strict=True):
     print(f"{n_poses:>5}" + "".join(f"{value:>5.0f}%" for value in row))
-for name, row in zip(("at random", "chosen"), by_choice.mean(axis=0), strict=True):
-    print(f"{name:<10}" + "".join(f"{value:>5.0f}%" for value in row))
 
 # %%
 # The curves
 # ----------
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained", sharey=True)
-
-
-def curve(ax, x, shares, color, marker, label):
-    """Mean over the arms, and the range of the arms."""
-    ax.fill_between(x, shares.min(axis=0), shares.max(axis=0), color=color, alpha=0.15, lw=0)
-    ax.plot(x, shares.mean(axis=0), color=color, marker=marker, label=label)
-
-
+figure, ax = plt.subplots(figsize=(5.5, 3.8), layout="constrained")
 styles = (("#E69F00", "s"), ("#009E73", "^"), ("#0072B2", "o"))
 for i, (n_poses, (color, marker)) in enumerate(zip(POSES, styles, strict=True)):
-    curve(left, POSITIONS, by_number[:, i], color, marker, f"{n_poses} poses at each")
-left.set(xlabel="positions", ylabel="reduction (% of what is possible)", xticks=POSITIONS)
-numbers = np.arange(FIRST, LAST + 1)
-curve(right, numbers, by_choice[:, 1], "#0072B2", "o", "chosen by next_poses")
-curve(right, numbers, by_choice[:, 0], "0.4", "s", "at random")
-right.set(xlabel="positions, 20 poses at each", xticks=numbers)
-for ax in (left, right):
-    ax.axhline(100, color="0.2", linestyle="--", linewidth=1)
-    ax.axhline(0, color="0.7", linewidth=1)
-    ax.legend(fontsize="small", loc="lower right")
-left.set_ylim(-30, 108)
+    shares = by_number[:, i]  # the mean over the arms, and their range
+    ax.fill_between(
+        POSITIONS, shares.min(axis=0), shares.max(axis=0), color=color, alpha=0.15, lw=0
+    )
+    label = f"{n_poses} poses at each"
+    ax.plot(POSITIONS, shares.mean(axis=0), color=color, marker=marker, label=label)
+ax.set(xlabel="positions", ylabel="reduction (% of what is possible)", xticks=POSITIONS)
+ax.set_ylim(-30, 108)
+ax.axhline(100, color="0.2", linestyle="--", linewidth=1)
+ax.axhline(0, color="0.7", linewidth=1)
+ax.legend(fontsize="small", loc="lower right")
 figure.suptitle("Simulated arms, positions never seen; dashed: noise floor", fontsize="medium")
 plt.show()

@@ -44,8 +44,8 @@ table = read_table(path, n_joints=6)
 print(*table.notes, sep="\n")
 
 # %%
-# Learn, and be told whether it helps
-# -----------------------------------
+# Learn, and see whether it helps
+# -------------------------------
 # Without ``model=`` an :class:`~sklearn_raacmm.ArmResidualRegressor` is fitted. This page offers it
 # fewer harmonics, which is faster. Any regressor of joint angles can take its place, and it is
 # judged in the same way.

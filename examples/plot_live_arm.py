@@ -11,7 +11,7 @@ The second part is about poses that the model does not know. Its standard deviat
 A point whose correction is so uncertain is better left uncorrected, and marked as such.
 
 The arm is simulated, with 12 positions and 40 poses each. ONNX needs ``onnxruntime`` and
-``skl2onnx`` (``pip install -e ".[onnx]"`` in the project's folder), and C needs a compiler on the
+``onnx`` (``pip install -e ".[onnx]"`` in the project's folder), and C needs a compiler on the
 PATH. The example leaves out what is missing. It takes about ten seconds.
 """
 
@@ -56,7 +56,7 @@ try:
 
     to_onnx(loaded, Path(folder.name, "arm.onnx"))
 except ImportError:
-    print("ONNX is left out: it needs onnxruntime and skl2onnx.")
+    print("ONNX is left out: it needs onnx and onnxruntime.")
 else:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # one row is too little work for several threads

@@ -25,9 +25,9 @@ model = CylindricalResidualTarget(
     make_pipeline(PoseFeatures(cone.arm), RBFNetRegressor(random_state=0)),
     azimuth=cone.arm.azimuth,
 )
-told = {"groups": cone.groups}  # which rows are of one position
+positions = {"groups": cone.groups}  # which rows are of one position
 correction = cross_val_predict(
-    model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut(), params=told
+    model, cone.data, cone.target, groups=cone.groups, cv=LeaveOneGroupOut(), params=positions
 )
 
 # %%
@@ -48,7 +48,7 @@ plt.show()
 # are therefore seen worse than the scatter within them.
 
 display = LengthErrorDisplay.from_estimator(
-    model.fit(cone.data, cone.target, **told),
+    model.fit(cone.data, cone.target, **positions),
     gauge.data,
     gauge.points,
     groups=gauge.groups,

@@ -33,7 +33,7 @@ print(data.arm)
 # %%
 # Two models
 # ----------
-# Both take joint angles in rad and return the residual dx, dy, dz in mm. Both are told which rows
+# Both take joint angles in rad and return the residual dx, dy, dz in mm. Both are given which rows
 # belong to one position (``groups``), because each position has an unknown offset.
 # :class:`~sklearn_raacmm.ArmResidualRegressor` also checks itself at positions that it leaves out.
 

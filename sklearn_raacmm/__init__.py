@@ -12,24 +12,20 @@ if TYPE_CHECKING:
     from sklearn_raacmm.arm import Arm
     from sklearn_raacmm.calibration import CalibrationResult, calibrate, lengths_of_places
     from sklearn_raacmm.correction import (
+        Correction,
         CorrectionCheck,
         CorrectionScores,
-        LearnedCorrection,
         PosePlan,
-        SavedCorrection,
         TableChange,
         check_correction,
         cross_validate_correction,
         learn_correction,
-        next_poses,
         plan_poses,
-        read_check_records,
         search_table,
-        transfer_correction,
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
-    from sklearn_raacmm.measurements import Finding, FindingError, FindingWarning, directions_of
+    from sklearn_raacmm.measurements import directions_of
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -40,22 +36,22 @@ if TYPE_CHECKING:
         position_residuals,
         shoulder_wrist_distance,
     )
+    from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
 __all__ = [
     "Arm",
     "ArmResidualRegressor",
     "CalibrationResult",
+    "Correction",
     "CorrectionCheck",
     "CorrectionScores",
     "CylindricalResidualTarget",
     "Finding",
     "FindingError",
     "FindingWarning",
-    "LearnedCorrection",
     "PoseFeatures",
     "PosePlan",
     "RBFNetRegressor",
-    "SavedCorrection",
     "TableChange",
     "__version__",
     "calibrate",
@@ -67,13 +63,10 @@ __all__ = [
     "elbow_angle",
     "learn_correction",
     "lengths_of_places",
-    "next_poses",
     "plan_poses",
     "position_residuals",
-    "read_check_records",
     "search_table",
     "shoulder_wrist_distance",
-    "transfer_correction",
     "update_correction",
 ]
 

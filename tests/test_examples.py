@@ -21,7 +21,7 @@ SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("plot_*.py"))
 SHOWN = {
     "plot_after_the_lab": (2, "week 7, suspect: harmonics of joint 2"),
     "plot_arm_poses": (1, ""),
-    "plot_how_many_poses": (1, "chosen"),
+    "plot_how_many_poses": (1, "poses"),
     "plot_learn_correction": (1, "It repeats better at new positions"),
     "plot_newrb": (1, "neurons, mean squared error"),
     "plot_ols_path": (1, "auto: "),

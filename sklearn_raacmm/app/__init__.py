@@ -31,7 +31,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import what is asked for, when it is, as the package itself does."""
     if name in __all__:
-        for room in ("_cells", "_lengths", "_tables", "_report"):
-            if hasattr(found := importlib.import_module(f"{__name__}.{room}"), name):
+        for module in ("_cells", "_lengths", "_tables", "_report"):
+            if hasattr(found := importlib.import_module(f"{__name__}.{module}"), name):
                 return getattr(found, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

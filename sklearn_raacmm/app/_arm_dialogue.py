@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.app._cells import number_of
+from sklearn_raacmm.app._cells import parse_number
 from sklearn_raacmm.arm import Arm
 
 _PICTURE = r"""
@@ -34,5 +34,5 @@ def ask_for_an_arm():
     print(_PICTURE)
     print(_ADVICE)
     layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
-    lengths = {name: number_of(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
+    lengths = {name: parse_number(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
     return Arm.from_lengths(layout, **lengths)

@@ -8,16 +8,15 @@ from datetime import datetime
 import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.measurements import directions_of
 
 
-def columns_of_causes(options):
+def find_cause_columns(options):
     """Column of the table of each cause: `--extra NAME` or `--extra NAME=COLUMN`, as a dict."""
     pairs = [text.partition("=")[::2] for text in getattr(options, "extra", None) or ()]
     return {name.strip(): column.strip() or name.strip() for name, column in pairs}
 
 
-def causes_of(table, columns):
+def read_causes(table, columns):
     """Numbers of the causes in a table, or in a block of one; times in seconds."""
     return {name: _numbers(table, column) for name, column in columns.items()}
 
@@ -38,7 +37,7 @@ def _numbers(table, column):
     return np.array(times)
 
 
-def tools_of(table, options):
+def read_tools(table, options):
     """Labels of the probes in the column that `--tool` names, (n,); None without it."""
     column = getattr(options, "tool", None)
     if column is None:
@@ -55,35 +54,10 @@ def _tool_label(cell):
     return str(int(number)) if number.is_integer() else repr(number)
 
 
-def probe_not_told(saved):
-    """What to say where rows do not tell which of the learnt probes they are of, or ""."""
-    tools, own = saved.facts.get("tools", {}), saved.arm.probe.tolist()
+def find_unnamed_probe(saved):
+    """Sentence for rows that do not name which of the learnt probes they are of, or ""."""
+    tools, own = saved.tools, saved.arm.probe.tolist()
     if len(tools) < 2 or own not in tools.values():
         return ""
     name = next(name for name, probe in tools.items() if probe == own)
     return f"this correction was learnt with the tools {', '.join(tools)}, and {name} is in use"
-
-
-def numbers_of(correction, options, in_order):
-    """Rule by which blocks of a table, one after the other, are corrected, each row by its probe.
-
-    It takes angles in rad and their block; in the order of measurement they tell directions.
-    """
-    known, last = correction.facts["causes"], None
-    columns = {name: column for name, column in columns_of_causes(options).items() if name in known}
-
-    def numbers(angles, block):
-        nonlocal last
-        options.rows, extra = block.rows, causes_of(block, columns)
-        if in_order:
-            ways, last = directions_of(angles, last), angles[-1]
-            ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
-            extra |= {name: way for name, way in ways.items() if name in known}
-        X, tools = correction.inputs(angles, extra), tools_of(block, options)
-        if tools is None:
-            return correction.columns(X)
-        found = [(tools == tool, correction.with_tool(tool)) for tool in np.unique(tools)]
-        every = np.concatenate([own.columns(X[rows]) for rows, own in found])
-        return every[np.argsort(np.concatenate([np.flatnonzero(rows) for rows, _ in found]))]
-
-    return numbers

@@ -4,18 +4,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import codecs
+import contextlib
 import csv
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 
-# Lines looked at to find separator and decimal sign, and bytes decoded at a time.
+# Lines looked at to find separator and decimal sign, and characters decoded at a time.
 _SNIFFED_LINES = 300
-_CHUNK_BYTES = 1 << 20
-# From the least ambiguous on; None is any white space, where nothing else fits.
-_SEPARATORS = (";", "\t", "|", ",", None)
+_CHUNK = 1 << 20
+# From the least ambiguous on; None is any white space.
+_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
+_DECIMALS = {".": "point", ",": "comma"}
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 # What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
 _NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
@@ -24,55 +26,28 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-_SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
+# Hard blanks and typographic minus signs are those of word processors.
+_PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-"})
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
-# Advice of the package, and the same of the command.
-_SAID_TO_PYTHON = (
-    ('convert them or pass angle_unit="deg"', "say --unit deg"),
-    ('pass angle_unit="rad"', "say --unit rad"),
-    ("calibrate(..., correction=model, free=['probe'])", "raacmm register"),
-    ("calibrate(..., correction=model)", "raacmm register"),
-    ("update_correction", "raacmm update"),
-    ("extra must hold names of columns,", "--extra takes CAUSE or CAUSE=COLUMN; causes are"),
-)
 
 
 class TableError(ValueError):
-    """A table that cannot be read, or not without being told more."""
+    """A table that cannot be read, or not without further options."""
 
 
-def number_of(text):
+def parse_number(text):
     """Number that somebody typed, with either decimal sign."""
     if not _NUMBER.fullmatch(text.strip()):
         raise TableError(f"{text!r} is not a number.")
     return float(text.strip().replace(",", "."))
 
 
-def as_said(message, rows=None):
-    """What is said of rows counted from 0, and to Python, as this command says it of a file."""
-
-    def numbers(match):
-        return re.sub(r"\d+", lambda m: str(_at(rows, int(m[0]))), match[0])
-
-    text = str(message)
-    for python, here in _SAID_TO_PYTHON:
-        text = text.replace(python, here)
-    if rows is None or isinstance(message, TableError):
-        return text
-    text = re.sub(r"\brows? \d+(?:(?:,| and| to) \d+)*", numbers, text)
-    return text.replace(" (rows counted from 0)", "")
-
-
-def _at(rows, row):
-    return rows[row] if row < len(rows) else row
-
-
 @dataclass(frozen=True)
 class Dialect:
     """How a file is written; `separator` and `decimal` of what is no text are those to write with.
 
-    `read` yields (row number, cells) of what is no text, and `what` says what that is.
+    `read` yields (row number, cells) of what is no text, and `what` names its kind.
     """
 
     path: Path
@@ -88,23 +63,22 @@ class Dialect:
             yield from self.read()
             return
         with open(self.path, encoding=self.encoding, newline="") as file:
-            # Hard blanks and typographic minus signs are those of word processors.
-            lines = (line.replace("\xa0", " ").replace("\u2212", "-") for line in file)
-            if self.separator is None:
-                found = ((i, line.split()) for i, line in enumerate(lines, 1))
-            else:
-                reader = csv.reader(lines, delimiter=self.separator)
-                found = ((reader.line_num, [c.strip() for c in cells]) for cells in reader)
-            try:
-                for number, cells in found:
-                    if any(cells):
-                        yield number, cells
-            except csv.Error as error:
-                raise self.broken(error) from None
+            for number, cells in self.split(file):
+                if any(cells):
+                    yield number, cells
 
-    def broken(self, error):
-        """Sentence for what the reader of CSV cannot take, such as a cell of 128 kB."""
-        return TableError(f"{self.path} cannot be read as a table: {error}.")
+    def split(self, lines):
+        """Yield (line number from 1, cells) of lines of text."""
+        lines = (line.translate(_PLAIN) for line in lines)
+        if self.separator is None:
+            yield from enumerate(map(str.split, lines), 1)
+            return
+        reader = csv.reader(lines, delimiter=self.separator)
+        try:
+            for cells in reader:
+                yield reader.line_num, [cell.strip() for cell in cells]
+        except csv.Error as error:  # such as a cell of 128 kB
+            raise TableError(f"{self.path} cannot be read as a table: {error}.") from None
 
     def number(self, cell):
         """Number in a cell, or None."""
@@ -112,11 +86,8 @@ class Dialect:
             return float(cell)
         if not isinstance(cell, str) or not _NUMBER.fullmatch(cell):
             return None
-        if "," in cell:
-            return float(cell.replace(",", ".")) if self.decimal == "," else None
-        if "." in cell and self.decimal == ",":
-            return None
-        return float(cell)
+        other = "." if self.decimal == "," else ","
+        return None if other in cell else float(cell.replace(",", "."))
 
     def count(self, cells):
         """How many cells hold numbers."""
@@ -140,21 +111,20 @@ class Dialect:
         return f"{value:.{digits}f}".replace(".", self.decimal)
 
     def __str__(self):
-        signs = {".": "points", ",": "commas"}
         return self.what or (
-            f"Columns parted by {_SEPARATOR_NAMES[self.separator]}, decimal "
-            f"{signs[self.decimal]}, {self.encoding}"
+            f"Columns parted by {_SEPARATORS[self.separator]}, decimal "
+            f"{_DECIMALS[self.decimal]}s, {self.encoding}"
         )
 
 
 def clean(cell):
     """Cell of a spreadsheet as text has it."""
-    if not isinstance(cell, str):
-        return "" if cell is None else cell
-    return cell.replace("\xa0", " ").replace("\u2212", "-").strip()
+    if isinstance(cell, str):
+        return cell.translate(_PLAIN).strip()
+    return "" if cell is None else cell
 
 
-def without_mark(cells):
+def strip_mark(cells):
     """Cells of a line of comment without its mark; None if the line is no comment."""
     mark = _COMMENT.match(str(cells[0]))
     if not mark:
@@ -163,24 +133,23 @@ def without_mark(cells):
     return [rest, *cells[1:]] if rest else cells[1:]
 
 
-def text_dialect(path, n_numbers):
-    """How a file of text is written, told by its first rows with at least so many numbers."""
+def find_dialect(path, n_numbers):
+    """How a file of text is written, by its first rows with at least so many numbers."""
     encoding = find_encoding(path)
     with open(path, encoding=encoding, newline="") as file:
         lines = [line for line in islice(file, _SNIFFED_LINES) if line.strip()]
+    # Decimal commas between commas stand in quotation marks.
+    quoted = any('"' in line for line in lines)
     best, most = None, (0, 0)
-    for separator in _SEPARATORS:
+    for separator, decimal in product(_SEPARATORS, _DECIMALS):
         if separator is None and best is not None:
-            break
-        for decimal in ".,":
-            # Decimal commas between commas stand in quotation marks.
-            if separator == decimal and not any('"' in line for line in lines):
-                continue
-            dialect = Dialect(path, encoding, separator, decimal)
-            counts = [_count_numbers(dialect, line) for line in lines]
-            found = sum(count >= n_numbers for count in counts), sum(counts)
-            if found[0] and found > most:
-                best, most = dialect, found
+            break  # blanks part columns only where nothing else does
+        if separator == decimal and not quoted:
+            continue
+        dialect = Dialect(path, encoding, separator, decimal)
+        found = _count_numbers(dialect, lines, n_numbers)
+        if found[0] and found > most:
+            best, most = dialect, found
     if best is None:
         raise TableError(
             f"{path}: no row with {n_numbers} numbers was found; columns may be parted by "
@@ -189,45 +158,26 @@ def text_dialect(path, n_numbers):
     return best
 
 
-def _count_numbers(dialect, line):
-    try:
-        cells = (
-            line.split()
-            if dialect.separator is None
-            else next(csv.reader([line], delimiter=dialect.separator), [])
-        )
-    except csv.Error as error:
-        raise dialect.broken(error) from None
-    return dialect.count(map(clean, cells))
+def _count_numbers(dialect, lines, n_numbers):
+    """How many lines hold at least so many numbers, and how many numbers they hold together."""
+    rows = [next(dialect.split([line]), (1, [])) for line in lines]
+    counts = [dialect.count(cells) for _, cells in rows]
+    return sum(count >= n_numbers for count in counts), sum(counts)
 
 
 def find_encoding(path):
     """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
-    decoder = codecs.getincrementaldecoder("utf-8")()
     with open(path, "rb") as file:
-        chunk = file.read(_CHUNK_BYTES)
-        for mark, name in _MARKS:
-            if chunk.startswith(mark):
-                return name
-        try:
-            while chunk:
-                decoder.decode(chunk)
-                chunk = file.read(_CHUNK_BYTES)
-            decoder.decode(b"", final=True)
-        except UnicodeDecodeError:
-            return _checked_windows(path)
-    return "utf-8"
-
-
-def _checked_windows(path):
-    """The encoding of Windows, if the file is text in it."""
-    try:
-        with open(path, encoding="cp1252") as file:
-            while file.read(_CHUNK_BYTES):
+        head = file.read(3)
+    for mark, name in _MARKS:
+        if head.startswith(mark):
+            return name
+    for encoding in ("utf-8", "cp1252"):
+        with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
+            while file.read(_CHUNK):
                 pass
-    except UnicodeDecodeError:
-        raise TableError(
-            f"{path} is no table of text: it holds bytes that are no letters in UTF-8, in UTF-16 "
-            "with its mark, or in the encoding of Windows (cp1252)."
-        ) from None
-    return "cp1252"
+            return encoding
+    raise TableError(
+        f"{path} is no table of text: it holds bytes that are no letters in UTF-8, in UTF-16 "
+        "with its mark, or in the encoding of Windows (cp1252)."
+    )

@@ -4,11 +4,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
-from itertools import chain
+from itertools import chain, zip_longest
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, without_mark
+from sklearn_raacmm.app._cells import TableError, strip_mark
+from sklearn_raacmm.app._sources import find_source
 
 # An angle beyond two whole turns in rad is in degrees, as `Arm.forward` supposes when it warns; one
 # beyond a hundred turns in degrees is an encoder's count.
@@ -43,48 +44,51 @@ _KNOWN_UNITS = (
 _LOOKED_AT = 200
 
 
-def find_header(dialect, n_joints):
+def find_header(source, n_numbers):
     """Names of the columns, the row they stand in (0: none), and the first rows of data."""
     above, data = [], []
-    for number, cells in dialect.rows():
-        n_numbers = dialect.count(cells)
-        if not data and n_numbers < n_joints:
-            above.append((number, without_mark(cells) or cells))
-            continue
-        data.append((number, cells))
+    for number, cells in source.rows():
+        if data or source.count(cells) >= n_numbers:
+            data.append((number, cells))
+        else:
+            above.append((number, strip_mark(cells) or cells))
         if len(data) == _LOOKED_AT:
             break
     if not data:
-        raise TableError(f"{dialect.path}: no row with {n_joints} numbers was found.")
+        raise TableError(f"{source.path}: no row with {n_numbers} numbers was found.")
     width = len(data[0][1])
-    above, damaged = _without_damaged(above, dialect, n_joints)
-    data = damaged + data
-    header, row = [], 0
-    if above:
-        row, cells = above[-1]
-        texts = [cell for cell in cells if isinstance(cell, str) and cell]
-        if len(above) > 1 and texts and all(_is_unit(cell) for cell in texts):
-            # Units in a row of their own below the names.
-            names = above[-2][1] + [""] * (len(cells) - len(above[-2][1]))
-            units = cells + [""] * (len(names) - len(cells))
-            cells = [
-                f"{n} [{u.strip('[]()')}]" if u else n for n, u in zip(names, units, strict=True)
-            ]
-        while len(cells) > width and cells[-1] == "":
-            cells = cells[:-1]
-        if len(texts) >= n_joints or len(cells) == width:
-            header = [str(cell) for cell in cells]
-    if not header:
-        header = _fields_of_joint_states(data[0][1], dialect, n_joints)
-    header += [""] * (width - len(header))
-    return [name or f"column {i}" for i, name in enumerate(header, 1)], row, data
+    n_above = _count_above(above, source, n_numbers)
+    above, data = above[:n_above], above[n_above:] + data
+    names = _names_of_columns([cells for _, cells in above], width, n_numbers)
+    if not names:
+        names = _fields_of_joint_states(data[0][1], source, n_numbers)
+    names += [""] * (width - len(names))
+    row = above[-1][0] if above else 0
+    return [name or f"column {i}" for i, name in enumerate(names, 1)], row, data
 
 
-def _fields_of_joint_states(cells, dialect, n_joints):
+def _names_of_columns(above, width, n_numbers):
+    """Names in the last of the rows above the data, with units from a row of their own."""
+    if not above:
+        return []
+    names = above[-1]
+    texts = [cell for cell in names if isinstance(cell, str) and cell]
+    if len(above) > 1 and texts and all(map(_is_unit, texts)):
+        names = _with_units(above[-2], names)
+    while len(names) > width and names[-1] == "":
+        names = names[:-1]
+    return list(map(str, names)) if len(texts) >= n_numbers or len(names) == width else []
+
+
+def _with_units(names, units):
+    pairs = zip_longest(names, units, fillvalue="")
+    return [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in pairs]
+
+
+def _fields_of_joint_states(cells, source, n_joints):
     """Names of the columns of JointState messages, which ROS 2 writes without any (--csv)."""
-    texts = [isinstance(cell, str) and dialect.number(cell) is None and cell for cell in cells]
-    marks = "".join("n" if text else "-" for text in texts)
-    run = re.search(rf"n{{{n_joints},}}", marks)
+    is_text = [isinstance(cell, str) and cell and source.number(cell) is None for cell in cells]
+    run = re.search(rf"n{{{n_joints},}}", "".join("n" if text else "-" for text in is_text))
     if not run:
         return []
     # The frame's name may stand before those of the joints; each field is whole or empty.
@@ -96,17 +100,17 @@ def _fields_of_joint_states(cells, dialect, n_joints):
     return []
 
 
-def _without_damaged(above, dialect, n_joints):
-    """Rows down to the names, and those below: data with a fault, which is reported on reading."""
+def _count_above(above, source, n_numbers):
+    """How many of these rows end with the names; those below are data with a fault."""
     named = 0
     for i, (_, cells) in enumerate(above):
-        n_numbers = dialect.count(cells)
-        n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_numbers
-        if n_texts >= n_joints and n_numbers == 0:
+        n_found = source.count(cells)
+        n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_found
+        if n_texts >= n_numbers and not n_found:
             named = i + 1
-        elif named and n_numbers:
-            return above[:named], above[named:]
-    return above, []
+        elif named and n_found:
+            return named  # its fault is reported on reading
+    return len(above)
 
 
 def _is_unit(cell):
@@ -126,17 +130,17 @@ def split_unit(name):
 
 
 class Columns:
-    """Columns of a table by their names; `notes` says what was guessed."""
+    """Columns of a file by their names, and its rows; `notes` says what was guessed."""
 
-    def __init__(self, dialect, n_joints):
-        self.path, self.dialect, self.n_joints = dialect.path, dialect, n_joints
-        self.header, self.header_row, self.rows = find_header(dialect, n_joints)
+    def __init__(self, path, n_numbers, sheet=None):
+        self.source, self.n_joints = find_source(path, n_numbers, sheet), n_numbers
+        self.path = self.source.path
+        self.header, self.header_row, self.first = find_header(self.source, n_numbers)
         self.names, self.units = zip(*map(split_unit, self.header), strict=True)
-        self.unit = None
         where = f"header in row {self.header_row}" if self.header_row else "no header"
-        self.notes = [f"{dialect}; {where}."]
+        self.notes = [f"{self.source}; {where}."]
 
-    def named(self, wanted, option):
+    def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
         wanted = str(wanted).strip()
         for given in (self.header, self.names):
@@ -154,9 +158,78 @@ class Columns:
     def __str__(self):
         return ", ".join(self.header)
 
-    def cells(self, column):
-        """Cells of the first rows."""
-        return [cells[column] for _, cells in self.rows if len(cells) > column]
+    # -- rows -------------------------------------------------------------------------------
+
+    def rows(self, columns):
+        """Yield (row number, cells) of the data, each with as many cells as the header.
+
+        Comments are left out, and rows at the end without a number in any of these columns, which
+        a note then names.
+        """
+        held, found = [], False
+        for number, cells in self.source.rows():
+            has_number = self._has_number(cells, columns)
+            if number <= self.header_row or not (has_number or strip_mark(cells) is None):
+                continue
+            held.append((number, cells))
+            if has_number:
+                yield from map(self._check_width, held)
+                held, found = [], True
+        if not found:
+            yield from map(self._check_width, held)
+        elif held:
+            number, cells = held[0]
+            text = next(str(cell) for cell in cells if cell != "")
+            note = f"Left out from row {number} on, where the angles end: {text!r}."
+            if note not in self.notes:
+                self.notes.append(note)
+
+    def _has_number(self, cells, columns):
+        return any(i < len(cells) and self.source.number(cells[i]) is not None for i in columns)
+
+    def _check_width(self, row):
+        number, cells = row
+        width = len(self.header)
+        while len(cells) > width and cells[-1] == "":
+            cells.pop()
+        if len(cells) != width:
+            fault = f"row {number} has {len(cells)} cells, the table {width} columns."
+            if self.source.separator == "," and len(cells) > width:
+                fault += " Decimal commas between commas cannot be told apart: use semicolons."
+            raise TableError(f"{self.path}: {fault}")
+        return row
+
+    def numbers(self, rows, columns):
+        """Numbers (n_rows, n_columns) of some rows; the first cell that holds none is named."""
+        values = np.empty((len(rows), len(columns)))
+        for j, column in enumerate(columns):
+            found = self.source.numbers([cells[column] for _, cells in rows])
+            values[:, j] = np.nan if found is None else found
+            if not np.all(np.isfinite(values[:, j])):
+                raise self._first_fault(rows, column)
+        return values
+
+    def _first_fault(self, rows, column):
+        """Error that names the first cell of a column that is no finite number."""
+        values = [self.source.number(cells[column]) for _, cells in rows]
+        first = next(i for i, v in enumerate(values) if v is None or not np.isfinite(v))
+        number, cell = rows[first][0], rows[first][1][column]
+        what = f"{cell!r} is not a number" if cell != "" else "is empty"
+        if isinstance(cell, str) and re.search(r"\d[.,]\d", cell):
+            sign = {".": "point", ",": "comma"}[self.source.decimal]
+            what += f" with a decimal {sign}, which the others have"
+        return self.fault(number, column, what)
+
+    def labels(self, rows, column):
+        """Labels (n_rows,) of some rows, as text; the first that is missing is named."""
+        labels = [str(cells[column]) for _, cells in rows]
+        if "" in labels:
+            raise self.fault(rows[labels.index("")][0], column, "the label is missing")
+        return np.array(labels)
+
+    def fault(self, number, column, what):
+        """Error that names a row and a column."""
+        return TableError(f"{self.path}: row {number}, column {self.header[column]!r}: {what}.")
 
     # -- joint angles -----------------------------------------------------------------------
 
@@ -167,48 +240,47 @@ class Columns:
                 raise TableError(
                     f"--angles names {len(wanted)} columns, the arm has {self.n_joints} joints."
                 )
-            return [self.named(name, "--angles") for name in wanted]
+            return [self.column(name, "--angles") for name in wanted]
         found = self._by_names_of_joints(joint_names) or self._by_names_in_cells(joint_names)
         if found:
             shown = ", ".join(self.header[i] for i in found)
             self.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
             return found
-        fitting = self._series()
-        # Columns without names are numbered by us: that says nothing.
-        if len(fitting) == 1 and self.header[fitting[0][0]] != "column 1":
+        fitting, what = self._series(), ""
+        if not fitting:
+            numeric = self._columns_of_numbers()
+            fitting, what = [numeric] * (len(numeric) == self.n_joints), "the columns of numbers, "
+        # Columns without names are numbered by us, and such numbers mean nothing.
+        elif self.header[fitting[0][0]] == "column 1":
+            fitting = []
+        if len(fitting) == 1:
             first, last = (self.header[fitting[0][i]] for i in (0, -1))
-            self.notes.append(f"Joint angles: {first} to {last}.")
+            self.notes.append(f"Joint angles: {what}{first} to {last}.")
             return fitting[0]
-        numeric = [
-            i
-            for i in range(len(self.header))
-            if not _TIME_NAMES.fullmatch(self.names[i])
-            and not _OTHER_QUANTITY.search(self.names[i])
-            and all(
-                len(cells) > i and self.dialect.number(cells[i]) is not None
-                for _, cells in self.rows[:20]
-            )
-        ]
-        if not fitting and len(numeric) == self.n_joints:
-            first, last = self.header[numeric[0]], self.header[numeric[-1]]
-            self.notes.append(f"Joint angles: the columns of numbers, {first} to {last}.")
-            return numeric
         example = ",".join(f"q{i}" for i in range(1, self.n_joints + 1))
         raise TableError(
             f"{self.path}: which {self.n_joints} columns hold the joint angles? Say it with "
             f"--angles {example} (names or numbers of columns); the columns are {self}."
         )
 
+    def _columns_of_numbers(self):
+        """Columns that hold numbers only, and by their names neither times nor other quantities."""
+        rows = [cells for _, cells in self.first[:20]]
+        return [
+            i
+            for i, name in enumerate(self.names)
+            if not _TIME_NAMES.fullmatch(name)
+            and not _OTHER_QUANTITY.search(name)
+            and all(self._has_number(cells, [i]) for cells in rows)
+        ]
+
     def _by_names_of_joints(self, joint_names):
         """One column for each joint of the arm whose name holds that of the joint."""
         found = []
         for joint in joint_names or ():
-            words = {joint.lower(), joint.lower().removesuffix("_joint")}
-            columns = [
-                i
-                for i, name in enumerate(self.names)
-                if any(re.search(rf"(?<![a-z0-9_]){re.escape(w)}(?![a-z0-9])", name) for w in words)
-            ]
+            word = re.escape(joint.lower().removesuffix("_joint"))
+            pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
+            columns = [i for i, name in enumerate(self.names) if pattern.search(name)]
             columns = self._measured_angles(columns)
             if len(columns) != 1:
                 return None
@@ -217,31 +289,33 @@ class Columns:
 
     def _by_names_in_cells(self, joint_names):
         """Positions of JointState messages, whose names stand in cells of each row."""
-        fields = {
-            field: {int(m[1]): i for i, name in enumerate(self.names)
-                    if (m := re.fullmatch(rf"(?:.*\W)?{field}[\[_.]?(\d+)\]?", name))}
-            for field in ("name", "position")
-        }  # fmt: skip
-        names = {k: self.cells(i) for k, i in fields["name"].items() if k in fields["position"]}
-        if len(names) < self.n_joints or any(
-            self.dialect.number(c) is not None for c in chain(*names.values())
-        ):
+        names, positions = self._fields("name"), self._fields("position")
+        names = {k: self._cells(i) for k, i in names.items() if k in positions}
+        numbers = self.source.count(chain(*names.values()))
+        if len(names) < self.n_joints or numbers:
             return None
         if any(len(set(cells)) != 1 for cells in names.values()):
             raise TableError(f"{self.path}: the names of the joints differ from row to row.")
-        self.unit = "rad"  # sensor_msgs/JointState
-        in_file = {str(cells[0]).lower(): fields["position"][k] for k, cells in names.items()}
-        if joint_names and all(name.lower() in in_file for name in joint_names):
-            return [in_file[name.lower()] for name in joint_names]
-        numbered = [re.search(r"\d+", name) for name in in_file]
-        if len(in_file) == self.n_joints and all(numbered):
-            order = sorted(in_file, key=lambda name: int(re.findall(r"\d+", name)[0]))
-            return [in_file[name] for name in order]
+        in_file = {str(cells[0]).lower(): positions[k] for k, cells in names.items()}
+        return self._in_order_of_joints(in_file, [name.lower() for name in joint_names or ()])
+
+    def _in_order_of_joints(self, in_file, joint_names):
+        """Columns of joints from the base on, by the arm's names or by numbers in the names."""
+        if joint_names and in_file.keys() >= set(joint_names):
+            return [in_file[name] for name in joint_names]
+        numbered = {name: re.search(r"\d+", name) for name in in_file}
+        if len(in_file) == self.n_joints and all(numbered.values()):
+            return [in_file[name] for name in sorted(in_file, key=lambda n: int(numbered[n][0]))]
         order = ", ".join(f"{self.header[i]} ({name})" for name, i in in_file.items())
         raise TableError(
             f"{self.path} names its joints, and the arm's joints have other names or none: say the "
             f"order from the base on with --angles. The columns are {order}."
         )
+
+    def _fields(self, field):
+        """Columns of a field of messages by their numbers: position0, position[1]."""
+        found = [re.fullmatch(rf"(?:.*\W)?{field}[\[_.]?(\d+)\]?", name) for name in self.names]
+        return {int(match[1]): i for i, match in enumerate(found) if match}
 
     def _series(self):
         """Series of columns numbered from 0 or 1, such as q1 to q6, that may be the angles."""
@@ -262,30 +336,35 @@ class Columns:
     def _measured_angles(self, columns):
         """Those of these columns that are angles; of measured and commanded ones, the measured."""
         columns = [i for i in columns if not _OTHER_QUANTITY.search(self.names[i])]
-        for wanted in (
-            lambda i: _MEASURED.search(self.names[i]),
-            lambda i: "position" in self.names[i],
-            lambda i: not _COMMANDED.search(self.names[i]),
+        for is_wanted in (
+            lambda name: _MEASURED.search(name),
+            lambda name: "position" in name,
+            lambda name: not _COMMANDED.search(name),
         ):
-            if len(columns) > 1 and any(map(wanted, columns)):
-                columns = [i for i in columns if wanted(i)]
+            wanted = [i for i in columns if is_wanted(self.names[i])]
+            if len(columns) > 1 and wanted:
+                columns = wanted
         return columns
 
     def find_unit(self, columns):
         """Unit of the angles: from the header, the kind of columns, or their size."""
         found = {self.units[i] for i in columns}
-        if len(found) == 1 and found <= {"deg", "rad"}:
+        if found in ({"deg"}, {"rad"}):
             return found.pop()
         if found != {""}:
-            told = ", ".join(self.header[i] for i in columns)
+            units = ", ".join(self.header[i] for i in columns)
             raise TableError(
                 f"{self.path}: the angles must all be in degrees or all in radians, but the "
-                f"columns are {told}; say it with --unit deg or --unit rad if these are wrong."
+                f"columns are {units}; say it with --unit deg or --unit rad if these are wrong."
             )
-        if self.unit is not None:
-            return self.unit
-        values = (self.dialect.number(cell) for i in columns for cell in self.cells(i))
-        largest = max(chain([0.0], (abs(value) for value in values if value is not None)))
+        if set(columns) <= set(self._fields("position").values()) and self._fields("name"):
+            return "rad"  # sensor_msgs/JointState
+        return self._guess_unit(columns)
+
+    def _guess_unit(self, columns):
+        """Unit of angles whose names state none."""
+        values = [self.source.number(cell) for i in columns for cell in self._cells(i)]
+        largest = max((abs(value) for value in values if value is not None), default=0.0)
         if largest > _SURELY_COUNTS:
             raise TableError(
                 f"{self.path}: the angles reach {largest:.6g}. If they are counts of the encoders, "
@@ -303,25 +382,20 @@ class Columns:
             "the first rows, and the header does not say; say it with --unit deg or --unit rad."
         )
 
+    def _cells(self, column):
+        """Cells of the first rows."""
+        return [cells[column] for _, cells in self.first if len(cells) > column]
+
     # -- labels -----------------------------------------------------------------------------
 
     def find_position(self, wanted, taken):
-        """Column of the label of the position."""
+        """Column of the label of the position; `taken` are columns of other things."""
         if wanted is not None:
-            return self.named(wanted, "--position")
-        called = [i for i in self.labelled if i not in taken]
-        if not called:
-            free = [i for i, name in enumerate(self.names) if not _TIME_NAMES.fullmatch(name)]
-            free = [i for i in free if i not in taken and not _NO_LABEL.search(self.names[i])]
-            columns = {i: self.cells(i) for i in free}
-            # A label that is missing here and there is a fault to be told later.
-            text = {i: [self._is_label(c) for c in columns[i] if c != ""] for i in free}
-            called = [i for i in free if text[i] and all(text[i])]
-            whole = [i for i in called if len(text[i]) == len(columns[i])]
-            called = whole or called
-        if len(called) == 1:
-            self.notes.append(f"Labels of the positions: {self.header[called[0]]}.")
-            return called[0]
+            return self.column(wanted, "--position")
+        found = [i for i in self.labelled if i not in taken] or self._columns_of_text(taken)
+        if len(found) == 1:
+            self.notes.append(f"Labels of the positions: {self.header[found[0]]}.")
+            return found[0]
         raise TableError(
             f"{self.path}: which column holds the label of the position? Say it with --position "
             f"NAME; the columns are {self}."
@@ -332,6 +406,18 @@ class Columns:
         """Columns whose names are those of labels."""
         return [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
 
+    def _columns_of_text(self, taken):
+        """Columns that may hold labels: if there are any, those with one in every row."""
+        found = {}
+        for i, name in enumerate(self.names):
+            if i not in taken and not _TIME_NAMES.fullmatch(name) and not _NO_LABEL.search(name):
+                cells = self._cells(i)
+                # A label that is missing here and there is a fault, which is reported on reading.
+                given = [cell for cell in cells if cell != ""]
+                if given and all(map(self._is_label, given)):
+                    found[i] = len(given) == len(cells)
+        return [i for i, whole in found.items() if whole] or list(found)
+
     def _is_label(self, cell):
-        is_text = isinstance(cell, str) and self.dialect.number(cell) is None
+        is_text = isinstance(cell, str) and self.source.number(cell) is None
         return is_text and not _TIME.search(cell)

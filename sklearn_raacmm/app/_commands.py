@@ -16,33 +16,33 @@ import numpy as np
 
 from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
 from sklearn_raacmm.app._causes import (
-    causes_of,
-    columns_of_causes,
-    numbers_of,
-    probe_not_told,
-    tools_of,
+    find_cause_columns,
+    find_unnamed_probe,
+    read_causes,
+    read_tools,
 )
-from sklearn_raacmm.app._cells import TableError, as_said
+from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._dh import read_dh, write_template
-from sklearn_raacmm.app._figures import picture_of
+from sklearn_raacmm.app._figures import draw_arm
 from sklearn_raacmm.app._files import (
-    files_of,
+    correction_files,
     find_rows,
     load_arm,
     load_correction,
     open_beside,
+    parse_vector,
+    print_notes,
     read_rows,
-    vector_of,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import length_of, read_lengths, read_places
+from sklearn_raacmm.app._lengths import parse_length, read_lengths, read_places
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import judge_limit, report_text
+from sklearn_raacmm.app._report import describe_result, judge_limit, list_outliers, report_text
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.correction import learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
-from sklearn_raacmm.utils import check_places, heard_findings, write_whole
+from sklearn_raacmm.utils import check_places, heard_findings, numbered_rows, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
@@ -50,36 +50,19 @@ OK, NO_HELP, NOT_JUDGED = 0, 3, 4
 _WRITTEN = (
     "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
 )  # fmt: skip
+_DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 
 def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
-    if options.folds is not None and options.folds < 2:
-        raise TableError(f"--folds must be 2 or more, got {options.folds}.")
-    if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
-        raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
-    if options.limit_2s is not None and options.points:
-        raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
-    missing = [name for name in ("jinja2", "matplotlib", "skops") if not _is_there(name)]
-    if missing:  # said now, not after minutes of learning
-        raise TableError(
-            f"{' and '.join(missing)} must be installed for the report and the model's file: "
-            f"pip install {' '.join(missing)}."
-        )
-    out = Path(options.out)
-    read = (options.table, options.arm, options.lengths, options.places)
-    check_places([out / name for name in _WRITTEN], filter(None, read))
-    if (out / "correction.json").exists() and not options.force:
-        raise TableError(f"{out} holds a correction; --force replaces it.")
+    _check_learning(options)
     arm = load_arm(options.arm, options.base, options.tip)
-    table = read_rows(options, arm)
-    lengths = [length_of(text) for text in options.length or ()]
-    lengths += read_places(options.places, options.length_sd) if options.places else []
-    lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
+    table, lengths = read_rows(options, arm), _read_all_lengths(options)
     like = [load_correction(folder).model for folder in options.like or ()]
     _progress(-1, 1, "calibration")
-    with heard_findings():  # they stand in the result, and are printed with it
+    # Findings stand in the result, and are printed with it.
+    with numbered_rows(table.rows), heard_findings():
         result = learn_correction(
             arm,
             table.angles,
@@ -90,56 +73,78 @@ def learn(options):
             cv=options.folds,
             n_jobs=options.jobs,
             progress=_progress,
-            extra=causes_of(table, columns_of_causes(options)),
+            extra=read_causes(table, find_cause_columns(options)),
             in_order=options.in_order,
             like=like,
-            tools=tools_of(table, options),
+            tools=read_tools(table, options),
         )
     _progress(30, 30, "report")
-    layout = find_rows(options, arm, said=False)
-    corrected = io.StringIO(newline="")
+    layout, corrected = find_rows(options, arm), io.StringIO(newline="")
     in_order = any(name.startswith("direction") for name in result.causes)
-    write_corrected(layout, numbers_of(result.saved, options, in_order), corrected)
-    verdict, *lines = (as_said(line, table.rows) for line in str(result.scores).split("\n"))
-    card = describe(result.model, result.saved.inputs(result.angles))
-    if result.findings:
-        card["findings"] = [
-            as_said(f"{finding.weight}: {finding}", table.rows) for finding in result.findings
-        ]
+    write_corrected(layout, result, options, in_order, corrected)
     named = {"serial number": options.serial, "operator": options.operator}
     facts = {"file": Path(options.table).name} | {k: v for k, v in named.items() if v}
     report = report_text(result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows)
     # Everything is made before the first file gets its name.
-    result.save(
-        out,
-        {
-            "report.html": report,
-            "card.md": f"{card}\n## Verdict\n\n- {verdict}\n",
-            "corrected.csv": corrected.getvalue().encode(layout.dialect.encoding),
-        },
-    )
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
-    print(*lines, sep="\n")
-    rows = table.rows[result.outliers["row"]].tolist()
-    for row, (_, label, distance) in zip(rows[:10], result.outliers.tolist(), strict=False):
-        print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
-    # The verdict stands at the end, where it is seen without scrolling.
-    print(f"\n{verdict}")
-    if options.limit_2s is not None:
-        print(": ".join(judge_limit(result.scores, options.limit_2s)))
-    print(f"Written to {out}: {', '.join(_WRITTEN)}")
+    contents = {
+        "report.html": report,
+        "card.md": f"{describe_result(result)}\n## Verdict\n\n- {result.verdict}\n",
+        "corrected.csv": corrected.getvalue().encode(layout.source.encoding),
+    }
+    result.save(options.out, contents)
+    _print_result(result, table.rows, options)
     if options.open:
-        webbrowser.open((out / "report.html").resolve().as_uri())
+        webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
     code = OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
-    return code, result.facts()
+    return code, result.facts
 
 
-def _is_there(name):
+def _check_learning(options):
+    """Refuse what can be refused before minutes of learning."""
+    if options.folds is not None and options.folds < 2:
+        raise TableError(f"--folds must be 2 or more, got {options.folds}.")
+    if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
+        raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
+    if options.limit_2s is not None and options.points:
+        raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
+    missing = [name for name in ("jinja2", "matplotlib", "skops") if not _is_installed(name)]
+    if missing:
+        raise TableError(
+            f"{' and '.join(missing)} must be installed for the report and the model's file: "
+            f"pip install {' '.join(missing)}."
+        )
+    out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
+    check_places([out / name for name in _WRITTEN], filter(None, read))
+    if (out / "correction.json").exists() and not options.force:
+        raise TableError(f"{out} holds a correction; --force replaces it.")
+
+
+def _is_installed(name):
     try:
         return importlib.util.find_spec(name) is not None
     except ValueError:  # marked as not to be imported
         return False
+
+
+def _read_all_lengths(options):
+    """Known lengths of the command line and of files."""
+    lengths = [parse_length(text) for text in options.length or ()]
+    lengths += read_places(options.places, options.length_sd) if options.places else []
+    return lengths + (read_lengths(options.lengths, options.length_sd) if options.lengths else [])
+
+
+def _print_result(result, row_numbers, options):
+    """Print what was learnt; the verdict at the end, where it is seen without scrolling."""
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    verdict, *lines = str(result.scores).split("\n")
+    print(*lines, sep="\n")
+    for row, label, distance in list_outliers(result, row_numbers)[:10]:
+        print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
+    print(f"\n{verdict}")
+    if options.limit_2s is not None:
+        print(": ".join(judge_limit(result.scores, options.limit_2s)))
+    print(f"Written to {options.out}: {', '.join(_WRITTEN)}")
 
 
 def correct(options):
@@ -147,42 +152,41 @@ def correct(options):
     if options.out != "-":
         if Path(options.out).suffix.lower() in _NO_CSV:
             raise TableError(f"--out is written as CSV, and {options.out} says something else.")
-        check_places([options.out], [options.table, *files_of(options.model)])
+        check_places([options.out], [options.table, *correction_files(options.model)])
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
-    known = saved.facts["causes"]
-    if unknown := columns_of_causes(options).keys() - known.keys():
+    if unknown := find_cause_columns(options).keys() - saved.causes.keys():
         raise TableError(
             f"--extra names {', '.join(map(repr, sorted(unknown)))}, and this correction takes "
-            f"{', '.join(known) or 'no cause'}: leave it away, or mend the name."
+            f"{', '.join(saved.causes) or 'no cause'}: leave it away, or mend the name."
         )
-    if not options.tool and (said := probe_not_told(saved)):
-        raise TableError(f"{said}: name the column of the tool of each row by --tool.")
+    if not options.tool and (unnamed := find_unnamed_probe(saved)):
+        raise TableError(f"{unnamed}: name the column of the tool of each row by --tool.")
     layout = find_rows(options, saved.arm)
+    print_notes(layout.notes)
     stream = (
         nullcontext(options.stdout)
         if options.out == "-"
-        else open_beside(options.out, layout.dialect.encoding)
+        else open_beside(options.out, layout.source.encoding)
     )
-    numbers = numbers_of(saved, options, options.in_order)
     with stream as file:
-        n_rows, largest = write_corrected(layout, numbers, file)
+        n_rows, largest = write_corrected(layout, saved, options, options.in_order, file)
     check_angles(largest, saved.arm.n_joints, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
 
 
 def export(options):
-    """Write a saved correction as C, with a project that tests it, or as ONNX."""
+    """Write a saved correction as C, with a program that tests it, or as ONNX."""
     if not (options.c or options.onnx):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
     folder = Path(options.c or ".")
     sources = [folder / f"{options.name}{end}" for end in (".c", ".h")] if options.c else []
-    check_places(filter(None, (*sources, options.onnx)), files_of(options.model))
+    check_places(filter(None, (*sources, options.onnx)), correction_files(options.model))
     saved = load_correction(options.model)
     _warn_if_it_does_not_help(saved)
-    if (said := probe_not_told(saved)) and not (options.c and options.any_probe):
-        print(f"note: {said}: what is written is for this one.", file=sys.stderr)
+    if (unnamed := find_unnamed_probe(saved)) and not (options.c and options.any_probe):
+        print_notes([f"{unnamed}: what is written is for this one."])
     paths = []
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
@@ -194,9 +198,7 @@ def export(options):
             saved.model, source, std=options.std, card=card, poses="random",
             any_probe=options.any_probe,
         )  # fmt: skip
-        # Its test, its C++ header and its project, which come with poses.
-        more = (f"{options.name}_test.c", f"{options.name}.hpp", "CMakeLists.txt")
-        paths += [folder / name for name in more]
+        paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
         to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)
@@ -207,18 +209,11 @@ def export(options):
 def arm(options):
     """Show an arm, and write its file."""
     given = [options.source, options.dh, options.lengths_222, options.lengths_223]
-    if sum(one is not None for one in given) > 1:
-        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
-    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
-        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
-    if (options.modified or options.probe) and not options.dh:
-        raise TableError("--modified and --probe belong to --dh.")
-    if options.into and not options.out:
-        raise TableError("--into needs --out, the file to write; it may be the same file.")
+    _check_arm_options(options, given)
     places = [options.out, options.picture, options.template]
     check_places(
         [place for place in places if place and place != "-"],
-        [one for one in (options.source, options.dh) if one],
+        filter(None, [options.source, options.dh]),
     )
     if options.template:
         write_template(options.template)
@@ -227,18 +222,31 @@ def arm(options):
             return OK
     shown = _meant_arm(options)
     print(shown)
-    if options.out:
-        ends = {"base": options.base, "tip": options.tip}
-        text = shown.update_urdf(options.into, **ends) if options.into else shown.to_json()
-        if options.out == "-":
-            options.stdout.write(text)
-        else:
-            write_whole({options.out: text})
-            print(f"Written to {options.out}")
+    if options.into:
+        text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
+    else:
+        text = shown.to_json()
+    if options.out == "-":
+        options.stdout.write(text)
+    written = {options.out: text} if options.out not in (None, "-") else {}
     if options.picture:
-        write_whole({options.picture: picture_of(shown)})
-        print(f"Written to {options.picture}")
+        written[options.picture] = draw_arm(shown)
+    write_whole(written)
+    for path in written:
+        print(f"Written to {path}")
     return OK, json.loads(shown.to_json())
+
+
+def _check_arm_options(options, given):
+    """Refuse options that do not belong together."""
+    if sum(one is not None for one in given) > 1:
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
+        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
+    if options.into and not options.out:
+        raise TableError("--into needs --out, the file to write; it may be the same file.")
 
 
 def _meant_arm(options):
@@ -250,7 +258,7 @@ def _meant_arm(options):
         return Arm.from_lengths(layout, *lengths, **offsets)
     if options.dh:
         convention = "modified" if options.modified else "standard"
-        return read_dh(options.dh, convention, vector_of(options.probe or "0,0,0"))
+        return read_dh(options.dh, convention, parse_vector(options.probe or "0,0,0"))
     if options.source and options.into:
         return load_arm(options.source)  # --base and --tip are those of the other file
     if options.source:
@@ -267,8 +275,7 @@ def demo(options):
     test = make_single_point(n_positions=10, n_poses=25, bars=[500], random_state=0)
     ((first, second, length, sd),) = test.lengths
     names = [f"cone {i + 1}" for i in range(first)] + ["bar, left", "bar, right"]
-    lines = ["simulated arm;no real measurement", "position;" + ";".join(
-        f"q{i} [deg]" for i in range(1, 7))]  # fmt: skip
+    lines = ["simulated arm;no real measurement", ";".join(["position", *_DEMO_COLUMNS])]
     for label, angles in zip(test.groups, np.rad2deg(test.data), strict=True):
         cells = (f"{angle:.6f}".replace(".", ",") for angle in angles)
         lines.append(f"{names[label]};" + ";".join(cells))
@@ -280,14 +287,14 @@ def demo(options):
     words = ["learn", table, "--arm", arm, "--length", known, "--out", out, "--serial", "simulated"]
     words = [str(word) for word in words]
     print(shlex.join(["raacmm", *words]))
-    # What the user said goes before what this says.
+    # Options of the user go before these.
     vars(options).update(vars(make_parser().parse_args(words)) | vars(options))
     return learn(options)
 
 
 def _warn_if_it_does_not_help(saved):
-    if not saved.facts["helps"]:
-        print(f"note: {saved.facts['verdict']}", file=sys.stderr)
+    if not saved.helps:
+        print_notes([saved.verdict])
 
 
 def _progress(done, total, stage=None):

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._columns import find_header, split_unit
-from sklearn_raacmm.app._sources import find_source
+from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import write_whole
 
@@ -36,40 +35,39 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
     Columns are a, alpha, d and, if there are any, theta_offset, sign, lower, upper and joint, in mm
     and degrees or what the header says; the probe (3,) is in mm.
     """
-    dialect = find_source(path, 3)
-    header, header_row, _ = find_header(dialect, 3)
-    names, units = zip(*map(split_unit, header), strict=True)
-    found = {
-        field: next((names.index(word) for word in words if word in names), None)
-        for field, words in _COLUMNS.items()
-    }
+    table = Columns(path, 3)
+    found = {field: _find_column(table, words) for field, words in _COLUMNS.items()}
     missing = [field for field in ("a", "alpha", "d") if found[field] is None]
     if missing:
-        raise TableError(f"{path} has no column {missing[0]!r}; it has {', '.join(header)}.")
-    rows = [(number, cells) for number, cells in dialect.rows() if number > header_row]
+        raise TableError(f"{path} has no column {missing[0]!r}; it has {table}.")
+    rows = list(table.rows([found["a"]]))
     values = {}
     for field, column in found.items():
-        if column is None:
-            continue
-        if field == "names":
-            values[field] = [str(cells[column]) for _, cells in rows if column < len(cells)]
-            continue
-        unit = units[column] or ("deg" if field in _ANGLES else "mm")
-        if unit not in (("deg", "rad") if field in _ANGLES else ("mm", "m")):
-            raise TableError(f"{path}: the column {header[column]!r} is in {unit}.")
-        numbers = []
-        for number, cells in rows:
-            value = dialect.number(cells[column]) if column < len(cells) else None
-            if value is None:
-                raise TableError(f"{path}: row {number}, column {header[column]!r}: no number.")
-            numbers.append(_FACTORS[unit] * value)
-        values[field] = numbers
-    ends = [values.pop(end, None) for end in ("low", "high")]
-    if all(ends):
-        values["limits"] = list(zip(*ends, strict=True))
+        if field == "names" and column is not None:
+            values[field] = table.labels(rows, column).tolist()
+        elif column is not None:
+            usual = "deg" if field in _ANGLES else "mm"
+            values[field] = _read_column(table, rows, column, usual)
+    low, high = values.pop("low", None), values.pop("high", None)
+    if low is not None and high is not None:
+        values["limits"] = list(zip(low, high, strict=True))
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
     return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)
+
+
+def _find_column(table, words):
+    """The column of the first of these names that the table has, or None."""
+    return next((table.names.index(word) for word in words if word in table.names), None)
+
+
+def _read_column(table, rows, column, usual_unit):
+    """Numbers of a column in mm or rad; the unit is that of its name, or else the usual one."""
+    units = ("deg", "rad") if usual_unit == "deg" else ("mm", "m")
+    unit = table.units[column] or usual_unit
+    if unit not in units:
+        raise TableError(f"{table.path}: the column {table.header[column]!r} is in {unit}.")
+    return (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
 
 
 def write_template(path):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.display import ControlChartDisplay, RepeatabilityDisplay
+from sklearn_raacmm.display import RepeatabilityDisplay
 from sklearn_raacmm.metrics import repeatability_interval
 from sklearn_raacmm.utils import natural_order
 
@@ -36,7 +36,7 @@ _MOST_ARMS = 12
 _N_DRAWS = 400  # of a bootstrap, as many as `repeatability_interval` makes
 
 
-def svg_of(draw, name, style=None):
+def make_svg(draw, name, style=None):
     """A whole SVG file of what `draw` draws into a figure; names in the file come from `name`."""
     try:
         import matplotlib
@@ -52,8 +52,8 @@ def svg_of(draw, name, style=None):
     return file.getvalue()
 
 
-def figures_of(result, limit_mm=None):
-    """Figures of a LearnedCorrection as SVG elements, by name; `limit_mm` of 2S is in the first."""
+def draw_figures(result, limit_mm=None):
+    """Figures of a Correction as SVG elements, by name; `limit_mm` of 2S is in the first."""
     draws = {
         "positions": lambda figure: _positions(figure, result.scores, limit_mm),
         "joints": lambda figure: _joints(figure, result),
@@ -61,7 +61,7 @@ def figures_of(result, limit_mm=None):
     }
     if result.scores.lengths:
         draws["lengths"] = lambda figure: _lengths(figure, result.scores)
-    return {name: _on_page(svg_of(draw, name, _STYLE)) for name, draw in draws.items()}
+    return {name: _on_page(make_svg(draw, name, _STYLE)) for name, draw in draws.items()}
 
 
 def _on_page(text):
@@ -138,20 +138,23 @@ def _joints(figure, result):
 def _volume(figure, result):
     """Where the probe has been, from above and from the side, with some poses of the arm."""
     figure.set_size_inches(7.2, 3.4)
-    rows = np.arange(len(result.angles))[:: -(-len(result.angles) // _MOST_POINTS)]
-    points = result.arm.forward(result.angles[rows])
-    some = rows[:: max(1, len(rows) // _MOST_ARMS)]
-    frames = result.arm.frames(result.angles[some])[:, :, :, 3]
-    chains = np.concatenate([frames, result.arm.forward(result.angles[some])[:, None]], axis=1)
-    left, right = figure.subplots(1, 2)
-    for chain in chains:
-        left.plot(chain[:, 0], chain[:, 1], color="0.6", linewidth=0.8, alpha=0.6)
-        right.plot(np.hypot(*chain[:, :2].T), chain[:, 2], color="0.6", linewidth=0.8, alpha=0.6)
-    left.plot(points[:, 0], points[:, 1], ".", color=_AFTER, markersize=3)
-    right.plot(np.hypot(*points[:, :2].T), points[:, 2], ".", color=_AFTER, markersize=3)
-    left.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
-    right.set(xlabel="distance from the base axis, mm", ylabel="z, mm", title="from the side")
-    right.set_aspect("equal")
+    angles = result.angles[:: -(-len(result.angles) // _MOST_POINTS)]
+    points, some = result.arm.forward(angles), angles[:: max(1, len(angles) // _MOST_ARMS)]
+    joints = result.arm.frames(some)[:, :, :, 3]
+    chains = np.concatenate([joints, result.arm.forward(some)[:, None]], axis=1)
+    above, side = figure.subplots(1, 2)
+    for ax, view in ((above, lambda p: p[:, :2].T), (side, _beside_axis)):
+        for chain in chains:
+            ax.plot(*view(chain), color="0.6", linewidth=0.8, alpha=0.6)
+        ax.plot(*view(points), ".", color=_AFTER, markersize=3)
+    above.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
+    side.set(xlabel="distance from the base axis, mm", ylabel="z, mm", title="from the side")
+    side.set_aspect("equal")
+
+
+def _beside_axis(points):
+    """Distance from the base axis and height of points (n, 3)."""
+    return np.hypot(points[:, 0], points[:, 1]), points[:, 2]
 
 
 def _lengths(figure, scores):
@@ -168,17 +171,7 @@ def _lengths(figure, scores):
     ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
 
 
-def chart_of(records):
-    """Control chart of the records of checks, as a whole SVG file."""
-
-    def draw(figure):
-        figure.set_size_inches(7, 5)
-        ControlChartDisplay(records=records).plot(figure.subplots(2, 1, sharex=True))
-
-    return svg_of(draw, "chart")
-
-
-def picture_of(arm):
+def draw_arm(arm):
     """Links, axes of the joints and probe of an arm, all angles at zero, as a whole SVG file."""
     zero = np.zeros((1, arm.n_joints))
     frames, probe = arm.frames(zero)[0], arm.forward(zero)
@@ -202,10 +195,10 @@ def picture_of(arm):
             ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
             ax.set(title=title, aspect="equal")
 
-    return svg_of(draw, "arm")
+    return make_svg(draw, "arm")
 
 
-def picture_of_plan(arm, positions):
+def draw_plan(arm, positions):
     """Where the cones (n, 3), mm, of a plan stand, from above and from the side, as an element."""
     turn = np.linspace(0, 2 * np.pi, 100)
     circle = reach_mm(arm) * np.array([np.cos(turn), np.sin(turn)])
@@ -223,5 +216,5 @@ def picture_of_plan(arm, positions):
             ax.plot(*circle, color="0.8", linestyle=":")
             ax.set(title=title, aspect="equal")
 
-    text = svg_of(draw, "plan")
+    text = make_svg(draw, "plan")
     return text[text.index("<svg") :]

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._causes import columns_of_causes
-from sklearn_raacmm.app._cells import TableError, number_of
-from sklearn_raacmm.app._tables import find_layout, read_table
+from sklearn_raacmm.app._causes import find_cause_columns, read_causes, read_tools
+from sklearn_raacmm.app._cells import TableError, parse_number
+from sklearn_raacmm.app._tables import Layout, read_table
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction import SavedCorrection
-from sklearn_raacmm.measurements import within_turn
+from sklearn_raacmm.correction import Correction
+from sklearn_raacmm.measurements import directions_of, within_turn
+from sklearn_raacmm.utils import numbered_rows
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
 _BLOCK_ROWS = 8192
@@ -56,34 +57,56 @@ def load_correction(source):
             "run code: install skops (pip install skops) and learn again."
         )
     try:
-        return SavedCorrection.load(folder)
+        return Correction.load(folder)
     except (ValueError, OSError) as error:
         raise TableError(f"--model: {error}") from None
 
 
-def files_of(source):
+def correction_files(source):
     """Files that loading a correction reads: no output may be one of them."""
     folder = Path(source)
     folder = folder.parent if folder.is_file() else folder
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
-def write_corrected(layout, numbers, file):
+def write_corrected(layout, correction, options, in_order, file):
     """Copy a table with the corrected points beside its columns, block by block.
 
-    Returns the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
-    `numbers` takes angles in rad and their block of the table, and gives the new columns.
+    Each row is corrected by its probe; in the order of measurement the directions of the joints are
+    found. Returns the number of rows, and the largest angle of each joint (1, n_joints) in their
+    unit.
     """
-    dialect, n_rows, largest = layout.dialect, 0, 0.0
-    writer = csv.writer(file, delimiter=dialect.separator or " ")
+    source, n_rows, largest, last = layout.source, 0, 0.0, None
+    writer = csv.writer(file, delimiter=source.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
-    for block, cells in layout.blocks_with_cells(_BLOCK_ROWS):
+    known, columns = correction.facts["causes"], find_cause_columns(options)
+    columns = {name: column for name, column in columns.items() if name in known}
+    for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
-        new = numbers(in_rad(block), block)
+        angles, causes = in_rad(block), read_causes(block, columns)
+        if in_order:
+            ways, last = directions_of(angles, last), angles[-1]
+            ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
+            causes |= {name: way for name, way in ways.items() if name in known}
+        new = _corrected(correction, correction.inputs(angles, causes), block, options)
         for row, values in zip(cells, new.tolist(), strict=True):
-            writer.writerow([*row, *map(dialect.text, values)])
+            writer.writerow([*row, *map(source.text, values)])
         n_rows += len(cells)
     return n_rows, largest
+
+
+def _corrected(correction, X, block, options):
+    """The new columns of a block, each row by its probe."""
+    tools = read_tools(block, options)
+    if tools is None:
+        with numbered_rows(block.rows):
+            return correction.columns(X)
+    new = np.empty((len(X), len(_NEW_COLUMNS)))
+    for tool in np.unique(tools):
+        rows = tools == tool
+        with numbered_rows(block.rows[rows]):
+            new[rows] = correction.with_tool(tool).columns(X[rows])
+    return new
 
 
 @contextmanager
@@ -105,21 +128,19 @@ def in_rad(table):
 
 
 def read_rows(options, arm, labelled=True):
-    """The table that the options name; `options.rows` are the numbers of its rows in the file."""
+    """The table that the options name; what was guessed is printed."""
     table = read_table(options.table, arm.n_joints, **_table_options(options, arm, labelled))
-    options.rows = table.rows
-    _say_notes(table.notes)
+    print_notes(table.notes)
     return table
 
 
-def find_rows(options, arm, said=True):
+def find_rows(options, arm):
     """Layout of the table that the options name, to be read block by block without labels."""
-    layout = find_layout(options.table, arm.n_joints, **_table_options(options, arm, False))
-    _say_notes(layout.notes if said else ())
-    return layout
+    return Layout(options.table, arm.n_joints, **_table_options(options, arm, False))
 
 
-def _say_notes(notes):
+def print_notes(notes):
+    """Print what the user should know, beside the results."""
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
 
@@ -136,7 +157,7 @@ def _table_options(options, arm, labelled):
             )
     counts = options.counts_per_turn
     if counts is not None:
-        counts = [number_of(text) for text in counts.split(",")]
+        counts = [parse_number(text) for text in counts.split(",")]
         counts = counts[0] if len(counts) == 1 else counts
     return {
         "angles": options.angles.split(",") if options.angles else None,
@@ -147,13 +168,13 @@ def _table_options(options, arm, labelled):
         "joint_names": arm.names,
         "counts_per_turn": counts,
         "sheet": options.sheet,
-        "others": [*columns_of_causes(options).values(), *filter(None, [tool])],
+        "others": [*find_cause_columns(options).values(), *filter(None, [tool])],
     }
 
 
-def vector_of(text):
+def parse_vector(text):
     """The three numbers of ``--probe X,Y,Z``, mm."""
-    vector = [number_of(cell) for cell in text.split(",")]
+    vector = [parse_number(cell) for cell in text.split(",")]
     if len(vector) != 3:
         raise TableError(f"--probe needs three numbers in mm, such as 0,0,250, got {text!r}.")
     return vector

@@ -6,16 +6,16 @@
 from os import PathLike
 from typing import Any
 
-from sklearn_raacmm.app._cells import TableError, number_of
+from sklearn_raacmm.app._cells import TableError, parse_number
 from sklearn_raacmm.app._sources import find_source
 from sklearn_raacmm.calibration import lengths_of_places
 
 
-def length_of(text):
+def parse_length(text):
     """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them."""
     try:
         first, second, length, sd = (part.strip() for part in text.split(":"))
-        return first, second, number_of(length), number_of(sd)
+        return first, second, parse_number(length), parse_number(sd)
     except ValueError:
         raise TableError(
             "--length needs two positions, their distance and its standard deviation in mm, such "
@@ -43,20 +43,20 @@ def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any
     TableError
         If a row does not hold these; the sentence has its number.
     """
-    return list(_rows_of(path, 2, 1, sd, "two labels and a length in mm"))
+    return list(_read_rows(path, 2, 1, sd, "two labels and a length in mm"))
 
 
 def read_places(path, sd=None):
     """Known lengths of a plate: label, x, y, z and the standard deviation of these a row, mm."""
     try:
-        return lengths_of_places(list(_rows_of(path, 1, 3, sd, "a label, x, y and z in mm")))
+        return lengths_of_places(list(_read_rows(path, 1, 3, sd, "a label, x, y and z in mm")))
     except TableError:
         raise
     except ValueError as error:
         raise TableError(f"{path}: {error}") from None
 
 
-def _rows_of(path, n_labels, n_numbers, sd, what):
+def _read_rows(path, n_labels, n_numbers, sd, what):
     """Yield labels, numbers and a standard deviation of each row, the header left out."""
     dialect, begun = find_source(path, n_numbers), False
     for number, cells in dialect.rows():

@@ -3,29 +3,30 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import sys
 from dataclasses import replace
-from datetime import date as calendar
+from datetime import date
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from sklearn_raacmm.app._causes import probe_not_told
-from sklearn_raacmm.app._cells import TableError, as_said
-from sklearn_raacmm.app._figures import chart_of
-from sklearn_raacmm.app._files import files_of, in_rad, load_correction, read_rows, vector_of
+from sklearn_raacmm.app._causes import find_unnamed_probe
+from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._files import (
+    correction_files,
+    in_rad,
+    load_correction,
+    parse_vector,
+    print_notes,
+    read_rows,
+)
 from sklearn_raacmm.app._lengths import read_lengths
-from sklearn_raacmm.arm import check_angles, reach_mm
-from sklearn_raacmm.calibration import MUCH_SCATTER_MM, calibrate
-from sklearn_raacmm.correction import check_correction, read_check_records, update_correction
-from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, natural_order, write_whole
+from sklearn_raacmm.utils import check_places, natural_order
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -34,136 +35,68 @@ _FALSE_ALARM = 0.01
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
-# A base of which more is open is none that a correction could be used with, mm.
-_WELL_KNOWN_MM = 1.0
 # Parts of the model that have changed by less than this share of what is usual are not named.
 _NAMED_TAU = 0.1
 
 
-class _Today(NamedTuple):
-    """What was measured today."""
-
-    angles: np.ndarray  # (n, n_joints) rad
-    positions: Any
-    points: np.ndarray | None  # (n, 3) mm
-    lengths: list
-    rows: np.ndarray  # (n,) their numbers in the file
-
-    @classmethod
-    def of(cls, options, arm):
-        by_tracker = bool(options.points)
-        table = read_rows(options, arm, labelled=not by_tracker)
-        lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
-        if by_tracker and lengths:
-            raise TableError("--lengths are between cones; a tracker has no use for them.")
-        check_angles(table.angles, arm.n_joints, table.angle_unit)  # says if that seems another
-        return cls(in_rad(table), table.positions, table.points, lengths, table.rows)
-
-    @property
-    def said(self):
-        """What they are, in words."""
-        if self.points is not None:
-            return f"{len(self.angles)} poses, measured by a tracker"
-        return f"{len(self.angles)} poses in {len(np.unique(self.positions))} cones"
-
-    def register(self, saved, free=("probe",)):
-        """Probe and base through the correction."""
-        found = calibrate(
-            saved.arm, self.angles, self.positions, points=self.points, lengths=self.lengths,
-            correction=_of_angles(saved, saved.model), free=list(free),
-        )  # fmt: skip
-        turns = np.char.startswith(found.names, "base_r")
-        open_mm = reach_mm(saved.arm) * found.standard_deviations[turns].max(initial=0.0)
-        if open_mm > _WELL_KNOWN_MM:
-            raise TableError(
-                f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "
-                "points that are spread in all directions, not along a line."
-            )
-        return found
-
-    def left(self, y, predicted=0.0):
-        """Mean distance of corrected points from where they should be, mm."""
-        y = y - predicted
-        if self.positions is not None:
-            y = position_residuals(y, self.positions)
-        return float(np.linalg.norm(y, axis=1).mean())
-
-    def without(self, slipped):
-        """The same without some rows, where each position keeps two or more."""
-        kept = np.delete(np.arange(len(self.angles)), slipped)
-        if np.unique(self.positions[kept], return_counts=True)[1].min() < 2:
-            return self
-        return self._replace(angles=self.angles[kept], positions=self.positions[kept])
-
-
 def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
-    saved, out = _opened(options)
-    today = _Today.of(options, saved.arm)
-    found = today.register(saved)
-    new = saved.registered(found)
-    said, facts = _what_has_moved(saved, new)
-    y = found.residuals(today.angles, today.points, today.positions)
-    left, usual = (
-        today.left(y, _of_angles(new, new.model).predict(today.angles)),
-        _usual_mm(saved, today),
-    )
+    saved, out = _open_correction(options)
+    today, lengths = _read_today(options, saved.arm)
+    new = saved.register(today.angles, today.positions, today.points, lengths)
+    y = new.calibration.residuals(today.angles, today.points, today.positions)
+    left = _mean_deviation(y - new.model.predict(new.inputs(today.angles)), today.positions)
+    usual = _usual_deviation(saved, today)
     _refuse_another_arm(left, usual)
-    print(f"Registered with {today.said}.", *said, sep="\n")
-    print(f"Mean deviation {today.left(y):.3f} -> {left:.3f} mm.")
-    enough = usual is None or left <= _MUCH_MORE * usual
+    facts = _print_moves(f"Registered with {_describe_poses(today)}.", saved, new)
+    print(f"Mean deviation {_mean_deviation(y, today.positions):.3f} -> {left:.3f} mm.")
+    holds = usual is None or left <= _MUCH_MORE * usual
     if usual is None:
         print("The correction was learnt by another kind of measurement: run raacmm check.")
-    elif enough:
+    elif holds:
         print(f"The correction holds with it: {usual:.3f} mm is usual.")
     else:
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
-    _write(new, out, "register", today, facts)
-    return (OK if enough else CHANGED), facts | {"left_mm": left}
+    _save(new, out, "register", facts | {"n_poses": len(today.angles)})
+    return (OK if holds else CHANGED), facts | {"left_mm": left}
 
 
 def update(options):
     """Register, and bring the correction up to date with the same poses."""
-    saved, out = _opened(options)
-    today = _Today.of(options, saved.arm)
-    found = today.register(saved)
-    moved = saved.registered(found)
-    y = found.residuals(today.angles, today.points, today.positions)
-    date = options.date or calendar.today().isoformat()
+    saved, out = _open_correction(options)
+    today, lengths = _read_today(options, saved.arm)
+    measured = today.angles, today.positions, today.points, lengths
+    new = saved.update(*measured, date=options.date or date.today().isoformat())
+    y = new.calibration.residuals(today.angles, today.points, today.positions)
     X = saved.inputs(today.angles)
-    model = update_correction(moved.model, X, y, groups=today.positions, date=date)
-    said, facts = _what_has_moved(saved, moved)
-    was, now = moved.model.predict(X), model.predict(X)
-    before, after = today.left(y, was), today.left(y, now)
-    _refuse_another_arm(after, _usual_mm(saved, today))
-    print(f"Updated with {today.said}.", *said, sep="\n")
-    if len(vars(model).get("updates_", ())) == len(vars(saved.model).get("updates_", ())):
+    was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)
+    before, after = (_mean_deviation(y - mm, today.positions) for mm in (was, now))
+    _refuse_another_arm(after, _usual_deviation(saved, today))
+    facts = _print_moves(f"Updated with {_describe_poses(today)}.", saved, new)
+    updates = vars(new.model).get("updates_", ())
+    if len(updates) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
         return CHANGED, facts
-    tau = sorted(vars(model)["updates_"][-1]["tau"].items(), key=lambda one: -one[1])
-    parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau if size > _NAMED_TAU][:4]
-    print(f"Changed most, in parts of what is usual: {', '.join(parts) or 'nothing'}.")
+    tau = dict(sorted(updates[-1]["tau"].items(), key=lambda one: -one[1]))
+    parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau.items() if size > _NAMED_TAU]
+    print(f"Changed most, in parts of what is usual: {', '.join(parts[:4]) or 'nothing'}.")
     rms = np.sqrt(np.mean(np.sum((now - was) ** 2, axis=1)))
     print(
         f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
         f"{before:.3f} -> {after:.3f} mm."
     )
     print("Check it with poses that it was not updated with: raacmm check.")
-    facts |= {"tau": dict(tau), "before_mm": before, "after_mm": after}
-    _write(replace(moved, model=model), out, "update", today, facts)
+    facts |= {"tau": tau, "before_mm": before, "after_mm": after}
+    _save(new, out, "update", facts | {"n_poses": len(today.angles)})
     return OK, facts
 
 
 def move(options):
     """Move the correction to a probe whose vector is known."""
-    saved, out = _opened(options)
-    if not hasattr(saved.model, "with_arm"):
-        raise TableError("this correction has no model of causes: register the new probe instead.")
-    arm = saved.arm.replace(probe=vector_of(options.probe))
-    new = replace(saved, arm=arm, model=saved.model.with_arm(arm))
-    said, facts = _what_has_moved(saved, new)
-    print(*said, sep="\n")
-    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, arm.n_joints))
+    saved, out = _open_correction(options)
+    new = saved.move(parse_vector(options.probe))
+    facts = _print_moves(None, saved, new)
+    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, new.arm.n_joints))
     old_mm, new_mm = (
         np.sqrt(np.square(one.model.linear_model_.predict(one.inputs(tried))[0]).sum(axis=1).mean())
         for one in (saved, new)
@@ -172,39 +105,73 @@ def move(options):
         f"The corrections are now of {new_mm:.3f} mm (rms over all poses), before {old_mm:.3f} mm."
     )
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
-    _write(new, out, "move", None, facts)
+    _save(new, out, "move", facts)
     return OK, facts
 
 
 def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
-    inputs = [options.table, *files_of(options.model)]
-    check_places(filter(None, (options.record, options.chart)), inputs)
+    check_places(filter(None, [options.record]), [options.table, *correction_files(options.model)])
     saved = load_correction(options.model)
-    has_causes = isinstance(saved.model, ArmResidualRegressor) and saved.model.helps_
+    has_causes = getattr(saved.model, "helps_", False)
     by_spread = saved.facts["measure"] == "2S" and not options.points
-    needed = [f"--{name}" for name in ("record", "chart", "lengths") if getattr(options, name)]
+    needed = [f"--{name}" for name in ("record", "lengths") if getattr(options, name)]
     if not has_causes and (needed or not by_spread):
         raise TableError(
             f"{' and '.join(needed) or 'this check'} needs a model of causes; this correction has "
             "none in use: check it with a single-point test."
         )
-    if said := probe_not_told(saved):
-        print(f"note: {said}: check with this one.", file=sys.stderr)
-    today = _Today.of(options, saved.arm)
+    if unnamed := find_unnamed_probe(saved):
+        print_notes([f"{unnamed}: check with this one."])
+    today, lengths = _read_today(options, saved.arm)
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    changed, facts, slipped = False, {}, ()
+    changed, facts = False, {}
     if has_causes:
-        changed, facts, slipped = _by_causes(saved, today, options, rate)
+        changed, facts, slipped = _check_model(saved, today, lengths, rate, options)
+        today = _without(today, slipped) if by_spread else today
     if by_spread:
-        changed = _by_spread(saved, today.without(slipped), rate, changed, facts)
+        changed = _check_spread(saved, today, rate, changed, facts)
     elif not changed:
-        print(f"It holds: {today.said}, {facts['usual_mm']:.3f} mm (rms) is what is usual.")
+        usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
+        print(f"It holds: {_describe_poses(today)}, {usual}.")
     return (CHANGED if changed else OK), facts | {"holds": not changed}
 
 
-def _by_spread(saved, today, rate, changed, facts):
-    """Whether the mean 2S, or what was found before, says that the correction no longer holds."""
+def _check_model(saved, today, lengths, rate, options):
+    """Whether the model sees a change in today's poses, the facts of it, and rows that slipped."""
+    found = saved.check(
+        today.angles, today.positions, today.points, lengths,
+        new_base=options.new_base, false_alarm_rate=rate,
+    )  # fmt: skip
+    changed = bool(found.matters and not found.holds)
+    if options.points and (saved.base is None or options.new_base):
+        print("The base was found from these same poses: what it takes up shows no change.")
+    if not found.holds:
+        advice = found.advice if changed else "That is too little to act on."
+        print(
+            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
+            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {advice}"
+        )
+    for row in found.slipped:
+        label = "" if today.positions is None else f" ({today.positions[row]})"
+        print(f"slipped: row {today.rows[row]}{label}, measure it again")
+    if options.record:
+        found.append_to(options.record)
+        print(f"Appended to {options.record}")
+    names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
+    return changed, {name: getattr(found, name) for name in names}, found.slipped
+
+
+def _without(today, slipped):
+    """The same without some rows, where each position keeps two or more."""
+    kept = np.delete(np.arange(len(today.angles)), slipped)
+    if np.unique(today.positions[kept], return_counts=True)[1].min() < 2:
+        return today
+    return replace(today, angles=today.angles[kept], positions=today.positions[kept])
+
+
+def _check_spread(saved, today, rate, changed, facts):
+    """Whether the mean 2S, or what was found before, shows that the correction does not hold."""
     before, after = (
         single_point_repeatability(points, today.positions, aggregate=None)
         for points in (saved.arm.forward(today.angles), saved.correct(today.angles)[0])
@@ -243,64 +210,38 @@ def highest_mean(learnt, n, rate):
     return float(learnt.mean() + quantile * spread)
 
 
-def _by_causes(saved, today, options, rate):
-    """Whether the model sees a change in today's poses, the facts of it, and rows that slipped."""
-    refitted = ()
-    if today.points is None:
-        y = position_residuals(saved.arm.forward(today.angles), today.positions)
-    elif saved.base is None or options.new_base:
-        y = today.register(saved, free=()).residuals(today.angles, today.points)
-        refitted = ("base",)
-        print("The base was found from these same poses: what it takes up shows no change.")
-    else:
-        y = saved.residuals(today.angles, today.points)
-    X = saved.inputs(today.angles)
-    found = check_correction(
-        saved.model, X, y, groups=today.positions, lengths=today.lengths, refitted=refitted,
-        false_alarm_rate=rate,
-    )  # fmt: skip
-    changed = bool(found.matters and not found.holds)
-    if not found.holds:
-        worth = as_said(found.advice) if changed else "That is too little to act on."
-        print(
-            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
-            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {worth}"
-        )
-    for row in found.slipped:
-        place = "" if today.positions is None else f" ({today.positions[row]})"
-        print(f"slipped: row {today.rows[row]}{place}, measure it again")
-    if options.record:
-        found.append_to(options.record)
-        print(f"Appended to {options.record}")
-    if options.chart:
-        records = read_check_records(options.record) if options.record else [found.record]
-        write_whole({options.chart: chart_of(records)})
-        print(f"Written to {options.chart}")
-    names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
-    return changed, {name: getattr(found, name) for name in names}, found.slipped
-
-
-def _of_angles(saved, model):
-    """The model as one of angles alone, to be registered: of each cause counts what is usual."""
-    more = {}
-    if hasattr(model, "with_arm"):
-        more["with_arm"] = lambda arm: _of_angles(saved, model.with_arm(arm))
-    return SimpleNamespace(
-        predict=lambda angles: model.predict(saved.inputs(angles)),
-        arm_=getattr(model, "arm_", None), regressor_=getattr(model, "regressor_", None), **more,
-    )  # fmt: skip
-
-
-def _opened(options):
+def _open_correction(options):
     """The saved correction, and the folder to write."""
     out = Path(options.out or options.model)
-    table = getattr(options, "table", None)
-    others = files_of(options.model) if options.out else []
-    check_places([out / "correction.json"], [*others, *([table] if table else [])])
+    read = [getattr(options, "table", None), *(correction_files(options.model) * bool(options.out))]
+    check_places([out / "correction.json"], filter(None, read))
     return load_correction(options.model), out
 
 
-def _usual_mm(saved, today):
+def _read_today(options, arm):
+    """What was measured today: its table, the angles in rad, and known lengths."""
+    by_tracker = bool(options.points)
+    table = read_rows(options, arm, labelled=not by_tracker)
+    lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
+    if by_tracker and lengths:
+        raise TableError("--lengths are between cones; a tracker has no use for them.")
+    check_angles(table.angles, arm.n_joints, table.angle_unit)  # warns of what seems another unit
+    return replace(table, angles=in_rad(table), angle_unit="rad"), lengths
+
+
+def _describe_poses(today):
+    if today.points is not None:
+        return f"{len(today.angles)} poses, measured by a tracker"
+    return f"{len(today.angles)} poses in {len(np.unique(today.positions))} cones"
+
+
+def _mean_deviation(left, positions):
+    """Mean distance of corrected points from where they should be, mm."""
+    left = left if positions is None else position_residuals(left, positions)
+    return float(np.linalg.norm(left, axis=1).mean())
+
+
+def _usual_deviation(saved, today):
     """Mean deviation that was left when it was learnt, mm; None if that was another measure."""
     if (saved.facts["measure"] == "2S") != (today.points is None):
         return None
@@ -319,38 +260,33 @@ def _refuse_another_arm(left, usual):
         )
 
 
-def _what_has_moved(old, new):
-    """Sentences on probe and base, and the same as plain values."""
-    probe = new.arm.probe - old.arm.probe
+def _print_moves(title, old, new):
+    """Print how far probe and base have moved, below a title, and return it as plain values."""
+    probe = float(np.linalg.norm(new.arm.probe - old.arm.probe))
     x, y, z = new.arm.probe
-    said = [
-        f"Probe: ({x:.3f}, {y:.3f}, {z:.3f}) mm, {np.linalg.norm(probe):.3f} mm from where it was."
-    ]
-    if tools := new.facts.get("tools"):
-        said.append(f"The vectors of the tools {', '.join(tools)} stay as they were learnt.")
-    facts = {"probe_mm": new.arm.probe.tolist(), "probe_moved_mm": float(np.linalg.norm(probe))}
-    if new.base is None:
-        return said, facts
-    if old.base is None:
-        said.append("Base: found for the first time.")
-        return said, facts
-    turn = old.base[0].T @ new.base[0]
-    angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
-    shift = float(np.linalg.norm(new.base[1] - old.base[1]))
-    said.append(
-        f"Base: moved by {shift:.3f} mm and turned by {np.rad2deg(angle):.4f} degrees in the "
-        "tracker's frame."
-    )
-    return said, facts | {"base_moved_mm": shift, "base_turned_deg": float(np.rad2deg(angle))}
+    lines = [f"Probe: ({x:.3f}, {y:.3f}, {z:.3f}) mm, {probe:.3f} mm from where it was."]
+    facts = {"probe_mm": new.arm.probe.tolist(), "probe_moved_mm": probe}
+    if new.tools:
+        lines.append(f"The vectors of the tools {', '.join(new.tools)} stay as they were learnt.")
+    if old.base is not None:
+        turn = old.base[0].T @ new.base[0]
+        angle = float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
+        shift = float(np.linalg.norm(new.base[1] - old.base[1]))
+        lines.append(
+            f"Base: moved by {shift:.3f} mm and turned by {angle:.4f} degrees in the tracker's "
+            "frame."
+        )
+        facts |= {"base_moved_mm": shift, "base_turned_deg": angle}
+    elif new.base is not None:
+        lines.append("Base: found for the first time.")
+    print(*filter(None, [title]), *lines, sep="\n")
+    return facts
 
 
-def _write(saved, out, word, today, facts):
+def _save(correction, out, word, facts):
     """Write the folder with what was done added to its history."""
-    done = {"date": calendar.today().isoformat(), "what": word, **facts}
-    if today is not None:
-        done["n_poses"] = len(today.angles)
-    history = [*saved.facts.get("history", []), done]
-    saved = replace(saved, facts=saved.facts | {"history": history})
-    card = describe(saved.model)
-    written = saved.save(out, {"card.md": f"{card}\n"})
+    done = {"date": date.today().isoformat(), "what": word, **facts}
+    history = [*correction.facts.get("history", []), done]
+    correction = replace(correction, facts=correction.facts | {"history": history})
+    written = correction.save(out, {"card.md": f"{describe(correction.model)}\n"})
     print(f"Written to {out}: {', '.join(path.name for path in written)}")

@@ -14,10 +14,8 @@ import os
 import re
 import sys
 import warnings
-from functools import partial
 from typing import Any
 
-from sklearn_raacmm.app._cells import as_said
 from sklearn_raacmm.app._options import make_parser
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -36,7 +34,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0: done; 2: bad input, said in one sentence; 3: the correction does not help, or a
+        0: done; 2: bad input, named in one sentence; 3: the correction does not help, or a
         check found that it no longer holds or that something has changed; 4: not judged, for
         something in the data has to be repaired first.
     """
@@ -44,7 +42,6 @@ def main(arguments: list[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     parser.refuse_unknown(words)
     options = parser.parse_args(words)
-    options.rows = None  # numbers in their file of the rows that are read
     streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
     for stream in streams:
         # Labels that a terminal cannot show must not end the work.
@@ -57,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        return _refuse(options, _sentence_of(error))
+        return _refuse(options, _describe_error(error))
     # ImportError: an extra is missing, and the sentence says which.
     except (ValueError, TypeError, ImportError) as error:
         return _refuse(options, error)
@@ -67,11 +64,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(options):
-    """Run a word; what it says goes beside what it writes to the standard output."""
+    """Run a word; its messages go beside what it writes to the standard output."""
     options.stdout = sys.stdout
     if getattr(options, "out", None) == "-" and options.word not in _TO_STANDARD_OUTPUT:
         raise ValueError("--out is a folder here, and - is none: give its name.")
-    room = importlib.import_module(f"sklearn_raacmm.app.{options.room}")
+    module = importlib.import_module(f"sklearn_raacmm.app.{options.module}")
     with contextlib.ExitStack() as stack:
         if options.quiet:
             nowhere = stack.enter_context(open(os.devnull, "w", encoding="utf-8"))
@@ -80,27 +77,24 @@ def _run(options):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore" if options.quiet else "always", UserWarning)
-        warnings.showwarning = partial(_show_warning, options)
-        done = getattr(room, options.word)(options)
+        warnings.showwarning = _show_warning
+        done = getattr(module, options.word)(options)
     code, facts = done if isinstance(done, tuple) else (done, {})
     if options.json:
-        print(
-            json.dumps({"exit_code": code, **facts}, indent=1, ensure_ascii=False),
-            file=options.stdout,
-        )
+        text = json.dumps({"exit_code": code, **facts}, indent=1, ensure_ascii=False)
+        print(text, file=options.stdout)
     return code
 
 
 def _refuse(options, error):
-    error = as_said(error, options.rows)
     if options.json:
-        print(json.dumps({"exit_code": BAD_INPUT, "error": error}, ensure_ascii=False))
+        print(json.dumps({"exit_code": BAD_INPUT, "error": str(error)}, ensure_ascii=False))
     print(f"raacmm {options.word}: {error}", file=sys.stderr)
     return BAD_INPUT
 
 
-def _sentence_of(error):
-    """What an error says; of the system's own, without its number."""
+def _describe_error(error):
+    """Sentence of an error; of the system's own, without its number."""
     if error.strerror and error.filename is not None:
         # Files are written under another name first.
         name = re.sub(r"(\.[0-9a-f]+)+\.tmp$", "", str(error.filename))
@@ -108,8 +102,8 @@ def _sentence_of(error):
     return error
 
 
-def _show_warning(options, message, *where, **more):
-    print(f"note: {as_said(message, options.rows)}", file=sys.stderr)
+def _show_warning(message, *where, **more):
+    print(f"note: {message}", file=sys.stderr)
 
 
 def completion(options):

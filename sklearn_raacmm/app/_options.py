@@ -6,7 +6,7 @@
 import argparse
 import re
 from difflib import get_close_matches
-from typing import Any, NamedTuple
+from typing import Any
 
 from sklearn_raacmm._version import __version__
 
@@ -16,80 +16,71 @@ _EPILOG = (
 )
 
 
-class Word(NamedTuple):
-    """A word of the command: the room that holds its function, and its options."""
-
-    name: str
-    room: str
-    text: str
-    example: str
-    options: str
-
-
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
 _LEARNING = "--limit-2s --folds --jobs --open --force"
 _CAUSES = "--extra --in-order --tool"
 _TODAY = f"table --model --points --lengths --length-sd {_COLUMNS}"
 
-WORDS = (
-    Word(
-        "learn", "_commands", "calibrate an arm, learn a correction, judge it, report",
+# Each word with the module that holds its function, a description, an example, and its options.
+WORDS = {
+    "learn": (
+        "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --length --lengths "
         f"--places --length-sd {_CAUSES} --like --serial --operator",
     ),
-    Word(
-        "correct", "_commands", "correct a table of any length",
+    "correct": (
+        "_commands", "correct a table of any length",
         "raacmm correct today.csv --model my_arm --out corrected.csv",
         f"table --model --out {_CAUSES} {_COLUMNS.replace(' --position', '')}",
     ),
-    Word(
-        "check", "_life", "ask whether a correction still holds today",
-        "raacmm check small_test.csv --model my_arm --record checks.csv --chart chart.svg",
-        f"{_TODAY} --new-base --record --chart",
+    "check": (
+        "_life", "ask whether a correction still holds today",
+        "raacmm check small_test.csv --model my_arm --record checks.csv",
+        f"{_TODAY} --new-base --record",
     ),
-    Word(
-        "register", "_life", "find a new probe or a new place through the correction",
+    "register": (
+        "_life", "find a new probe or a new place through the correction",
         "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
         f"{_TODAY} --out",
     ),
-    Word(
-        "update", "_life", "bring a correction up to date with few new poses",
+    "update": (
+        "_life", "bring a correction up to date with few new poses",
         "raacmm update today.csv --model my_arm --out my_arm_2026",
         f"{_TODAY} --out --date",
     ),
-    Word(
-        "move", "_life", "move a correction to a probe whose vector is known",
+    "move": (
+        "_life", "move a correction to a probe whose vector is known",
         "raacmm move --model my_arm --probe 0,0,250 --out my_arm_250mm",
         "--model --probe --out",
     ),
-    Word(
-        "export", "_commands", "write a correction for other software",
+    "export": (
+        "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
         "--model --c --onnx --name --std --any-probe",
     ),
-    Word(
-        "arm", "_commands", "show an arm and write its file; without an arm it asks",
+    "arm": (
+        "_commands", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
         "--modified --probe --into --template --out --picture",
     ),
-    Word(
-        "plan", "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
+    "plan": (
+        "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
         "raacmm plan --arm my_arm.json --out plan",
         "--arm --out --cones --poses --lean",
     ),
-    Word(
-        "demo", "_commands", "learn the correction of a simulated arm, with a report",
+    "demo": (
+        "_commands", "learn the correction of a simulated arm, with a report",
         "raacmm demo --open",
         f"--out {_LEARNING}",
     ),
-    Word(
-        "completion", "_main", "print what makes a shell complete words and options",
+    "completion": (
+        "_main", "print what makes a shell complete words and options",
         'eval "$(raacmm completion)"',
         "",
     ),
-)  # fmt: skip
+}  # fmt: skip
 
 
 def _flag(text):
@@ -160,7 +151,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": {"metavar": "CSV", "help": "file to append the line of this check to"},
-    "--chart": {"metavar": "SVG", "help": "control chart of the record to write"},
     "--date": {"help": "when they were measured (today)"},
     "move --probe": {
         "metavar": "X,Y,Z", "required": True,
@@ -196,7 +186,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--poses": {"type": int, "default": 12, "help": "poses in each cone (12)"},
     "--lean": {
         "type": float, "default": 60.0, "metavar": "DEG",
-        "help": "how far the probe may lean from the vertical, degrees (60)",
+        "help": "how far the probe may lean from the vertical in a cone, degrees (60)",
     },
     "--json": _flag("print the result as JSON"),
     "--quiet": _flag("print errors only"),
@@ -209,7 +199,7 @@ class _Parser(argparse.ArgumentParser):
     known: Any = ()
 
     def refuse_unknown(self, words):
-        """Say that an option is mistyped, before it is said that the right one is missing."""
+        """Refuse a mistyped option before the right one is reported as missing."""
         for name in (word.split("=")[0] for word in words):
             if name.startswith("--") and not any(one.startswith(name) for one in self.known):
                 self.error(f"unrecognized arguments: {name}")
@@ -232,16 +222,15 @@ def make_parser():
     parser.add_argument("--version", action="version", version=__version__)
     words = parser.add_subparsers(dest="word", required=True, metavar="WORD")
     known = {"--help", "--version"}
-    for word in WORDS:
+    for word, (module, text, example, names) in WORDS.items():
         own = words.add_parser(
-            word.name, help=word.text, description=word.text,
-            epilog=f"example:\n  {word.example}\n\n{_EPILOG}",
+            word, help=text, description=text, epilog=f"example:\n  {example}\n\n{_EPILOG}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
-        for option in (*word.options.split(), "--json", "--quiet"):
-            own.add_argument(option, **(OPTIONS.get(f"{word.name} {option}") or OPTIONS[option]))
-        own.set_defaults(room=word.room)
-        own.known = (word.name, *own._option_string_actions)
+        for option in (*names.split(), "--json", "--quiet"):
+            own.add_argument(option, **(OPTIONS.get(f"{word} {option}") or OPTIONS[option]))
+        own.set_defaults(module=module)
+        own.known = (word, *own._option_string_actions)
         known.update(own.known)
     parser.known = sorted(known)
     return parser

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._figures import picture_of_plan
+from sklearn_raacmm.app._figures import draw_plan
 from sklearn_raacmm.app._files import load_arm
 from sklearn_raacmm.correction import plan_poses
 from sklearn_raacmm.utils import check_places, html_table, write_whole
@@ -68,7 +68,7 @@ def _sheet(arm, found, names):
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title>"
         "<style>body{font:14px sans-serif;max-width:60em;margin:2em auto}td,th{padding:0 .6em;"
         f"text-align:right}}svg{{max-width:100%}}</style><h1>{title}</h1><p>{escape(repr(arm))}</p>"
-        f"<ol>{steps}</ol>{picture_of_plan(arm, found.positions)}"
+        f"<ol>{steps}</ol>{draw_plan(arm, found.positions)}"
         f"{html_table('Places of the cones', ['cone', 'x / mm', 'y / mm', 'z / mm'], places)}"
         f"{html_table('Poses, in their order', ['cone', *names], poses)}</html>\n"
     )

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import datetime
-import hashlib
 import platform
 from importlib.resources import files
 from os import PathLike
@@ -12,25 +11,27 @@ from typing import Any
 
 import numpy as np
 import scipy
-import sklearn
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm._version import __version__
-from sklearn_raacmm.app._cells import as_said
-from sklearn_raacmm.app._figures import figures_of
-from sklearn_raacmm.correction import CorrectionScores, LearnedCorrection
-from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.export import fingerprint
-from sklearn_raacmm.metrics import length_error
-from sklearn_raacmm.utils import show, write_whole
+from sklearn_raacmm.app._figures import draw_figures
+from sklearn_raacmm.correction import Correction, CorrectionScores
+from sklearn_raacmm.export import describe
+from sklearn_raacmm.utils import write_whole
 
 # Rows shown of tables that may be long.
 _MOST_ROWS = 40
 _MOST_HARMONICS = 12
+# What most often makes an encoder's error of an order below these a turn.
+_CAUSES = (
+    (2, "eccentric disc or bearing"),
+    (3, "oval or tilted disc, or what two reading heads leave"),
+    (20, "bearing or run-out of several lobes"),
+    (np.inf, "teeth of a gear, or the scale of the encoder"),
+)
 
 
 def write_report(
-    result: LearnedCorrection,
+    result: Correction,
     path: str | PathLike[str],
     *,
     limit_2s: float | None = None,
@@ -41,7 +42,7 @@ def write_report(
 
     Parameters
     ----------
-    result : LearnedCorrection
+    result : Correction
         What `learn_correction` returned.
     path : str or path-like
         File to write, beside its place and renamed when complete.
@@ -94,28 +95,31 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {
-        "um": micrometres,
-        "number": lambda v, digits: f"{v:.{digits}f}",
-        "said": lambda v: str(v) if row_numbers is None else as_said(v, row_numbers),
-    }
+    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
     template = files("sklearn_raacmm.app").joinpath("_report.html").read_text(encoding="utf-8")
     return environment.from_string(template).render(
         result=result,
         scores=result.scores,
         limit=limit,
-        limit_2s=limit_2s,
         facts=_facts(result) | (facts or {}),
         positions=_positions(result.scores),
         sheet=_sheet(result.scores),
         deviations=_deviations(result),
         parameters=_parameters(result.calibration),
         harmonics=_harmonics(result.model),
-        outliers=_outliers(result.outliers, row_numbers),
+        outliers=list_outliers(result, row_numbers),
         row_numbers=row_numbers,
-        figures=figures_of(result, limit_2s),
+        figures=draw_figures(result, limit_2s),
         most_rows=_MOST_ROWS,
     )
+
+
+def describe_result(result):
+    """Card of what was learnt, with the rows that it was learnt from and what was found in them."""
+    card = describe(result.model, result.inputs(result.angles), groups=result.positions)
+    if result.findings:
+        card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
+    return card
 
 
 def micrometres(mm):
@@ -146,7 +150,7 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
     if scores.measure != "2S":
         raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
     if not 0 < limit < np.inf:
-        raise ValueError(f"the limit of 2S must be a positive number in mm, got {show(limit)}.")
+        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
     mean, low, high = scores.summary["after"]
     word = "PASS" if high <= limit else "FAIL" if low > limit else "OPEN"
     what = {
@@ -164,22 +168,18 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
 
 def _facts(result):
     """What was measured, with what, and the fingerprints of both."""
-    try:
-        model = fingerprint(result.model)[:16]
-    except ValueError:  # a model of a kind that cannot be written out
-        model = "none for a model of this kind"
-    digest = hashlib.sha256(np.ascontiguousarray(result.angles).tobytes())
-    digest.update("\n".join(map(str, result.positions.tolist())).encode())
+    card = describe_result(result)
+    rows, model = card["training"], card["fingerprint"]
     return {
         "arm": result.arm.name or "without a name",
         "date": datetime.date.today().isoformat(),
-        "rows": len(result.angles),
-        "positions": len(np.unique(result.positions)),
-        "fingerprint of the data": digest.hexdigest()[:16],
-        "fingerprint of the model": model,
+        "rows": rows["rows"],
+        "positions": rows["positions"],
+        "fingerprint of the data": rows["data_fingerprint"][:16],
+        "fingerprint of the model": model[:16] if model else "none for a model of this kind",
         "model": type(result.model).__name__,
-        "versions": f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}, NumPy "
-        f"{np.__version__}, SciPy {scipy.__version__}, Python {platform.python_version()}",
+        "versions": f"{card['written_by']}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
+        f"Python {platform.python_version()}",
     }
 
 
@@ -201,17 +201,20 @@ def _sheet(scores):
         rows.append(("largest deviation", "single-point articulation, ASME B89.4.22", *values))
     if scores.lengths:
         errors = scores.length_errors_before, scores.length_errors_after
-        nominal = np.array([entry[2] for entry in scores.lengths])
         # The ends are means of many readings: no quantity of a standard, which take single ones.
-        for name, statistic in (("largest", "max"), ("range", "range"), ("2 rms", "2rms")):
-            values = [length_error(nominal + e, nominal, statistic=statistic) for e in errors]
+        for name, statistic in (
+            ("largest", lambda e: np.abs(e).max()),
+            ("range", np.ptp),
+            ("2 rms", lambda e: 2 * np.sqrt(np.mean(e**2))),
+        ):
+            values = [float(statistic(e)) for e in errors]
             rows.append((f"error of known lengths, {name}", "between mean points", *values))
     return rows
 
 
 def _deviations(result):
     """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
-    columns = result.saved.columns(result.saved.inputs(result.angles))
+    columns = result.columns(result.inputs(result.angles))
     names = (
         ("of a coordinate within a position", columns[:, 6:9]),
         ("of a coordinate in the base frame", columns[:, 3:6]),
@@ -220,8 +223,9 @@ def _deviations(result):
     return [(name, float(np.sqrt(np.mean(values**2)))) for name, values in names]
 
 
-def _outliers(outliers, row_numbers):
-    """Number of the row, position, distance in mm."""
+def list_outliers(result, row_numbers=None):
+    """Number of the row, position and distance in mm of each outlier."""
+    outliers = result.outliers
     rows = outliers["row"] if row_numbers is None else np.asarray(row_numbers)[outliers["row"]]
     return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
 
@@ -245,7 +249,7 @@ def _parameters(calibration):
 
 def _harmonics(model):
     """The largest harmonics that the model found: joint, order, amplitude, its sd, cause."""
-    if not isinstance(model, ArmResidualRegressor) or not model.helps_:
+    if not getattr(model, "helps_", False):  # another kind of model, or one that does not help
         return []
     rows = []
     for row in model.harmonics_[:_MOST_HARMONICS]:
@@ -253,16 +257,6 @@ def _harmonics(model):
         size = max(float(np.hypot(c, s)), 1e-300)
         sd = float(np.hypot(c * row["cos_sd_arcsec"], s * row["sin_sd_arcsec"]) / size)
         order = int(row["order"])
-        rows.append((int(row["joint"]), order, float(row["amplitude_arcsec"]), sd, cause_of(order)))
+        cause = next(cause for below, cause in _CAUSES if order < below)
+        rows.append((int(row["joint"]), order, float(row["amplitude_arcsec"]), sd, cause))
     return rows
-
-
-def cause_of(order):
-    """What most often makes an encoder's error of this order a turn."""
-    if order == 1:
-        return "eccentric disc or bearing"
-    if order == 2:
-        return "oval or tilted disc, or what two reading heads leave"
-    if order < 20:
-        return "bearing or run-out of several lobes"
-    return "teeth of a gear, or the scale of the encoder"

@@ -5,11 +5,12 @@
 
 import re
 import zipfile
+from contextlib import closing, contextmanager
 from functools import partial
 from itertools import islice
+from pathlib import Path
 
-from sklearn_raacmm.app._cells import Dialect, TableError, clean, find_encoding, text_dialect
-from sklearn_raacmm.utils import check_path
+from sklearn_raacmm.app._cells import Dialect, TableError, clean, find_dialect, find_encoding
 
 _LOOKED_AT = 300
 # A record of a program stands within so many, or the file is none.
@@ -51,7 +52,7 @@ def find_source(path, n_numbers, sheet=None):
 
     `sheet` is the name or number, from 1, of a spreadsheet's; None: the first with such rows.
     """
-    path = check_path("path", path)
+    path = Path(path)
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
     kind = path.suffix.lower()
@@ -63,7 +64,7 @@ def find_source(path, n_numbers, sheet=None):
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
     if kind in _FRAMES:
         return _frame(path, _FRAMES[kind])
-    return _program(path, n_numbers) or text_dialect(path, n_numbers)
+    return _program(path, n_numbers) or find_dialect(path, n_numbers)
 
 
 # -- spreadsheets ---------------------------------------------------------------------------------
@@ -71,51 +72,51 @@ def find_source(path, n_numbers, sheet=None):
 
 def _find_sheet(path, n_numbers, wanted):
     """The sheet that is wanted, or the first with rows of so many numbers; and its decimal sign."""
-    names = _with_book(path, lambda book: [list(book.sheetnames)])
-    names = next(iter(names))
-    number = 0
-    if wanted is not None:
-        number = int(wanted) if wanted.isdigit() else 0
-        if wanted not in names and not 1 <= number <= len(names):
-            raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
-    candidates = names if wanted is None else [wanted if wanted in names else names[number - 1]]
+    with _open_book(path) as book:
+        names = list(book.sheetnames)
+    candidates = [name for name in names if wanted in (None, name)]
+    candidates = candidates or [name for i, name in enumerate(names, 1) if wanted == str(i)]
+    if not candidates:
+        raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
     for name in candidates:
-        best, most = None, 0
-        for decimal in ".,":
-            others = [other for other in names if other != name]
-            what = f"Spreadsheet, sheet {name!r}"
-            if others:
-                what += f" (--sheet takes another: {', '.join(others)})"
-            read = partial(_with_book, path, lambda book, name=name: _rows_of(book[name]))
-            separator = ";" if decimal == "," else ","
-            dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
-            counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
-            found = sum(count for count in counts if count >= n_numbers)
-            if found > most:
-                best, most = dialect, found
-        if best is not None:
-            return best
-    raise TableError(
-        f"{path}: no row with {n_numbers} numbers was found in {_sheets_of(candidates)}."
-    )
+        dialect = _sheet_dialect(path, name, names, n_numbers)
+        if dialect is not None:
+            return dialect
+    sheets = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
+    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
 
 
-def _sheets_of(names):
-    return f"the sheet{'s' * (len(names) > 1)} {', '.join(names)}"
+def _sheet_dialect(path, name, names, n_numbers):
+    """How a sheet is written, by its decimal sign with most numbers; None if no row has so many."""
+    others = ", ".join(other for other in names if other != name)
+    more = f" (--sheet takes another: {others})" if others else ""
+    what, read = f"Spreadsheet, sheet {name!r}{more}", partial(_sheet_rows, path, name)
+    best, most = None, 0
+    for decimal, separator in ((".", ","), (",", ";")):
+        dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
+        counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
+        found = sum(count for count in counts if count >= n_numbers)
+        if found > most:
+            best, most = dialect, found
+    return best
 
 
-def _rows_of(sheet):
-    if not hasattr(sheet, "iter_rows"):  # a sheet that is a chart
-        return
-    sheet.reset_dimensions()  # what some programs write there is not how far the rows go
-    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
-        cells = [clean(cell) for cell in row]
-        if any(cell != "" for cell in cells):
-            yield number, cells
+def _sheet_rows(path, name):
+    """Yield (row number from 1, cells) of each row of a sheet that is not empty."""
+    with _open_book(path) as book:
+        sheet = book[name]
+        if not hasattr(sheet, "iter_rows"):  # a sheet that is a chart
+            return
+        sheet.reset_dimensions()  # some programs state fewer rows than they write
+        for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+            cells = [clean(cell) for cell in row]
+            if any(cell != "" for cell in cells):
+                yield number, cells
 
 
-def _with_book(path, what):
-    """Yield what is asked of a workbook, and close it."""
+@contextmanager
+def _open_book(path):
+    """A workbook, which is closed afterwards."""
     try:
         import openpyxl
     except ImportError:
@@ -131,11 +132,8 @@ def _with_book(path, what):
                 f"{path} of {path.stat().st_size / 1e6:.1f} MB unpacks to {size / 1e6:.0f} MB, "
                 "which is no table: save the sheet as CSV."
             )
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        try:
-            yield from what(book)
-        finally:
-            book.close()
+        with closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+            yield book
     except TableError:
         raise
     except Exception as error:  # a zip file of anything, damaged XML, or no zip file

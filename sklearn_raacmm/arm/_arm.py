@@ -5,39 +5,24 @@
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
+from functools import cached_property
+from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
-from sklearn_raacmm.arm._checks import (
-    MAX_LENGTH_MM,
-    MIN_LENGTH_MM,
-    check_angles,
-    floats,
-    is_name,
-    limits_of,
-    names_of,
-    numbers,
-    pair_of,
-    show,
-)
-from sklearn_raacmm.arm._files import JsonMixin
-from sklearn_raacmm.arm._kinematics import (
-    CHUNK_ROWS,
-    cross,
-    dh_theta,
-    frame_columns,
-    points_of,
-    probe_of,
-)
-from sklearn_raacmm.arm._urdf import UrdfMixin
-from sklearn_raacmm.utils import chunks, html_table
+from sklearn_raacmm.arm._chain import written
+from sklearn_raacmm.arm._checks import check_angles, checked_fields, floats
+from sklearn_raacmm.arm._files import fields_of_json, json_text
+from sklearn_raacmm.arm._kinematics import frames_of, joint_jacobian, points_of
+from sklearn_raacmm.arm._urdf import arm_of_urdf, urdf_with
+from sklearn_raacmm.utils import check_places, html_table, write_whole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Arm(JsonMixin, UrdfMixin):
+class Arm:
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
     An immutable value, equal and hashable by content. Lengths are in mm, angles in rad.
@@ -132,47 +117,27 @@ class Arm(JsonMixin, UrdfMixin):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        a = numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
-        n = a.size
-        checked = {
-            "a": a,
-            "alpha": numbers("alpha", self.alpha, n, "rad", 2 * np.pi),
-            "d": numbers("d", self.d, n, "mm", MAX_LENGTH_MM),
-            "theta_offset": numbers("theta_offset", self.theta_offset, n, "rad", 2 * np.pi, True),
-            "probe": numbers("probe", self.probe, 3, "mm", MAX_LENGTH_MM),
-            "joint_signs": numbers("joint_signs", self.joint_signs, n, "", 1, True),
-            "pose_joints": pair_of("pose_joints", self.pose_joints, 1, n),
-            "pose_frames": pair_of("pose_frames", self.pose_frames, 0, n),
-            "names": names_of(self.names, n),
-            "limits": limits_of(self.limits, n),
-        }
-        if np.any(np.abs(checked["joint_signs"]) != 1):
-            raise ValueError(f"joint_signs must be -1 or 1 each, got {show(self.joint_signs)}.")
-        if not (isinstance(self.convention, str) and self.convention in ("standard", "modified")):
-            raise ValueError(
-                f"convention must be 'standard' or 'modified', got {show(self.convention)}."
-            )
-        if not is_name(self.name):
-            raise ValueError(f"name must be a string of whole characters, got {show(self.name)}.")
-        if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
-            raise ValueError(
-                f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
-                "length does not move its probe."
-            )
-        for field, value in checked.items():
+        for field, value in checked_fields(self).items():
             object.__setattr__(self, field, value)
 
     # -- a value: equality, copies, representation ------------------------------------------
 
+    @cached_property
     def _key(self):
         values = self.__getstate__().values()
         return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values)
 
+    @cached_property
+    def _hash(self):
+        return hash(self._key)
+
     def __eq__(self, other: object) -> bool:
-        return self._key() == other._key() if isinstance(other, Arm) else NotImplemented
+        if self is other or not isinstance(other, Arm):
+            return self is other or NotImplemented
+        return self._key == other._key
 
     def __hash__(self) -> int:
-        return hash(self._key())
+        return self._hash
 
     def __copy__(self) -> Self:
         return self
@@ -364,6 +329,174 @@ class Arm(JsonMixin, UrdfMixin):
             **{"probe": (0.0, 0.0, probe), "name": f"{layout} arm", **params},
         )
 
+    # -- files ------------------------------------------------------------------------------
+
+    @classmethod
+    def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> "Arm":
+        """Read an arm from a JSON file.
+
+        Parameters
+        ----------
+        source : str, path-like, bytes or dict
+            Path of the file; or the text itself, which starts with a brace, as str or as bytes in
+            UTF-8; or the dict that the text stands for. A byte-order mark is ignored.
+
+        Returns
+        -------
+        Arm
+
+        Raises
+        ------
+        ValueError
+            If the text is not JSON, of another format or version, or a field is missing, not
+            numeric or out of bounds; the sentence names the field.
+        TypeError
+            If `source` is of another type.
+        OSError
+            If the file cannot be read, or is a folder.
+        """
+        params, where = fields_of_json(source)
+        try:
+            return cls(**params)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{where}: {error}") from None
+
+    def to_json(self, path: str | PathLike[str] | None = None) -> str:
+        """Write the arm as JSON, with the units in the names of the fields.
+
+        Parameters
+        ----------
+        path : str or path-like, default=None
+            File to write. It is written beside and renamed, so that a file of this name is always
+            whole. None only returns the text.
+
+        Returns
+        -------
+        str
+            The text.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("panda")
+        >>> Arm.from_json(arm.to_json()) == arm
+        True
+        """
+        return _kept(json_text(self), path)
+
+    @classmethod
+    def from_urdf(
+        cls, source: str | PathLike[str], *, base: str | None = None, tip: str | None = None
+    ) -> "Arm":
+        """Read a chain of revolute joints from a URDF file.
+
+        The table follows from the common normals of the axes. Fixed joints are folded in; angles
+        such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
+        that from `base` to `tip`, their zeros and senses are the file's.
+
+        Parameters
+        ----------
+        source : str or path-like
+            Path of the file, or the text itself; or Universal Robots' kinematics in YAML, as
+            ur_calibration writes them, with the controller's base.
+        base, tip : str, default=None
+            Names of the links where the chain begins and ends; `tip` is the probe. None: the only
+            ones there are.
+
+        Returns
+        -------
+        Arm
+            In the modified convention. Points are in the frame of the link `base` wherever a
+            Denavit-Hartenberg table can start from it; else a warning says from where.
+
+        Raises
+        ------
+        ValueError
+            If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
+            way is prismatic or of another kind: the sentence names it.
+
+        Warns
+        -----
+        UserWarning
+            If the base frame is another, or if axes are so nearly parallel that they are taken as
+            parallel.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("panda")
+        >>> again = Arm.from_urdf(arm.to_urdf())
+        >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
+        True
+        """
+        return arm_of_urdf(cls, source, base, tip)
+
+    def to_urdf(self, path: str | PathLike[str] | None = None) -> str:
+        """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
+
+        Joints have the names and limits of the arm; without limits they are continuous. Where the
+        robot has a file of its own, `update_urdf` keeps what else stands there.
+
+        Parameters
+        ----------
+        path : str or path-like, default=None
+            File to write. None only returns the text.
+
+        Returns
+        -------
+        str
+            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
+        """
+        return _kept(written(self), path)
+
+    def update_urdf(
+        self,
+        original: str | PathLike[str],
+        out: str | PathLike[str] | None = None,
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+    ) -> str:
+        """Write the calibrated arm back into the robot's own description.
+
+        The origins of the joints from `base` to `tip` get new numbers. Everything else stays as it
+        is in the file: names, limits, meshes, tools and comments.
+
+        Parameters
+        ----------
+        original : str or path-like
+            What `from_urdf` has read: a URDF or UR's kinematics, path or text.
+        out : str or path-like, default=None
+            File to write, which may be the original. None only returns the text.
+        base, tip : str, default=None
+            As for `from_urdf`.
+
+        Returns
+        -------
+        str
+            The text. Its kinematics are those of `forward`. A tool is no part of UR's kinematics:
+            there the probe's distance from the last axis is left out.
+
+        Raises
+        ------
+        ValueError
+            If this arm was not read from the file, or the file has no place for its probe.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> file = Arm.from_name("panda").to_urdf()
+        >>> arm = Arm.from_urdf(file)
+        >>> calibrated = arm.replace(a=arm.a + 0.1)
+        >>> again = Arm.from_urdf(calibrated.update_urdf(file))
+        >>> off = again.forward([[0.1] * 7]) - calibrated.forward([[0.1] * 7])
+        >>> bool(abs(off).max() < 1e-9)
+        True
+        """
+        if out is not None:
+            check_places([out])
+        return _kept(urdf_with(self, original, base, tip), out)
+
     # -- kinematics -------------------------------------------------------------------------
 
     def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
@@ -424,11 +557,7 @@ class Arm(JsonMixin, UrdfMixin):
         ndarray of shape (n_samples, n_joints + 1, 3, 4)
             ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
         """
-        angles = check_angles(angles, self.n_joints, angle_unit)
-        frames = np.empty((len(angles), self.n_joints + 1, 3, 4))
-        for rows in chunks(len(angles), CHUNK_ROWS):
-            frames[rows] = frame_columns(self, dh_theta(self, angles[rows])).transpose(3, 0, 2, 1)
-        return frames
+        return frames_of(self, check_angles(angles, self.n_joints, angle_unit))
 
     def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Compute the derivative of the probe's position by each joint angle.
@@ -444,18 +573,15 @@ class Arm(JsonMixin, UrdfMixin):
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
             vector from the axis to the probe.
         """
-        angles = check_angles(angles, self.n_joints, angle_unit)
-        result = np.empty((len(angles), 3, self.n_joints))
-        # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
-        first = 0 if self.convention == "standard" else 1
-        for rows in chunks(len(angles), CHUNK_ROWS):
-            columns = frame_columns(self, dh_theta(self, angles[rows]))
-            probe = probe_of(self, columns)
-            for i, sign in enumerate(self.joint_signs):
-                frame = columns[i + first]
-                result[rows, :, i] = sign * cross(frame[2], probe - frame[3]).T
-        return result
+        return joint_jacobian(self, check_angles(angles, self.n_joints, angle_unit))
 
 
 def _rebuild(params):
     return Arm(**params)
+
+
+def _kept(text, path):
+    """The text, written to a file where a path is given."""
+    if path is not None:
+        write_whole({path: text})
+    return text

@@ -14,8 +14,6 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sklearn_raacmm.utils import show
-
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
 _DECIMALS = {2: 2, 4: 4}
@@ -54,7 +52,7 @@ def read_chain(source, base=None, tip=None):
     With the robot's name, the file's text, and a name of the source for messages.
     """
     if not isinstance(source, str | PathLike):
-        raise TypeError(f"source must be a path or the text of a URDF file, got {show(source)}.")
+        raise TypeError(f"source must be a path or the text of a URDF file, got {source!r:.60}.")
     is_text = isinstance(source, str) and bool(re.match(r"\s*<", source) or _UR_FILE.search(source))
     where = "the URDF text" if is_text else str(source)
     text: Any = source if is_text else _text_of(source)

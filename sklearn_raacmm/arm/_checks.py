@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, floats, say_findings, show
+from sklearn_raacmm.utils import Finding, floats, say_findings
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -23,9 +23,42 @@ MAX_LENGTH_MM = 1e5
 MIN_LENGTH_MM = 1e-6
 
 
+def checked_fields(arm: Any) -> dict[str, Any]:
+    """Fields of an `Arm` as it keeps them; each fault gets one clear sentence."""
+    a = numbers("a", arm.a, None, "mm", MAX_LENGTH_MM)
+    n = a.size
+    checked = {
+        "a": a,
+        "alpha": numbers("alpha", arm.alpha, n, "rad", 2 * np.pi),
+        "d": numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
+        "theta_offset": numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
+        "probe": numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
+        "joint_signs": numbers("joint_signs", arm.joint_signs, n, "", 1, True),
+        "pose_joints": pair_of("pose_joints", arm.pose_joints, 1, n),
+        "pose_frames": pair_of("pose_frames", arm.pose_frames, 0, n),
+        "names": names_of(arm.names, n),
+        "limits": limits_of(arm.limits, n),
+    }
+    if np.any(np.abs(checked["joint_signs"]) != 1):
+        raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
+    if not (isinstance(arm.convention, str) and arm.convention in ("standard", "modified")):
+        raise ValueError(
+            f"convention must be 'standard' or 'modified', got {arm.convention!r:.60}."
+        )
+    if not is_name(arm.name):
+        raise ValueError(f"name must be a string of whole characters, got {arm.name!r:.60}.")
+    if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
+        raise ValueError(
+            f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
+            "length does not move its probe."
+        )
+    return checked
+
+
 def numbers(name, value, size, unit, bound, broadcast=False):
     """One finite float64 per joint, read-only."""
-    array = floats(name, value)
+    # The fields of an arm that a calibration changes are such arrays: they need no conversion.
+    array = value if type(value) is np.ndarray and value.dtype == float else floats(name, value)
     if broadcast and array.ndim == 0:
         array = np.broadcast_to(array, size)
     if array.ndim != 1 or not array.size or size not in (None, array.size):
@@ -49,7 +82,7 @@ def names_of(names, n):
     found = tuple(names) if isinstance(names, list | tuple) else ("",)
     whole = all(name and is_name(name) for name in found)
     if not whole or len(found) not in (0, n) or len(set(found)) < len(found):
-        raise ValueError(f"names must be {n} different names of joints, got {show(names)}.")
+        raise ValueError(f"names must be {n} different names of joints, got {names!r:.60}.")
     return found
 
 
@@ -89,7 +122,7 @@ def pair_of(name, value, low, high):
         whole = False
     if not whole or len(pair) != 2 or not all(low <= v <= high for v in pair) or len({*pair}) < 2:
         raise ValueError(
-            f"{name} must be two different whole numbers from {low} to {high}, got {show(value)}."
+            f"{name} must be two different whole numbers from {low} to {high}, got {value!r:.60}."
         )
     return tuple(int(v) for v in pair)
 
@@ -97,7 +130,7 @@ def pair_of(name, value, low, high):
 def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another."""
     if not (isinstance(angle_unit, str) and angle_unit in ("rad", "deg")):
-        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {show(angle_unit)}.")
+        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {angle_unit!r:.60}.")
     angles = floats("angles", angles)
     if angles.ndim != 2 or angles.shape[1] != n_joints:
         raise ValueError(
@@ -122,7 +155,7 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     if angle_unit == "rad":  # more than two turns
         _say(
             f"angles reach {reach} rad (joint {joint}), more than two turns:",
-            'if they are degrees, convert them or pass angle_unit="deg".',
+            'if they are degrees, convert them or pass angle_unit="deg" (raacmm: --unit deg).',
             joints=(joint,),
         )
         return angles
@@ -136,7 +169,7 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     if largest.max() < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
         _say(
             f"angles in degrees reach {reach} only (joint {joint}):",
-            'if they are radians, pass angle_unit="rad".',
+            'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).',
             joints=(joint,),
         )
     return np.deg2rad(angles)

@@ -1,4 +1,4 @@
-"""The arm as JSON."""
+"""The arm as JSON: its text, and the fields of `Arm` in it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,12 +6,9 @@
 import json
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-
-from sklearn_raacmm.arm._checks import show
-from sklearn_raacmm.utils import write_whole
 
 _FORMAT = "sklearn_raacmm.Arm"
 _FORMAT_VERSION = 1
@@ -32,90 +29,41 @@ _JSON_KEYS = {
 _OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad"}
 
 
-class JsonMixin:
-    """Arms as JSON files."""
+def fields_of_json(source: Any) -> tuple[dict[str, Any], str]:
+    """Fields of `Arm` in a JSON file, and a name of the source: see `Arm.from_json`."""
+    content, where = _content(source)
+    if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        raise ValueError(f'{where} is not an arm: it needs "format": "{_FORMAT}".')
+    if content.get("format_version") != _FORMAT_VERSION:
+        raise ValueError(
+            f"{where} has format_version {content.get('format_version')!r}, "
+            f"this version reads {_FORMAT_VERSION}."
+        )
+    missing = [key for key in _JSON_KEYS.values() if key not in content]
+    if missing:
+        raise ValueError(f"{where} lacks the field {missing[0]!r}.")
+    keys = _JSON_KEYS | {f: key for f, key in _OPTIONAL_KEYS.items() if key in content}
+    unknown = sorted(set(content) - {*keys.values(), "format", "format_version"})
+    if unknown:  # misspelt, or of a later version: it would be ignored silently
+        raise ValueError(f"{where} has the unknown field {unknown[0]!r:.60}.")
+    for key in keys.values():  # true and false would pass for 1 and 0
+        if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
+            raise ValueError(f"{where}: {key} must hold numbers, got {content[key]!r:.60}.")
+    return {field: content[key] for field, key in keys.items()}, where
 
-    @classmethod
-    def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> Self:
-        """Read an arm from a JSON file.
 
-        Parameters
-        ----------
-        source : str, path-like, bytes or dict
-            Path of the file; or the text itself, which starts with a brace, as str or as bytes in
-            UTF-8; or the dict that the text stands for. A byte-order mark is ignored.
-
-        Returns
-        -------
-        Arm
-
-        Raises
-        ------
-        ValueError
-            If the text is not JSON, of another format or version, or a field is missing, not
-            numeric or out of bounds; the sentence names the field.
-        TypeError
-            If `source` is of another type.
-        OSError
-            If the file cannot be read, or is a folder.
-        """
-        content, where = _content(source)
-        if not isinstance(content, dict) or content.get("format") != _FORMAT:
-            raise ValueError(f'{where} is not an arm: it needs "format": "{_FORMAT}".')
-        if content.get("format_version") != _FORMAT_VERSION:
-            raise ValueError(
-                f"{where} has format_version {content.get('format_version')!r}, "
-                f"this version reads {_FORMAT_VERSION}."
-            )
-        missing = [key for key in _JSON_KEYS.values() if key not in content]
-        if missing:
-            raise ValueError(f"{where} lacks the field {missing[0]!r}.")
-        keys = _JSON_KEYS | {f: key for f, key in _OPTIONAL_KEYS.items() if key in content}
-        unknown = sorted(set(content) - {*keys.values(), "format", "format_version"})
-        if unknown:  # misspelt, or of a later version: it would be ignored silently
-            raise ValueError(f"{where} has the unknown field {show(unknown[0])}.")
-        for key in keys.values():  # true and false would pass for 1 and 0
-            if any(isinstance(v, bool) for v in np.ravel(np.array(content[key], dtype=object))):
-                raise ValueError(f"{where}: {key} must hold numbers, got {show(content[key])}.")
-        try:
-            return cls(**{field: content[key] for field, key in keys.items()})
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{where}: {error}") from None
-
-    def to_json(self: Any, path: str | PathLike[str] | None = None) -> str:
-        """Write the arm as JSON, with the units in the names of the fields.
-
-        Parameters
-        ----------
-        path : str or path-like, default=None
-            File to write. It is written beside and renamed, so that a file of this name is always
-            whole. None only returns the text.
-
-        Returns
-        -------
-        str
-            The text.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import Arm
-        >>> arm = Arm.from_name("panda")
-        >>> Arm.from_json(arm.to_json()) == arm
-        True
-        """
-        content = {"format": _FORMAT, "format_version": _FORMAT_VERSION}
-        for field, key in _JSON_KEYS.items():
-            value = getattr(self, field)
-            content[key] = value.tolist() if isinstance(value, np.ndarray) else value
-        if self.names:
-            content["joint_names"] = list(self.names)
-        if self.limits is not None:  # JSON has no infinity
-            shown: Any = np.where(np.isfinite(self.limits), self.limits, None)
-            content["limits_rad"] = shown.tolist()
-        text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-        if path is not None:
-            write_whole({path: text})
-        return text
+def json_text(arm: Any) -> str:
+    """Text of an arm as JSON, with the units in the names of the fields."""
+    content = {"format": _FORMAT, "format_version": _FORMAT_VERSION}
+    for field, key in _JSON_KEYS.items():
+        value = getattr(arm, field)
+        content[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    if arm.names:
+        content["joint_names"] = list(arm.names)
+    if arm.limits is not None:  # JSON has no infinity
+        shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
+        content["limits_rad"] = shown.tolist()
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def _content(source: Any):

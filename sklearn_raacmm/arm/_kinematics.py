@@ -97,6 +97,28 @@ def frame_columns(arm: Any, theta: np.ndarray) -> np.ndarray:
     return out
 
 
+def frames_of(arm: Any, angles: np.ndarray) -> np.ndarray:
+    """Frames (n, n_joints + 1, 3, 4) at angles that have been checked: see `Arm.frames`."""
+    frames = np.empty((len(angles), len(arm.a) + 1, 3, 4))
+    for rows in chunks(len(angles), CHUNK_ROWS):
+        frames[rows] = frame_columns(arm, dh_theta(arm, angles[rows])).transpose(3, 0, 2, 1)
+    return frames
+
+
+def joint_jacobian(arm: Any, angles: np.ndarray) -> np.ndarray:
+    """Derivatives (n, 3, n_joints) at angles that have been checked: see `Arm.jacobian`."""
+    result = np.empty((len(angles), 3, len(arm.a)))
+    # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
+    first = 0 if arm.convention == "standard" else 1
+    for rows in chunks(len(angles), CHUNK_ROWS):
+        columns = frame_columns(arm, dh_theta(arm, angles[rows]))
+        probe = probe_of(arm, columns)
+        for i, sign in enumerate(arm.joint_signs):
+            frame = columns[i + first]
+            result[rows, :, i] = sign * cross(frame[2], probe - frame[3]).T
+    return result
+
+
 def probe_of(arm, frames, probes=None):
     """Probe points (3, n_samples) from `frame_columns`; `probes` as of `points_of`."""
     x, y, z, origin = frames[-1]

@@ -4,14 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import math
-from os import PathLike
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._chain import edited, read_chain, written
-from sklearn_raacmm.utils import check_places, warn_user, write_whole
+from sklearn_raacmm.arm._chain import edited, read_chain
+from sklearn_raacmm.utils import warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
 _PARALLEL = 1e-12
@@ -24,175 +23,58 @@ _SAME_MM = 1e-10
 _SAME_ARM = 0.2
 
 
-class UrdfMixin:
-    """Arms as URDF files, and as those of Universal Robots."""
+def arm_of_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
+    """The arm of a robot's own file: see `Arm.from_urdf`."""
+    joints, name, _, where = read_chain(source, base, tip)
+    return _arm_of(cls, joints, name, where)[0]
 
-    @classmethod
-    def from_urdf(
-        cls,
-        source: str | PathLike[str],
-        *,
-        base: str | None = None,
-        tip: str | None = None,
-    ) -> Self:
-        """Read a chain of revolute joints from a URDF file.
 
-        The table follows from the common normals of the axes. Fixed joints are folded in; angles
-        such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
-        that from `base` to `tip`, their zeros and senses are the file's.
-
-        Parameters
-        ----------
-        source : str or path-like
-            Path of the file, or the text itself; or Universal Robots' kinematics in YAML, as
-            ur_calibration writes them, with the controller's base.
-        base, tip : str, default=None
-            Names of the links where the chain begins and ends; `tip` is the probe. None: the only
-            ones there are.
-
-        Returns
-        -------
-        Arm
-            In the modified convention. Points are in the frame of the link `base` wherever a
-            Denavit-Hartenberg table can start from it; else a warning says from where.
-
-        Raises
-        ------
-        ValueError
-            If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
-            way is prismatic or of another kind: the sentence names it.
-
-        Warns
-        -----
-        UserWarning
-            If the base frame is another, or if axes are so nearly parallel that they are taken as
-            parallel.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import Arm
-        >>> arm = Arm.from_name("panda")
-        >>> again = Arm.from_urdf(arm.to_urdf())
-        >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
-        True
-        """
-        joints, name, _, where = read_chain(source, base, tip)
-        return _arm_of(cls, joints, name, where)[0]
-
-    def to_urdf(self: Any, path: str | PathLike[str] | None = None) -> str:
-        """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
-
-        Joints have the names and limits of the arm; without limits they are continuous. Where the
-        robot has a file of its own, `update_urdf` keeps what else stands there.
-
-        Parameters
-        ----------
-        path : str or path-like, default=None
-            File to write. None only returns the text.
-
-        Returns
-        -------
-        str
-            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
-        """
-        text = written(self)
-        if path is not None:
-            write_whole({path: text})
-        return text
-
-    def update_urdf(
-        self: Any,
-        original: str | PathLike[str],
-        out: str | PathLike[str] | None = None,
-        *,
-        base: str | None = None,
-        tip: str | None = None,
-    ) -> str:
-        """Write the calibrated arm back into the robot's own description.
-
-        The origins of the joints from `base` to `tip` get new numbers. Everything else stays as it
-        is in the file: names, limits, meshes, tools and comments.
-
-        Parameters
-        ----------
-        original : str or path-like
-            What `from_urdf` has read: a URDF or UR's kinematics, path or text.
-        out : str or path-like, default=None
-            File to write, which may be the original. None only returns the text.
-        base, tip : str, default=None
-            As for `from_urdf`.
-
-        Returns
-        -------
-        str
-            The text. Its kinematics are those of `forward`. A tool is no part of UR's kinematics:
-            there the probe's distance from the last axis is left out.
-
-        Raises
-        ------
-        ValueError
-            If this arm was not read from the file, or the file has no place for its probe.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import Arm
-        >>> file = Arm.from_name("panda").to_urdf()
-        >>> arm = Arm.from_urdf(file)
-        >>> calibrated = arm.replace(a=arm.a + 0.1)
-        >>> again = Arm.from_urdf(calibrated.update_urdf(file))
-        >>> off = again.forward([[0.1] * 7]) - calibrated.forward([[0.1] * 7])
-        >>> bool(abs(off).max() < 1e-9)
-        True
-        """
-        if out is not None:
-            check_places([out])
-        joints, name, text, where = read_chain(original, base, tip)
-        nominal, placed = _arm_of(type(self), joints, name, where)
-        same = (nominal.convention, nominal.n_joints) == (self.convention, self.n_joints)
-        if not same or np.any(nominal.joint_signs != self.joint_signs):
+def urdf_with(arm: Any, original: Any, base: str | None, tip: str | None) -> str:
+    """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
+    joints, name, text, where = read_chain(original, base, tip)
+    nominal, placed = _arm_of(type(arm), joints, name, where)
+    same = (nominal.convention, nominal.n_joints) == (arm.convention, arm.n_joints)
+    if not same or np.any(nominal.joint_signs != arm.joint_signs):
+        raise ValueError(
+            f"{where} has {nominal.n_joints} joints in the modified convention, and the arm "
+            f"is {arm!r}: only an arm that was read from this file can be written back into "
+            "it."
+        )
+    files = _frames(joints)
+    old, new = (placed @ _axis_frames(one) for one in (nominal, arm))
+    point = (new[-1] @ [*arm.probe, 1.0])[:3]
+    moving = [k for k, joint in enumerate(joints) if joint.axis is not None]
+    before, origins = np.eye(4), {}
+    for k, joint in enumerate(joints):
+        if joint.axis is None:
+            before = before @ joint.origin
+            continue
+        i = moving.index(k)
+        if np.linalg.norm(np.cross(old[i][:3, 2], new[i][:3, 2])) > _SAME_ARM:
             raise ValueError(
-                f"{where} has {nominal.n_joints} joints in the modified convention, and the arm "
-                f"is {self!r}: only an arm that was read from this file can be written back into "
-                "it."
+                f"{where}: the axis of joint {joint.name!r} is another one in the arm, which "
+                "was not read from this file."
             )
-        files = _frames(joints)
-        old, new = (placed @ _axis_frames(one) for one in (nominal, self))
-        point = (new[-1] @ [*self.probe, 1.0])[:3]
-        moving = [k for k, joint in enumerate(joints) if joint.axis is not None]
-        before, origins = np.eye(4), {}
-        for k, joint in enumerate(joints):
-            if joint.axis is None:
-                before = before @ joint.origin
-                continue
-            i = moving.index(k)
-            if np.linalg.norm(np.cross(old[i][:3, 2], new[i][:3, 2])) > _SAME_ARM:
-                raise ValueError(
-                    f"{where}: the axis of joint {joint.name!r} is another one in the arm, which "
-                    "was not read from this file."
-                )
-            # The file's frame goes where the table's frame has gone, exactly onto the new axis.
-            frame = new[i] @ np.linalg.inv(old[i]) @ files[k]
-            along = new[i][:3, 2] * np.sign(new[i][:3, 2] @ frame[:3, :3] @ joint.axis)
-            frame[:3, :3] = _turn(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
-            at = point if k == len(joints) - 1 else frame[:3, 3]
-            foot = new[i][:3, 3]
-            frame[:3, 3] = foot + ((at - foot) @ along) * along
-            origins[joint.name] = np.linalg.inv(before) @ frame
-            before = frame
-        last, off_mm = joints[-1], np.linalg.norm(point - before[:3, 3])
-        if last.axis is None:  # the probe: the last joint of the chain is fixed
-            parent = before @ np.linalg.inv(last.origin)
-            origins[last.name] = last.origin.copy()
-            origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
-        elif str(text).lstrip().startswith("<") and off_mm > _SAME_MM:
-            raise ValueError(
-                f"{where}: the probe is {off_mm:.4g} mm beside the last axis, and no fixed joint "
-                f"after {last.name!r} could say so: add one with a link."
-            )
-        text = edited(text, origins)
-        if out is not None:
-            write_whole({out: text})
-        return text
+        # The file's frame goes where the table's frame has gone, exactly onto the new axis.
+        frame = new[i] @ np.linalg.inv(old[i]) @ files[k]
+        along = new[i][:3, 2] * np.sign(new[i][:3, 2] @ frame[:3, :3] @ joint.axis)
+        frame[:3, :3] = _turn(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
+        at = point if k == len(joints) - 1 else frame[:3, 3]
+        foot = new[i][:3, 3]
+        frame[:3, 3] = foot + ((at - foot) @ along) * along
+        origins[joint.name] = np.linalg.inv(before) @ frame
+        before = frame
+    last, off_mm = joints[-1], np.linalg.norm(point - before[:3, 3])
+    if last.axis is None:  # the probe: the last joint of the chain is fixed
+        parent = before @ np.linalg.inv(last.origin)
+        origins[last.name] = last.origin.copy()
+        origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
+    elif str(text).lstrip().startswith("<") and off_mm > _SAME_MM:
+        raise ValueError(
+            f"{where}: the probe is {off_mm:.4g} mm beside the last axis, and no fixed joint "
+            f"after {last.name!r} could say so: add one with a link."
+        )
+    return edited(text, origins)
 
 
 def _axis_frames(arm):

@@ -4,7 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.calibration._calibrate import calibrate
-from sklearn_raacmm.calibration._checks import MUCH_SCATTER_MM, SHARE_OF_REACH, check_length
+from sklearn_raacmm.calibration._checks import check_length
+from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._problem import (
     ANGLE_RAD,

@@ -6,68 +6,43 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
-from sklearn_raacmm.arm import FIELDS, Arm, reach_mm
+from sklearn_raacmm.arm import FIELDS, Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration._checks import (
-    check_arm_angles,
+    check_correction,
     check_free,
     check_problem,
-    checked_correction,
-    table_findings,
-    warn_of_few_rows,
-    warn_of_harm,
-    warn_of_what_no_arm_is,
-    warn_of_wrong_lengths,
-)
-from sklearn_raacmm.calibration._fit import MAX_ROUNDS, WEIGHTS, Fit, doubt_limit, outlier_limit
-from sklearn_raacmm.calibration._gate import (
-    check_fit,
-    named_outliers,
     one_row_a_pose,
-    per_row,
-    slips,
+    predicted,
     wrong_units,
 )
+from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
+from sklearn_raacmm.calibration._fit import KINDS, WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._observability import observability
-from sklearn_raacmm.calibration._orientation import turn_vectors
-from sklearn_raacmm.calibration._problem import (
-    ANGLES_RAD,
-    LONG_MM,
-    SHORT_MM,
-    UNKNOWN_PLACE_MM,
-    are_long,
-    pack,
-)
+from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
 from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
+from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
-    Finding,
-    Interval,
-    StrOptions,
     listed,
     one_blas_thread,
     say_findings,
-    validate_params,
+    slip_factors,
     with_findings,
 )
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
 _IDENTIFIED = 0.5
-# Kinds of parameters, by the name of their prior standard deviation, and how it is found.
-_KINDS = ("length_mm", "angle_rad", "probe_mm", "short_length_mm")
-_FOUND = (LONG_MM, ANGLES_RAD, None, SHORT_MM)
-# Departures from the table that are said, mm and rad: more than a tape and a protractor get wrong.
-_FAR_MM, _FAR_RAD = 10.0, 0.1
-# The same, in standard deviations of a prior that was given.
-_FAR_PRIORS = 10.0
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
 _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
-# What counts as knowing nothing of a base, a reach and a turn of one radian.
+# What counts as knowing nothing of a base, a reach and a turn of one radian; its coordinates.
 _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
-_BASE_COORDINATES = ("rx", "ry", "rz", "x", "y", "z")
+_BASE = ("rx", "ry", "rz", "x", "y", "z")
 # A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
 _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
@@ -92,7 +67,6 @@ def calibrate(
     groups: ArrayLike | None = None,
     *,
     points: ArrayLike | None = None,
-    orientations: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
     tools: ArrayLike | None = None,
     stations: ArrayLike | None = None,
@@ -120,10 +94,6 @@ def calibrate(
         Label of the fixed point of each sample. Needed unless `points` is given.
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
-    orientations : array-like of shape (n_samples, 3, 3) or Rotation, default=None
-        Measured orientations of the target beside `points`, from the target's axes to those of the
-        points: rotation matrices, or a :class:`scipy.spatial.transform.Rotation`. How the target
-        sits on the last link is found.
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between the fixed points of two groups, mm: tuples or the rows of an array.
     tools : array-like of shape (n_samples,), default=None
@@ -206,208 +176,123 @@ def calibrate(
     True
     """
     lengths, free = listed("lengths", lengths), check_free(free)
-    if correction is not None:
-        correction = checked_correction(correction, angles, angle_unit)
-    angles = check_arm_angles(arm, angles, angle_unit)
-    problem, tool_labels, station_labels = check_problem(
-        angles, groups, points, lengths, tools, stations, orientations
-    )
+    asked = None if correction is None else check_correction(correction, angles, angle_unit)
+    # Within one turn, lest a warning of far angles be repeated by what follows.
+    angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+    problem = check_problem(angles, groups, points, lengths, tools, stations)
     poses, angles, problem = one_row_a_pose(angles, problem)
     say_findings(wrong_units(arm, angles, problem))
-    if correction is not None:
-        correction = correction.of_poses(poses)
-        problem.correction = correction.at([arm.probe] * problem.n_tools, problem)
+    if asked is not None:
+        asked = asked[poses.first]
+        problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
+
+    def fitted(problem):
+        fit = Fit(arm, angles, problem, loss, free, priors)
+        return fit, *_fit_in_steps(fit)
 
     priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
-    wanted = _Parameters.of(arm, tool_labels, free, priors)
-    fit, given, before = _fitted(arm, angles, problem, wanted, loss)
-    if correction is not None:
-        _settle(fit, wanted, correction)
-    if not fit.converged:
-        said = (
-            f"the calibration did not settle in {MAX_ROUNDS} rounds; "
-            f"its scatter is {fit.distances().mean():.4g} mm."
-        )
-        say_findings([Finding("not-settled", said, size_mm=fit.distances().mean())])
-    warn_of_wrong_lengths(lengths, fit.length_errors(), fit.sigma)
-    result = _result(fit, wanted, tool_labels, station_labels, given, before, groups)
-    if not warn_of_what_no_arm_is(arm, before, result.scatter_after_mm):
-        values, sd = (v[: len(wanted.names)] for v in (result.values, result.standard_deviations))
-        far = wanted.far(priors)
-        say_findings(
-            table_findings(
-                wanted.names, wanted.nominal, values, sd, far, lengths, result.scatter_after_mm
-            )
-        )
-    if correction is not None:
-        bare, *_ = _fitted(arm, angles, replace(problem, correction=None), wanted, loss)
-        warn_of_harm(fit.distances(), bare.distances())
-    check_fit(fit, fit.mask_of(wanted.is_free), poses, groups)
-    result = per_row(result, poses)
-    say_findings(named_outliers(result))
+    fit, given, before = fitted(problem)
+    bare = None
+    if asked is not None:
+        _settle(fit, correction, asked)
+        bare = fitted(replace(problem, correction=None))[0]
+    result = _result(fit, given, before, groups)
+    say_findings(findings_of_fit(fit, result, bare, lengths, poses))
+    result = _with_all_rows(result, poses)
+    say_findings(outliers(result))
     return result
 
 
-class _Parameters(NamedTuple):
-    """The parameters of table and probes: arrays with one entry for each."""
-
-    names: list
-    nominal: np.ndarray
-    kind: np.ndarray  # number in KINDS
-    is_free: np.ndarray
-    prior_sd: np.ndarray
-    families: list  # of those whose prior is found, as `Fit` takes them
-
-    @classmethod
-    def of(cls, arm, tool_labels, free, priors):
-        names, nominal = _parameters(arm, tool_labels)
-        kind = np.array([2 if n.startswith("probe") else int(is_angle(n)) for n in names])
-        kind[kind == 0] = np.where(are_long(nominal[kind == 0]), 0, 3)
-        length, angle, probe_mm = priors
-        wanted = list(enumerate(zip((length, angle, probe_mm, length), _FOUND, strict=True)))
-        sd = [found[0] if sd == "auto" and found else sd for _, (sd, found) in wanted]
-        families = [(np.flatnonzero(kind == i), found) for i, (sd, found) in wanted if sd == "auto"]
-        field_of = np.array([name.split("[")[0].rstrip("0123456789") for name in names])
-        is_free = np.isin(field_of, list(set(free) - {"probe"}))
-        is_free |= (kind == 2) & ("probe" in free)
-        return cls(names, nominal, kind, is_free, np.array(sd, dtype=float)[kind], families)
-
-    def far(self, priors):
-        """Departure of each parameter from the table that is worth a word."""
-        length, angle, _ = priors
-        far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
-        far_rad = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
-        far = np.array([far_mm, far_rad, np.inf, far_mm])[self.kind]
-        return np.where(self.is_free, far, np.inf)
-
-
-def _fitted(arm, angles, problem, wanted, loss):
-    """The fit, and the scatter of the arm as given and with nothing but probe and base fitted."""
-    fit = Fit(arm, angles, problem, wanted.nominal, wanted.prior_sd, loss, wanted.families)
-    fit.run(np.zeros_like(wanted.is_free))
+def _fit_in_steps(fit):
+    """Fit; scatter of the arm as given, and with nothing but probe and base fitted."""
+    fit.run(np.zeros_like(fit.is_free))
     given = fit.distances().mean()
-    fit.run(wanted.is_free & (wanted.kind == 2))
+    fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm")))
     before = fit.distances().mean()
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
     fit.reset_weights()
-    fit.run(wanted.is_free)
-    return fit, given, before
+    fit.run(fit.is_free)
+    return given, before
 
 
-def _settle(fit, wanted, correction):
+def _settle(fit, correction, asked):
     """Fit again with the correction of the probes that were found, until it stays."""
     problem = fit.problem
     for _ in range(_MOST_MOVES):
         probes = [fit.arm(tool).probe for tool in range(problem.n_tools)]
-        moved = correction.at(probes, problem)
+        moved = predicted(correction, asked, problem, probes)
         if np.abs(moved - problem.correction).max() < _SETTLED_MM:
             return
         fit.correct_by(moved)
-        fit.run(wanted.is_free)
+        fit.run(fit.is_free)
 
 
-def _parameters(arm, tool_labels):
-    """Names and nominal values of the table and the probes."""
-    n = arm.n_joints
-    names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(n)]
-    labels = [""] if tool_labels is None else [f"[{label}]" for label in tool_labels]
-    names += [f"probe_{axis}{label}" for label in labels for axis in "xyz"]
-    return names, np.concatenate([pack(arm), *[arm.probe] * (len(labels) - 1)])
-
-
-def _result(fit, wanted, tool_labels, station_labels, given, before, groups):
+def _result(fit, given, before, groups):
     """Everything that is to be known of a fit that has settled."""
-    problem, names, kind = fit.problem, wanted.names, wanted.kind
-    mask = fit.mask_of(wanted.is_free)
-    all_names, x_names = _all_names(fit, names, station_labels)
-    found = _identified(fit, mask, x_names)
-    sd = found["standard_deviations"][: len(all_names)]
-    rows, limit, weight = _outliers(fit)
-    values = fit.x[: len(all_names)].copy()
-    for s in range(problem.n_stations):
-        values[fit.base_columns(s)[:3]] = turn_vectors(fit.rotations[s])
-    shifts = [values[fit.base_columns(s)[3:]] for s in range(problem.n_stations)]
-    stations = list(zip(fit.rotations, shifts, strict=True))
+    problem, index = fit.problem, fit.problem.index
+    stations = in_brackets(problem.station_labels, problem.n_stations)
+    names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
+    values, bases = fit.x.copy(), []
+    for s, rotation in enumerate(fit.rotations):
+        columns = fit.base_columns(s)
+        values[columns[:3]] = Rotation.from_matrix(rotation).as_rotvec()
+        bases.append((rotation, values[columns[3:]]))
+    # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
+    robust = fit.robust_distances()
+    informative = robust[problem.informative]
+    limit = float(outlier_limit(informative, fit.sigma))
+    farthest = np.argsort(-robust, kind="stable")
+    doubtful = robust > min(limit, doubt_limit(informative, fit.sigma))
     return CalibrationResult(
         arm=fit.arm(),
-        names=tuple(all_names),
-        nominal=np.r_[fit.nominal, np.full(len(all_names) - len(names), np.nan)],
+        names=tuple(names),
+        nominal=np.r_[fit.nominal, np.full(len(names) - len(fit.names), np.nan)],
         values=values,
         prior_sd={
-            name: float(fit.prior_sd[kind == i][0])
-            for i, name in enumerate(_KINDS)
-            if np.any(kind == i)
+            name: float(fit.prior_sd[fit.kind == i][0])
+            for i, name in enumerate(KINDS)
+            if np.any(fit.kind == i)
         },
         n_coordinates=max(problem.n_coordinates, 0),
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
-        residuals_mm=fit.residuals(slips(fit)),
+        residuals_mm=fit.residuals(None if index is None else slip_factors(fit.points(), index)),
         length_errors_mm=fit.length_errors(),
         sigma_mm=float(fit.sigma),
-        sigma_rad=None if problem.turns is None else float(fit.sigma_turn),
-        outliers=rows,
+        outliers=tuple(int(i) for i in farthest if robust[i] > limit),
         outlier_limit_mm=limit,
-        sample_weight=weight,
+        sample_weight=np.where(doubtful, 0.0, 1.0),
         groups=None if groups is None else np.asarray(groups),
-        arms=_by_label(tool_labels, map(fit.arm, range(problem.n_tools))),
-        bases=_by_label(station_labels, stations),
-        base_rotation=stations[0][0] if stations else None,
-        base_translation=stations[0][1] if stations else None,
-        target_rotation=None if problem.turns is None else fit.targets[0],
+        arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
+        bases=dict(zip(problem.station_labels, bases, strict=False)),
+        base_rotation=bases[0][0] if bases else None,
+        base_translation=bases[0][1] if bases else None,
         converged=fit.converged,
-        **found | {"standard_deviations": sd},
+        **_identified(fit, names),
     )
 
 
-def _all_names(fit, names, station_labels):
-    """Names of table, probes and bases, and of all parameters x, the targets' turns behind them."""
-    labels = [""] if station_labels is None else [f"[{label}]" for label in station_labels]
-    labels = labels[: fit.problem.n_stations]
-    all_names = [*names, *(f"base_{c}{at}" for at in labels for c in _BASE_COORDINATES)]
-    return all_names, all_names + [f"target{i}" for i in range(len(fit.x) - len(all_names))]
-
-
-def _identified(fit, mask, x_names):
+def _identified(fit, names):
     """What the data say of the free parameters, as fields of a `CalibrationResult`."""
-    free_names = [name for name, is_in in zip(x_names, mask, strict=True) if is_in]
-    angle = np.array([is_angle(name) or name.startswith("target") for name in x_names])
+    mask = fit.mask_of(fit.is_free)
+    free_names = [name for name, is_in in zip(names, mask, strict=True) if is_in]
+    angle = np.array([is_angle(name) for name in names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)
     wide[: len(fit.nominal)] = fit.prior_sd
     unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)
     seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
-    warn_of_few_rows(seen, free_names, fit.problem)
     sd, scale_sd, scale_is_open = _standard_deviations(fit, mask)
-    if seen.rank and fit.problem.n_coordinates <= seen.rank:  # nothing to tell the noise from
+    if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from
         sd[mask], scale_sd = np.nan, np.nan
     is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
-    unidentified = tuple(name for name, is_in in zip(x_names, is_open, strict=True) if is_in)
-    return {
+    unidentified = tuple(name for name, is_in in zip(names, is_open, strict=True) if is_in)
+    return seen | {
         "standard_deviations": sd,
         "unidentified": unidentified + (("scale",) if scale_is_open else ()),
-        "unidentified_combinations": seen.open_combinations,
-        "rank": seen.rank,
         "n_free": len(free_names),
-        "condition_number": seen.condition_number,
-        "observability_index": seen.o1,
         "scale_sd": scale_sd,
     }
-
-
-def _outliers(fit):
-    """Outliers, the farthest first, from which distance on, and the weight of each row."""
-    # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
-    robust = fit.robust_distances()
-    informative = robust[fit.problem.informative]
-    limit = outlier_limit(informative, fit.sigma)
-    farthest = np.argsort(-robust, kind="stable")
-    rows = tuple(int(i) for i in farthest if robust[i] > limit)
-    weight = np.where(robust > min(limit, doubt_limit(informative, fit.sigma)), 0.0, 1.0)
-    return rows, float(limit), weight
-
-
-def _by_label(labels, values):
-    return {} if labels is None else dict(zip(labels.tolist(), values, strict=True))
 
 
 def _standard_deviations(fit, mask):
@@ -425,3 +310,16 @@ def _standard_deviations(fit, mask):
     scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
     prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
     return sd, scale_sd, prior > 0 and scale_sd > _IDENTIFIED * prior
+
+
+def _with_all_rows(result, poses):
+    """The result with one entry for each row that was given."""
+    if not poses.merges:
+        return result
+    rows = [np.flatnonzero(poses.pose == i) for i in result.outliers]
+    return replace(
+        result,
+        residuals_mm=result.residuals_mm[poses.pose],
+        sample_weight=result.sample_weight[poses.pose],
+        outliers=tuple(np.concatenate(rows).tolist()) if rows else (),
+    )

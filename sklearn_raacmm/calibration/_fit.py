@@ -10,8 +10,20 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
-from sklearn_raacmm.calibration._orientation import flange_turns, mean_turn, turn_vectors
-from sklearn_raacmm.calibration._problem import are_long, left_jacobian, points_and_jacobian, unpack
+from sklearn_raacmm.arm import FIELDS
+from sklearn_raacmm.calibration._problem import (
+    ANGLES_RAD,
+    LONG_MM,
+    SHORT_MM,
+    UNKNOWN_PLACE_MM,
+    are_long,
+    in_brackets,
+    left_jacobian,
+    pack,
+    points_and_jacobian,
+    unpack,
+)
+from sklearn_raacmm.calibration._result import is_angle
 from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.utils import align, robust_scale
 
@@ -22,6 +34,10 @@ WEIGHTS = {
     "huber": lambda u: 2.5 / np.maximum(u, 2.5),
     "cauchy": lambda u: 1 / (1 + (u / 4) ** 2),
 }
+# Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
+# how many parameters that were seen the guess is worth, and its bounds.
+KINDS = ("length_mm", "angle_rad", "probe_mm", "short_length_mm")
+_FOUND = (LONG_MM, ANGLES_RAD, None, SHORT_MM)
 _MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
 MAX_ROUNDS = 20
 # Rounds in which prior standard deviations are found; two digits of them are enough.
@@ -33,7 +49,7 @@ _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 # Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
 # decomposition: their condition is squared.
 _LEAST_PIVOT = 1e-8
-# Steps of one iteration at the start, of a base and of a target's orientation: rad and mm.
+# Steps of one iteration at the start, of a base: rad and mm.
 _STEP_RAD, _STEP_MM = 1e-2, 10.0
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
@@ -47,23 +63,26 @@ _TAIL = 0.9
 class Fit:
     """State of the fit.
 
-    The parameters x are the table, the probe of each tool, base (rotation vector and shift) of
-    each station, and orientation of each target on the last link; beside them stand the weights of
-    the rows, `sigma` (mm) and `sigma_turn` (rad), and the prior standard deviations.
+    The parameters x are the table, the probe of each tool, and the base (rotation vector and shift)
+    of each station; beside them stand the weights of the rows, `sigma` (mm), and the prior standard
+    deviations.
 
-    families : list of (ndarray of int, (float, float, float, float))
-        Parameters whose common prior standard deviation is found by the evidence, with a guess of
-        it, how many parameters that were seen the guess is worth, and its bounds.
+    `priors` are standard deviations of lengths (mm), angles (rad) and the probe (mm); "auto" is
+    found by the evidence.
     """
 
-    def __init__(self, arm, angles, problem, nominal, prior_sd, loss, families=()):
-        self.nominal_arm, self.angles, self.problem = arm, angles, problem
-        self.nominal, self.prior_sd, self.loss = nominal, prior_sd.astype(float), loss
-        self.families = families
+    def __init__(
+        self, arm, angles, problem, loss, free=FIELDS, priors=("auto", "auto", UNKNOWN_PLACE_MM)
+    ):
+        self.nominal_arm, self.angles = arm, angles
+        self.problem: Any = problem
+        self.loss, self.priors = loss, priors
+        self._name_parameters(free)
+        nominal = self.nominal
         self.x = nominal.copy()
-        self.rotations = self.targets = np.empty((0, 3, 3))
+        self.rotations = np.empty((0, 3, 3))
         self.converged = False
-        self._evaluated = None
+        self._evaluated: Any = None
         points, jac = self._points_and_jacobian(self.x)
         if problem.points is not None:
             self._place(points)
@@ -78,35 +97,46 @@ class Fit:
         self.scale = length / total if total > 0 else length
         self.reset_weights()
 
+    def _name_parameters(self, free):
+        """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
+        arm, problem = self.nominal_arm, self.problem
+        tools = in_brackets(problem.tool_labels, problem.n_tools)
+        self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
+        self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
+        kind = np.array([int(is_angle(name)) for name in self.names])
+        lengths = kind == 0
+        kind[lengths] = np.where(are_long(self.nominal[: len(kind)][lengths]), 0, 3)
+        is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)
+        n_probes = 3 * len(tools)
+        self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
+        self.kind = np.r_[kind, np.full(n_probes, 2)]
+        self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
+        # Parameters whose common prior standard deviation is found by the evidence, and how.
+        self.families, sds = [], []
+        for i, sd in enumerate((*self.priors, self.priors[0])):
+            found: Any = _FOUND[i]
+            if sd == "auto":
+                self.families.append((np.flatnonzero(self.kind == i), found))
+                sd = found[0]
+            sds.append(sd)
+        self.prior_sd = np.array(sds, dtype=float)[self.kind]
+
     def _place(self, points):
-        """First guess of every base, and of every target's orientation."""
+        """First guess of every base."""
         problem = self.problem
         rows_of = [problem.rows_of_station(s) for s in range(problem.n_stations)]
         places = [align(points[rows], problem.points[rows]) for rows in rows_of]
         self.rotations = np.stack([rotation for rotation, _ in places])
         self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
-        if problem.turns is not None:
-            away = np.empty_like(problem.turns)
-            flange = flange_turns(self.nominal_arm, self.angles)[0]
-            for rows, rotation in zip(rows_of, self.rotations, strict=True):
-                away[rows] = np.swapaxes(rotation @ flange[rows], 1, 2) @ problem.turns[rows]
-            tools = range(problem.n_tools)
-            self.targets = np.stack([mean_turn(away[problem.rows_of_tool(t)]) for t in tools])
-            self.x = np.concatenate([self.x, np.zeros(3 * problem.n_tools)])
 
     def base_columns(self, station):
         """Columns of a station's base: rotation, then shift."""
         return len(self.nominal) + 6 * station + np.arange(6)
 
-    def _target_columns(self, tool):
-        return len(self.nominal) + 6 * self.problem.n_stations + 3 * tool + np.arange(3)
-
     def reset_weights(self):
         self.weights = np.ones(len(self.angles))
-        self.turn_weights = np.ones(len(self.angles))
         self.length_weights = self._new_length_weights()
         self.sigma: Any = None
-        self.sigma_turn: Any = None
 
     def correct_by(self, correction):
         """Take another correction (n, 3) of the points, mm."""
@@ -116,7 +146,7 @@ class Fit:
         return unpack(self.nominal_arm, self.x, tool)
 
     def mask_of(self, is_free):
-        """Free parameters of x: bases and targets always are."""
+        """Free parameters of x: bases always are."""
         return np.r_[is_free, np.ones(len(self.x) - len(is_free), bool)]
 
     def run(self, is_free):
@@ -163,15 +193,14 @@ class Fit:
         return settled
 
     def _spread(self, covariance, rows, jac):
-        """Lengths (k, n) that the residuals would have had the fit not followed them.
+        """Lengths (n,) that the residuals would have had the fit not followed them.
 
         The covariance of a row's residual is that of the noise less its block of the hat matrix;
-        the inverse root of the two takes a residual back to the size of the noise. The first line
-        is of positions, the second of orientations where there are some; in standard deviations.
+        the inverse root of the two takes a residual back to the size of the noise, in standard
+        deviations.
         """
         n = len(self.angles)
-        parts = 1 if self.problem.turns is None else 2
-        jac = jac[: 3 * n * parts].reshape(parts * n, 3, -1)
+        jac = jac[: 3 * n].reshape(n, 3, -1)
         finite = np.where(np.isfinite(covariance), covariance, 0.0)
         taken = (jac.reshape(-1, jac.shape[2]) @ finite).reshape(jac.shape) @ jac.swapaxes(1, 2)
         if self.problem.points is None:
@@ -179,29 +208,21 @@ class Fit:
             own = self.weights / np.bincount(index, self.weights)[index]
             taken += own[:, None, None] * np.eye(3)
         values, axes = np.linalg.eigh(taken)
-        along = np.einsum("nji,nj->ni", axes, rows[: 3 * n * parts].reshape(-1, 3))
+        along = np.einsum("nji,nj->ni", axes, rows[: 3 * n].reshape(-1, 3))
         along /= np.sqrt(1 - np.clip(values, 0, _MOST_LEVERAGE))
-        return np.linalg.norm(along, axis=1).reshape(parts, n)
+        return np.linalg.norm(along, axis=1)
 
     def _weigh(self, spread=None):
         """Standard deviations of the data, and the weights of the rows."""
         distances = self.robust_distances()
-        seen = distances if spread is None else spread[0] * self.sigma / np.sqrt(self.weights)
+        seen = distances if spread is None else spread * self.sigma / np.sqrt(self.weights)
         self.sigma = self._new_sigma(seen)
         self.weights = WEIGHTS[self.loss](distances / self.sigma)
-        if self.problem.turns is not None:
-            sizes = np.linalg.norm(self._turn_residuals_and_jacobian(self.x)[0], axis=1)
-            seen = sizes
-            if spread is not None:
-                seen = spread[1] * self.sigma_turn / np.sqrt(self.turn_weights)
-            self.sigma_turn = self._new_sigma(seen)
-            self.turn_weights = WEIGHTS[self.loss](sizes / self.sigma_turn)
 
     def _solve(self, mask):
         """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
         bases = self.problem.n_stations
-        unit = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)]
-        unit = np.r_[unit, np.full(len(self.x) - len(unit), _STEP_RAD)][mask]
+        unit = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)][mask]
         rows, jac = self._residuals_and_jacobian(self.x, mask)
         damping = 0.0
         for _ in range(_MAX_STEPS):
@@ -220,18 +241,14 @@ class Fit:
             else:
                 damping = max(100 * damping, _DAMPING)
         # Rotations are small ones about the last: take them over.
-        for turns, columns_of in (
-            (self.rotations, lambda s: self.base_columns(s)[:3]),
-            (self.targets, self._target_columns),
-        ):
-            for i in range(len(turns)):
-                turns[i] = self._turn(self.x, turns[i], columns_of(i))
-                self.x[columns_of(i)] = 0
+        for s in range(bases):
+            self.rotations[s] = self._rotation(self.x, s)
+            self.x[self.base_columns(s)[:3]] = 0
 
-    @staticmethod
-    def _turn(x, turn, columns):
-        """Rotation matrix: that of the rotation vector in some columns of x, after another one."""
-        return Rotation.from_rotvec(x[columns]).as_matrix() @ turn
+    def _rotation(self, x, station):
+        """Rotation matrix of a base: the rotation vector of x after the last matrix."""
+        turn = Rotation.from_rotvec(x[self.base_columns(station)[:3]]).as_matrix()
+        return turn @ self.rotations[station]
 
     def _points_and_jacobian(self, x):
         """Corrected points (n, 3) and their derivatives by table and probes; the last are kept."""
@@ -241,7 +258,7 @@ class Fit:
             self._evaluated = arm_x.copy(), *found
         return self._evaluated[1:]
 
-    def _data_residuals(self, x, mask):
+    def _data_residuals(self, x, mask) -> Any:
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
         problem, n = self.problem, len(self.nominal)
         points, jac = self._points_and_jacobian(x)
@@ -262,7 +279,7 @@ class Fit:
         residuals = np.empty_like(points)
         for s in range(problem.n_stations):
             rows, columns = problem.rows_of_station(s), self.base_columns(s)
-            turn = self._turn(x, self.rotations[s], columns[:3])
+            turn = self._rotation(x, s)
             turned = points[rows] @ turn.T
             residuals[rows] = turned + x[columns[3:]] - problem.points[rows]
             whole[rows, :, :n_free] = turn @ jac[rows]
@@ -273,38 +290,12 @@ class Fit:
             whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
         return residuals, whole, None, None
 
-    def _turn_residuals_and_jacobian(self, x):
-        """Differences of orientation (n, 3) in rad, in the frame of the points."""
-        problem, n = self.problem, self.nominal_arm.n_joints
-        flange, axes = flange_turns(unpack(self.nominal_arm, x), self.angles)
-        measured = np.swapaxes(problem.turns, 1, 2)
-        residuals, jac = np.empty((len(flange), 3)), np.zeros((len(flange), 3, len(x)))
-        rotation = np.empty_like(flange)
-        for s in range(problem.n_stations):
-            rows, columns = problem.rows_of_station(s), self.base_columns(s)[:3]
-            rotation[rows] = self._turn(x, self.rotations[s], columns)
-            jac[rows, :, columns[0] : columns[2] + 1] = left_jacobian(x[columns])
-        turned = rotation @ axes
-        jac[:, :, n : 2 * n], jac[:, :, 3 * n : 4 * n] = turned[:, :, :n], turned[:, :, n:]
-        for t in range(problem.n_tools):
-            rows, columns = problem.rows_of_tool(t), self._target_columns(t)
-            target = self._turn(x, self.targets[t], columns)
-            carried = rotation[rows] @ flange[rows]
-            residuals[rows] = turn_vectors(carried @ target @ measured[rows])
-            jac[rows, :, columns[0] : columns[2] + 1] = carried @ left_jacobian(x[columns])
-        return residuals, jac
-
     def _data_rows(self, x, mask):
         """Weighted residuals of data and known lengths, and their Jacobian, without the prior."""
         residuals, jac, centres, centres_jac = self._data_residuals(x, mask)
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
         rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]
-        if self.problem.turns is not None:
-            residuals, jac = self._turn_residuals_and_jacobian(x)
-            weight = np.sqrt(self.turn_weights)[:, None] / self.sigma_turn
-            rows.append((weight * residuals).ravel())
-            jacs.append((weight[:, :, None] * jac[:, :, mask]).reshape(-1, mask.sum()))
         for (i, j, length, sd), length_weight in zip(
             self.problem.lengths, self.length_weights, strict=True
         ):

@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
-
 import numpy as np
 
 # Singular values below this part of the largest are rounding.
@@ -18,34 +16,30 @@ _TIE = 1e-6
 _OPEN = np.sqrt(3.0)
 
 
-class Observability(NamedTuple):
-    """What the data, without the prior, say of the free parameters."""
-
-    rank: int
-    condition_number: float
-    o1: float  # the index of the same name
-    open_combinations: tuple
-
-
 def observability(jac, names, prior_sd, unit, sigma):
     """Rank, condition, observability index and open combinations.
 
     `jac` (m, p) are the derivatives of the data, in standard deviations `sigma` (mm), by the free
     parameters; `prior_sd` (p,) counts as knowing nothing of each, and `unit` (p,) moves the probe
-    by about 1 mm.
+    by about 1 mm. As fields of a `CalibrationResult`.
     """
-    if not len(names):
-        return Observability(0, 1.0, 0.0, ())
     root = np.linalg.qr(jac, mode="r")
     values = np.linalg.svd(root * unit * sigma, compute_uv=False)
     rank = int(np.sum(values > _RANK * values.max(initial=0.0)))
     values = values[:rank]
     index = float(np.exp(np.log(values).mean()) / np.sqrt(len(jac) / 3)) if rank else 0.0
-    condition = float(values[0] / values[-1]) if rank == len(names) else np.inf
+    condition = np.inf
+    if rank == len(names):
+        condition = float(values[0] / values[-1]) if rank else 1.0
     _, strength, directions = np.linalg.svd(root * prior_sd, full_matrices=True)
     strength = np.r_[strength, np.zeros(len(names) - len(strength))]
     combinations = _readable(directions[strength < _OPEN], names, prior_sd, unit)
-    return Observability(rank, condition, index, combinations)
+    return {
+        "rank": rank,
+        "condition_number": condition,
+        "observability_index": index,
+        "unidentified_combinations": combinations,
+    }
 
 
 def _readable(basis, names, prior_sd, unit):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import floats, listed, show
+from sklearn_raacmm.utils import floats, listed
 
 
 def lengths_of_places(places: Iterable[Sequence[Any]]) -> list[Any]:
@@ -50,12 +50,12 @@ def lengths_of_places(places: Iterable[Sequence[Any]]) -> list[Any]:
         isinstance(entry, tuple | list | np.ndarray) and len(entry) == 5 for entry in places
     ):
         raise ValueError(
-            f"each of places must be (label, x, y, z, standard deviation), got {show(places)}."
+            f"each of places must be (label, x, y, z, standard deviation), got {places!r:.60}."
         )
     labels = [entry[0] for entry in places]
     if len(places) < 2 or len(set(labels)) < len(labels):
         raise ValueError(
-            f"places need two different labels or more, each once, got {show(labels)}."
+            f"places need two different labels or more, each once, got {labels!r:.60}."
         )
     values = floats("places", [list(entry[1:]) for entry in places])
     if not np.all(np.isfinite(values)) or not np.all(values[:, 3] > 0):

@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_raacmm.arm import FIELDS, parameter_jacobian
 
 # What machining leaves of a length, mm, and the matching angle, rad, where few rows say little
-# (benchmarks/bench_calibrate.py).
+# (benchmarks/bench_speed.py calibrate).
 LENGTH_MM, ANGLE_RAD = 0.3, 0.003
 # What `calibrate` starts from: standard deviation, how many parameters it is worth, and its bounds.
 # Of long lengths, of short ones, and of angles (benchmarks/bench_lengths.py scale).
@@ -40,7 +40,8 @@ class Problem:
     correction: np.ndarray | None = None  # (n, 3) mm, subtracted from the arm's points
     tools: np.ndarray | None = None  # (n,) numbers; None where all rows share one
     stations: np.ndarray | None = None
-    turns: np.ndarray | None = None  # (n, 3, 3) orientations of the target beside `points`
+    tool_labels: tuple = ()  # what the numbers stand for
+    station_labels: tuple = ()
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
 
@@ -64,7 +65,7 @@ class Problem:
     def n_coordinates(self) -> int:
         """Coordinates that were measured, less those that the unknown fixed points take."""
         if self.points is not None:
-            return (3 if self.turns is None else 6) * self.n_informative
+            return 3 * self.n_informative
         return 3 * (self.n_informative - self.n_useful)
 
     def rows_of_tool(self, tool: int) -> Any:
@@ -93,7 +94,7 @@ def pack(arm):
 
 def unpack(arm, x, tool=0):
     """The arm with the parameters of one vector; further tools follow the first one's probe."""
-    n = arm.n_joints
+    n = len(arm.a)
     start = 4 * n + 3 * tool
     return arm.replace(
         a=x[:n],
@@ -109,7 +110,7 @@ def points_and_jacobian(arm, angles, x, problem):
 
     By table and probes, mm and rad.
     """
-    n_table = 4 * arm.n_joints
+    n_table = 4 * len(arm.a)
     points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
         rows, start = problem.rows_of_tool(tool), n_table + 3 * tool
@@ -131,6 +132,11 @@ def left_jacobian(rotvec):
         + (1 - np.cos(angle)) / angle**2 * cross
         + (angle - np.sin(angle)) / angle**3 * cross @ cross
     )
+
+
+def in_brackets(labels, n):
+    """What follows the names of the parameters of each of n tools or stations."""
+    return [f"[{label}]" for label in labels] or [""] * n
 
 
 def are_long(lengths):

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.calibration._orientation import check_turns, turn_vectors
-from sklearn_raacmm.utils import centred, check_points, encode_groups, slip_factors
+from sklearn_raacmm.utils import centred, encode_groups, floats, slip_factors
 
 # Rows and combinations that are printed.
 _N_SHOWN = 10
@@ -64,9 +63,8 @@ class CalibrationResult:
         Those differences, in the arm's base frame.
     length_errors_mm : ndarray of shape (n_lengths,)
         Distances between the centres of groups less the known lengths.
-    sigma_mm, sigma_rad : float
-        Standard deviation that the fit found of a coordinate, and of a component of the
-        orientation, where orientations were given, else None.
+    sigma_mm : float
+        Standard deviation that the fit found of a coordinate.
     outliers : tuple of int
         Rows farther than `outlier_limit_mm` from where they belong (the weighted mean of their
         group, which they hardly pull), the farthest first.
@@ -84,9 +82,6 @@ class CalibrationResult:
     base_rotation, base_translation : ndarray of shape (3, 3) and (3,), or None
         For measured points, the arm's base in their frame, with several stations of the first:
         ``points = arm.forward(angles) @ base_rotation.T + base_translation``.
-    target_rotation : ndarray of shape (3, 3) or None
-        Orientation of the first tool's target in the last link's frame, where orientations were
-        given.
     converged : bool
         Whether weights and parameters settled.
     findings : tuple of Finding
@@ -122,7 +117,6 @@ class CalibrationResult:
     residuals_mm: np.ndarray = field(repr=False)
     length_errors_mm: np.ndarray = field(repr=False)
     sigma_mm: float
-    sigma_rad: float | None = field(repr=False)
     outliers: tuple[Any, ...]
     outlier_limit_mm: float = field(repr=False)
     sample_weight: np.ndarray = field(repr=False)
@@ -131,7 +125,6 @@ class CalibrationResult:
     bases: dict[str, Any] = field(repr=False)
     base_rotation: np.ndarray | None = field(repr=False)
     base_translation: np.ndarray | None = field(repr=False)
-    target_rotation: np.ndarray | None = field(repr=False)
     converged: bool
     findings: tuple[Any, ...] = ()
 
@@ -192,7 +185,7 @@ class CalibrationResult:
         if groups is not None:
             codes = encode_groups(groups, len(angles))[1]
             return centred(shown, codes, slip_factors(shown, codes))
-        points = check_points(points, 3)
+        points = floats("points", points, 3)
         if len(points) != len(angles):
             raise ValueError(f"There are {len(points)} points, but {len(angles)} rows of angles.")
         if self.base_rotation is None:
@@ -205,43 +198,6 @@ class CalibrationResult:
             rotation, translation = base
             shown[rows] -= (points[rows] - translation) @ rotation
         return shown
-
-    def orientation_residuals(
-        self, angles: ArrayLike, orientations: ArrayLike, *, angle_unit: str = "rad"
-    ) -> np.ndarray:
-        """Residuals of the orientation of rows, old or new, in the arm's base frame.
-
-        Parameters
-        ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles.
-        orientations : array-like of shape (n_samples, 3, 3) or Rotation
-            Measured orientations of the target, as :func:`calibrate` was given them.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, 3)
-            Rotation vectors in rad: from the measured orientation to that which the calibrated arm
-            shows, for :meth:`ArmResidualRegressor.fit`.
-
-        Raises
-        ------
-        ValueError
-            If shapes do not fit, a matrix is no rotation, or the calibration was not given
-            orientations, or has several tools or stations.
-        """
-        if self.target_rotation is None or max(len(self.arms), len(self.bases)) > 1:
-            raise ValueError(
-                "orientation_residuals need a calibration with orientations, of one tool and one "
-                "station."
-            )
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        measured = check_turns(orientations, len(angles))
-        shown = self.base_rotation @ self.arm.frames(angles)[:, -1, :, :3] @ self.target_rotation
-        turns = turn_vectors(shown @ np.swapaxes(measured, 1, 2))  # in the tracker's frame
-        return turns @ self.base_rotation
 
     @staticmethod
     def _parts(name, labels, known, single, n):

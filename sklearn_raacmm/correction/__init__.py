@@ -3,40 +3,26 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.correction._correction import Correction
+from sklearn_raacmm.correction._files import TRUSTED_TYPES
 from sklearn_raacmm.correction._learn import cross_validate_correction, learn_correction
-from sklearn_raacmm.correction._learned import LearnedCorrection
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._planning import next_poses
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
-from sklearn_raacmm.correction._records import read_check_records
-from sklearn_raacmm.correction._saved import (
-    TRUSTED_TYPES,
-    SavedCorrection,
-    read_correction,
-    write_correction,
-)
 from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table
-from sklearn_raacmm.correction._transfer import transfer_correction
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
     "TRUSTED_TYPES",
+    "Correction",
     "CorrectionCheck",
     "CorrectionScores",
-    "LearnedCorrection",
     "PosePlan",
-    "SavedCorrection",
     "TableChange",
     "check_correction",
     "cross_validate_correction",
     "learn_correction",
-    "next_poses",
     "plan_poses",
-    "read_check_records",
-    "read_correction",
     "search_table",
-    "transfer_correction",
     "update_correction",
-    "write_correction",
 ]

@@ -4,14 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping
-from dataclasses import replace
+from copy import copy
 from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.error_model import IDLE_SD, check_extra
 from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
-from sklearn_raacmm.utils import Finding, floats, say_findings, show
+from sklearn_raacmm.utils import Finding, floats, say_findings
 
 # The family of columns by which each kind of cause is judged.
 _FAMILIES = {"time": "temperature", "payload": "force"}
@@ -36,7 +36,7 @@ def checked_causes(extra, in_order, angles):
 def _given(extra, n_rows):
     """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
     if extra is not None and not isinstance(extra, Mapping):
-        raise ValueError(f"extra must be a dict of names and values, got {show(extra)}.")
+        raise ValueError(f"extra must be a dict of names and values, got {extra!r:.60}.")
     found = {}
     for name, value in (extra or {}).items():
         said = f"extra[{name!r}]"
@@ -67,7 +67,9 @@ def with_kept_causes(data, calibration):
     if not data.causes:
         return data
     rows, _ = data.without_lonely(np.arange(len(data.angles)))
-    prior_sd = replace(data, like=()).fit(None, calibration, rows)[0].prior_sd_
+    own = copy(data)
+    own.like = ()
+    prior_sd = own.fit(None, calibration, rows)[0].prior_sd_
     kinds = [name.split()[0] for name in data.causes]
     keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * IDLE_SD for kind in kinds])
     named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
@@ -75,7 +77,9 @@ def with_kept_causes(data, calibration):
     if gone:
         said = f"The evidence does not ask for {', '.join(gone)}: left out of the model."
         say_findings([Finding("cause-not-kept", said, weight="note")])
-    return replace(data, causes=tuple(named), values=data.values[:, keep])
+    kept = copy(data)
+    kept.causes, kept.values = tuple(named), data.values[:, keep]
+    return kept
 
 
 def usual_values(names, values):
@@ -121,6 +125,8 @@ def say_worth_of_directions(data, left, unknown):
 
 def say_make(model):
     """Say whether earlier arms of the make were believed."""
+    if not hasattr(model, "updates_"):
+        return  # none of them was one that it could start from
     (entry,) = model.updates_
     n, gain, believed = entry["n_arms"], entry["gain_nats"], bool(entry["tau"])
     said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "

@@ -4,14 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
-from typing import NamedTuple
+from datetime import date as calendar
 
 import numpy as np
 
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
-from sklearn_raacmm.error_model import LinearModel, constrained, observed_columns
+from sklearn_raacmm.error_model import constrained
 from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
 from sklearn_raacmm.utils import centred
 
@@ -33,37 +32,25 @@ _NEW_ORDERS = 2
 _TRIED = 200
 
 
-class Changed(NamedTuple):
-    """A linear model that has changed."""
-
-    model: LinearModel
-    tau: dict  # how much each part has changed
-    noise_sd: float  # mm
-    pose_weight: np.ndarray  # (n,) what the loss left of the weight of each pose
-
-
-def changed_model(linear, poses, log_noise=_LOG_NOISE):
+def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
-    `log_noise` bounds the logarithm of the noise in units of the old model's.
+    `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
+    model, what `updates_` keeps of the change (`tau` says how much each part has changed), and
+    what the loss left of the weight of each pose, (n,).
     """
     linear = with_low_orders(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
-    turn_mm = 0.0
-    shown = poses.residuals
-    if poses.turns is not None:  # which only a model that was fitted to some takes
-        turn_mm = linear.turn_mm
-        shown = np.hstack([shown, turn_mm * poses.turns])
-    columns = observed_columns(arm, angles, linear.terms, turn_mm)
-    place = _place_seen(arm, angles, codes is None, turn_mm)
-    columns, place, shown = (centred(part, codes, weights) for part in (columns, place, shown))
+    columns, place = linear.columns(angles), place_columns(arm, angles, codes is None)
+    parts = columns, place, poses.residuals
+    columns, place, shown = (centred(part, codes, weights) for part in parts)
     after = condition(prior_of(linear, log_noise), columns, place, shown, weights)
     seen_weights = weights * after.row_weight / after.noise_sd**2
-    p, fold = len(linear.coef), _into_kinematics(linear, codes is None, turn_mm)
+    p, fold = len(linear.coef), _into_kinematics(linear, codes is None)
     half = after.half[:p] + fold @ after.half[p:]
     # As many columns as rows hold the same covariance.
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T if half.shape[1] > p else half
-    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out.errors)))
+    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out[0])))
     model = replace(
         linear,
         coef=after.mean[:p] + fold @ after.mean[p:],
@@ -79,7 +66,13 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
         tried = poses_in_range(angles[weights > 0], arm.n_joints)
         free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
         model = replace(model, gauge_free_half=free.gauge_free_half)
-    return Changed(model, after.tau, after.noise_sd, after.row_weight)
+    entry = {
+        "date": calendar.today().isoformat() if date is None else str(date),
+        "n_poses": len(angles),
+        "tau": after.tau,
+        "noise_sd_mm": after.noise_sd,
+    }
+    return model, entry, after.row_weight
 
 
 def _informed(half, columns, place, weights):
@@ -192,18 +185,7 @@ def _change_sizes(linear):
     return sizes
 
 
-def _place_seen(arm, angles, with_base, turn_mm):
-    """Columns of the place at points and, if `turn_mm` is not 0, at turns: (n, 3 or 6, 3 or 9)."""
-    place = place_columns(arm, angles, with_base)
-    if not turn_mm:
-        return place
-    turns = np.zeros_like(place)
-    if with_base:
-        turns[:, :, 6:] = turn_mm / reach_mm(arm) * np.eye(3)
-    return np.concatenate([place, turns], axis=1)
-
-
-def _into_kinematics(linear, with_base, turn_mm):
+def _into_kinematics(linear, with_base):
     """Coefficients (n_columns, 3 or 9) that do what a move of tool and base does."""
     arm, terms = linear.arm, linear.terms
     fold = np.zeros((len(linear.coef), 9 if with_base else 3))
@@ -212,8 +194,8 @@ def _into_kinematics(linear, with_base, turn_mm):
     angles = np.zeros((40, arm.n_joints + len(terms.extra)))  # extra columns move no kinematics
     angles[:, : arm.n_joints] = np.random.default_rng(0).uniform(-np.pi, np.pi, (40, arm.n_joints))
     of = families_of(linear) == "kinematics"
-    columns = observed_columns(arm, angles, terms, turn_mm)[:, :, of]
-    place = _place_seen(arm, angles, with_base, turn_mm)
+    columns = linear.columns(angles)[:, :, of]
+    place = place_columns(arm, angles, with_base)
     rows = columns.shape[0] * columns.shape[1]
     fold[of] = np.linalg.lstsq(columns.reshape(rows, -1), place.reshape(rows, -1), rcond=1e-9)[0]
     return fold

@@ -4,40 +4,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from numbers import Integral
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils._param_validation import HasMethods, StrOptions, validate_parameter_constraints
 
+from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._causes import say_make, usual_values, with_kept_causes
-from sklearn_raacmm.correction._learned import LearnedCorrection
+from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data
 from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
-from sklearn_raacmm.utils import (
-    Finding,
-    HasMethods,
-    StrOptions,
-    encode_groups,
-    hear,
-    say_findings,
-    validate_parameter_constraints,
-)
-
-# What the functions that judge a correction take besides data.
-_OPTIONS = {
-    "angle_unit": [StrOptions({"rad", "deg"})],
-    "model": [HasMethods(["fit", "predict", "get_params"]), None],
-    "cv": ["cv_object"],
-    "n_jobs": [Integral, None],
-    "progress": [callable, None],
-}
+from sklearn_raacmm.utils import Finding, encode_groups, hear, say_findings
 
 
 def learn_correction(
@@ -56,7 +40,7 @@ def learn_correction(
     in_order: bool = False,
     like: Sequence[ArmResidualRegressor] = (),
     tools: ArrayLike | None = None,
-) -> LearnedCorrection:
+) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
     :func:`cross_validate_correction` judges alone.
@@ -97,19 +81,22 @@ def learn_correction(
         which joints came are offered, too, and the findings say what they are worth at positions
         left out.
     like : list of ArmResidualRegressor, default=()
-        Models of earlier arms of the make, see :func:`transfer_correction`: what they have in
-        common is where this one starts, if the evidence for it is at least 4 nats. Not with
-        `model`; known lengths are then used by the calibration only.
+        Models of earlier arms of the make: the mean and the spread of their coefficients are the
+        prior of this one's, if the evidence for it is at least 4 nats against a model that is
+        fitted to these rows alone; ``learned.model.updates_`` keeps it as `gain_nats`. One that
+        does not fit to this arm is passed over with a warning. Not with `model`; known lengths are
+        then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None
         Label of the probe of each row, where several took turns: their vectors are found, and the
         causes are learnt from all of them. `arm` and `model` are then those of the label that sorts
-        first, and ``learned.saved.with_tool(label)`` those of another. Where balls of different
+        first, and ``learned.with_tool(label)`` those of another. Where balls of different
         sizes sit in one cone, it is a position for each. Only with an
         :class:`ArmResidualRegressor`.
 
     Returns
     -------
-    LearnedCorrection
+    Correction
+        With ``scores``, ``calibration``, and the angles and positions that it was learnt from.
 
     Raises
     ------
@@ -146,18 +133,27 @@ def learn_correction(
     >>> points.shape, std.shape
     ((5, 3), (5, 3))
     """
-    options = {
-        "angle_unit": angle_unit,
-        "model": model,
-        "cv": cv,
-        "n_jobs": n_jobs,
-        "progress": progress,
-    }
     # `validate_params` would name this function where a parameter of the model is wrong.
-    validate_parameter_constraints(_OPTIONS, options, caller_name="learn_correction")
+    validate_parameter_constraints(
+        {
+            "angle_unit": [StrOptions({"rad", "deg"})],
+            "model": [HasMethods(["fit", "predict", "get_params"]), None],
+            "cv": ["cv_object"],
+            "n_jobs": [Integral, None],
+            "progress": [callable, None],
+        },
+        {
+            "angle_unit": angle_unit,
+            "model": model,
+            "cv": cv,
+            "n_jobs": n_jobs,
+            "progress": progress,
+        },
+        caller_name="learn_correction",
+    )
 
     def inside():
-        data = Data.checked(
+        data = Data(
             arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools
         )
         calibration = _calibrated(data, angles, angle_unit)
@@ -168,22 +164,37 @@ def learn_correction(
         _say_what_moved(data, calibration, fitted, noise, rows)
         if data.like and model is None:
             say_make(fitted)
-        return LearnedCorrection(
-            arm=calibration.arm,
-            model=fitted,
-            scores=scores,
-            calibration=calibration,
-            outliers=_outliers(calibration, data, scores.outliers),
-            noise=noise,
-            angles=data.angles,
-            positions=data.positions,
-            points=data.points,
-            lengths=data.lengths,
-            causes=usual_values(data.causes, data.values),
-        )
+        return data, calibration, scores, fitted, noise
 
-    learned, heard = hear(inside)
-    return replace(learned, scores=with_verdict(learned.scores, heard))
+    (data, calibration, scores, fitted, noise), findings = hear(inside)
+    scores = with_verdict(scores, findings)
+    base = None
+    if calibration.base_rotation is not None:
+        base = calibration.base_rotation, calibration.base_translation
+    return Correction(
+        arm=calibration.arm,
+        model=fitted,
+        base=base,
+        facts=_facts(data, calibration, scores, noise),
+        scores=scores,
+        calibration=calibration,
+        angles=data.angles,
+        positions=data.positions,
+    )
+
+
+class LearnOptions(TypedDict, total=False):
+    """What :func:`learn_correction` and :func:`cross_validate_correction` take by keyword."""
+
+    angle_unit: str
+    model: Any
+    cv: Any
+    n_jobs: int | None
+    progress: Callable | None
+    extra: dict[str, Any] | None
+    in_order: bool
+    like: Sequence[ArmResidualRegressor]
+    tools: ArrayLike | None
 
 
 def cross_validate_correction(
@@ -192,19 +203,16 @@ def cross_validate_correction(
     positions: ArrayLike | None,
     points: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
-    *,
-    angle_unit: str = "rad",
-    model: Any = None,
-    cv: Any = None,
-    n_jobs: int | None = None,
-    progress: Callable | None = None,
+    **options: Unpack[LearnOptions],
 ) -> CorrectionScores:
     """Judge a correction at positions left out, with calibration and model fitted anew each time.
 
     Parameters
     ----------
-    arm, angles, positions, points, lengths, angle_unit, model, cv, n_jobs, progress
+    arm, angles, positions, points, lengths
         See :func:`learn_correction`.
+    **options
+        All that :func:`learn_correction` takes by keyword.
 
     Returns
     -------
@@ -227,13 +235,6 @@ def cross_validate_correction(
     >>> scores.helps
     True
     """
-    options = {
-        "angle_unit": angle_unit,
-        "model": model,
-        "cv": cv,
-        "n_jobs": n_jobs,
-        "progress": progress,
-    }
     return learn_correction(arm, angles, positions, points, lengths, **options).scores
 
 
@@ -271,13 +272,28 @@ def _calibrated(data, angles, angle_unit):
     return calibration
 
 
-def _outliers(calibration, data, poses):
-    """Rows of outliers with their labels and distances, the farthest first."""
-    rows, positions = data.rows[poses], data.given[1]
+def _facts(data, calibration, scores, noise):
+    """What is worth keeping of a correction without its data, as plain values fit for JSON."""
+    rows = data.rows[scores.outliers]
     distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
-    order = np.argsort(-distance, kind="stable")
-    fields = [("row", "i8"), ("position", positions.dtype), ("distance", "f8")]
-    table = np.empty(len(rows), dtype=fields)
-    table["row"], table["position"] = rows[order], positions[rows[order]]
-    table["distance"] = distance[order]
-    return table
+    farthest = np.argsort(-distance, kind="stable")
+    columns = (part[farthest].tolist() for part in (rows, data.given[1][rows], distance))
+    return {
+        "written_by": f"sklearn_raacmm {__version__}",
+        "verdict": scores.verdict,
+        "helps": scores.helps,
+        "judged": scores.judged,
+        "findings": [finding.facts() for finding in scores.findings],
+        "measure": scores.measure,
+        "noise_mm": noise,
+        "std_factor": scores.std_factor,
+        "scale_sd": calibration.scale_sd,
+        "coverage": scores.coverage,
+        "n_rows": len(data.angles),
+        "causes": usual_values(data.causes, data.values),
+        "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
+        "n_folds": scores.n_folds,
+        "summary": {name: list(values) for name, values in scores.summary.items()},
+        "positions": {name: column.tolist() for name, column in scores.table.items()},
+        "outliers": [list(row) for row in zip(*columns, strict=True)],
+    }

@@ -3,35 +3,34 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import csv
 from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
 from os import PathLike
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
+from sklearn.utils._param_validation import Interval, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
-from sklearn_raacmm.correction._records import append_record
-from sklearn_raacmm.error_model import ArmResidualRegressor, LinearModel
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
-    Interval,
     centred,
     encode_groups,
     group_means,
     listed,
     one_blas_thread,
     one_warning,
-    show,
-    validate_params,
 )
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -42,27 +41,25 @@ _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 # Poses farther off than this share of all, if errors were normal, count as though they were there:
 # those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
 # this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
-# (benchmarks/bench_check.py --real). With 0.9 fewer knocks were found.
+# (benchmarks/bench_check.py changes --real). With 0.9 fewer knocks were found.
 _USUAL = 0.95
 # Sets of poses drawn for the limits of the control chart: 5 lie beyond each limit at a rate of 1 %.
 _DRAWS = 1000
 # What is suspected, and what to do. A turn of the base about z is the same as an offset of joint 1.
-_MOVED = (
-    "The base or the tracker has moved: register again, by calibrate(..., correction=model, "
-    "free=['probe'])."
-)
+_MOVED = "The base or the tracker has moved: register again (Correction.register, raacmm register)."
 _ADVICE = {
     "nothing": "Nothing: the correction holds.",
     "base": _MOVED,
     "base turned": _MOVED,
     "drift": "Base or tracker move while you measure: let them settle, fix the stand, and measure "
     "anew.",
-    "probe": "Register again, by calibrate(..., correction=model, free=['probe']).",
+    "probe": "Register again (Correction.register, raacmm register).",
     "scale": "Bring the arm to its usual temperature, or check its scale by a known length.",
     "noise": "Look for a loose probe, a dirty seat or an unsteady stand, and measure anew.",
     "offset of joint 1": "Register again: a base that has turned looks the same. If that does not "
-    "hold, update the correction by update_correction.",
-    "arm": "Update the correction by update_correction; if that does not hold, measure anew.",
+    "hold, update the correction (Correction.update, raacmm update).",
+    "arm": "Update the correction (Correction.update, raacmm update); if that does not hold, "
+    "measure anew.",
 }
 # Beside what a correction that holds leaves, half of that adds an eighth to the error: a choice.
 _WORTH = 0.5
@@ -114,18 +111,31 @@ class CorrectionCheck:
     record: dict[str, Any] = field(repr=False)
 
     def append_to(self, path: str | PathLike[str]) -> None:
-        """Append the record to a file, for :class:`~sklearn_raacmm.display.ControlChartDisplay`.
+        """Append the record to a CSV file, a line for each check: the data of a control chart.
 
         Parameters
         ----------
         path : str or path-like
-            A CSV file if its name ends in .csv, else one JSON object in each line.
+            Made, with a header, if it does not exist.
+
+        Raises
+        ------
+        ValueError
+            If the file has another header.
 
         Examples
         --------
         >>> check.append_to("checks_of_arm_7.csv")  # doctest: +SKIP
         """
-        append_record(path, self.record)
+        path = Path(path)
+        header = path.read_bytes().splitlines()[:1] if path.exists() else []
+        if header and header != [",".join(self.record).encode()]:
+            raise ValueError(f"{path} is not the record of checks: its first line is no header.")
+        with path.open("a", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, self.record)
+            if not header:
+                writer.writeheader()
+            writer.writerow(self.record)
 
 
 @one_blas_thread
@@ -209,13 +219,13 @@ def check_correction(
     linear_model_of(model, "checked")
     model = model if arm is None else model.with_arm(arm)
     linear = _widened(model.linear_model_)
-    today = NewPoses.checked(model, X, y, groups, sample_weight)
+    today = NewPoses(model, X, y, groups, sample_weight)
     lengths = listed("lengths", lengths)
     if lengths and groups is None:
         raise ValueError("lengths are between positions: give groups, the position of each pose.")
     labels = encode_groups(groups)[0].tolist() if lengths else []
     lengths = [check_length(entry, labels) for entry in lengths]
-    poses, slipped = _poses_of(linear, model, today, lengths)
+    poses = _Poses(linear, model, today, lengths)
     nuisance = poses.nuisance(refitted)
     root = poses.root_of_covariance()
     whiten = Whitened(root, nuisance)
@@ -252,7 +262,7 @@ def check_correction(
             f"It is real and small, {size_mm:.2g} mm beside the {usual_mm:.2g} mm that the "
             f"correction leaves: nothing needs to be done. {advice}"
         )
-    named = tuple(np.flatnonzero(slipped).tolist())
+    named = tuple(np.flatnonzero(poses.slipped).tolist())
     return CorrectionCheck(
         holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, named, record
     )
@@ -271,19 +281,6 @@ def _widened(linear):
         gauge_free_half=wider * linear.gauge_free_half,
         noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
     )
-
-
-def _poses_of(linear, model, today, lengths):
-    """Today's poses that count, and which of the rows have slipped."""
-    correction = copy(model).set_params(angle_unit="rad").predict(today.angles)
-    left = today.residuals - correction
-    slipped, tamed = _slipped(linear, today, left)
-    kept = (today.weights > 0) & ~slipped
-    angles, weights = today.angles[kept], today.weights[kept]
-    codes = None if today.codes is None else today.codes[kept]
-    points = linear.arm.forward(angles[:, : linear.arm.n_joints]) - correction[kept]
-    known = _lengths_between(points, codes, weights, lengths)
-    return _Poses(linear, angles, left[kept], tamed[kept], weights, codes, *known), slipped
 
 
 def _slipped(linear, poses, left):
@@ -326,18 +323,25 @@ def _lengths_between(points, codes, weights, lengths):
     return rows.reshape(len(known), 3 * len(points)), size - stated, sd
 
 
-class _Poses(NamedTuple):
-    """Poses of today: rows of coordinates, three for each pose, and one for each known length."""
+class _Poses:
+    """Poses of today that count: rows of coordinates, and one for each known length.
 
-    linear: LinearModel
-    angles: np.ndarray  # (n, n_joints)
-    left: np.ndarray  # (n, 3) residuals less the correction, mm
-    tamed: np.ndarray  # (n, 3) the same without the tails
-    weights: np.ndarray  # (n,)
-    codes: np.ndarray | None  # (n,) position of each pose
-    lengths: np.ndarray  # (l, 3 n) what the coordinates do to the lengths, mm per mm
-    length_errors: np.ndarray  # (l,) mm
-    length_sd: np.ndarray  # (l,) mm
+    `left` (n, 3) are the residuals less the correction in mm, `tamed` the same without the tails;
+    `lengths` (l, 3 n) is what the coordinates do to the lengths, mm per mm.
+    """
+
+    def __init__(self, linear, model, today, lengths):
+        correction = copy(model).set_params(angle_unit="rad").predict(today.angles)
+        left = today.residuals - correction
+        self.slipped, tamed = _slipped(linear, today, left)
+        kept = (today.weights > 0) & ~self.slipped
+        self.linear, self.angles, self.weights = linear, today.angles[kept], today.weights[kept]
+        self.left, self.tamed = left[kept], tamed[kept]
+        self.codes = None if today.codes is None else today.codes[kept]
+        points = linear.arm.forward(self.angles[:, : linear.arm.n_joints]) - correction[kept]
+        self.lengths, self.length_errors, self.length_sd = _lengths_between(
+            points, self.codes, self.weights, lengths
+        )
 
     def rows(self, columns):
         """Columns (n, 3, k) or (3 n, k) as rows of coordinates and lengths, (m, k)."""
@@ -372,7 +376,7 @@ class _Poses(NamedTuple):
         """Columns (m, k) of what is not known of these poses, so that it shows no change."""
         refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {show(refitted)}.')
+            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
         place = self.rows(place_columns(self.linear.arm, self.angles, with_base=True))
         place = place[:, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
         if self.codes is None:
@@ -393,7 +397,7 @@ class _Poses(NamedTuple):
         if self.codes is None:  # of a single-point test the base shows nothing
             # Together they are six numbers, too many for what three explain: of 40 bases of the
             # UR10 that settled by 40 um none was named, apart 27 are
-            # (benchmarks/bench_check_kinds.py --real). About z it is an offset of joint 1.
+            # (benchmarks/bench_check.py kinds --real). About z it is an offset of joint 1.
             causes |= {"base": place[:, 3:6], "base turned": place[:, 6:8]}
         points = arm.forward(angles)
         if self.codes is not None:  # a position is one point: what it shows about it is no scale

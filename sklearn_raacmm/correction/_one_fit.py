@@ -3,9 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass
 from inspect import ismethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -18,36 +17,26 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
 from sklearn_raacmm.calibration import calibrate, check_length
 from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
-from sklearn_raacmm.correction._transfer import transfer_correction
+from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_points, encode_groups, listed, unheard
+from sklearn_raacmm.utils import encode_groups, floats, listed, unheard
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
 _FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
 
 
-@dataclass(frozen=True, eq=False)
 class Data:
-    """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths."""
+    """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths.
 
-    arm: Arm
-    angles: np.ndarray
-    positions: np.ndarray
-    points: np.ndarray | None
-    tools: np.ndarray | None  # label of the probe of each row
-    lengths: list
-    rows: np.ndarray  # first row of each pose among those given
-    given: tuple  # angles, positions, points and tools of these
-    causes: tuple  # names of the columns of `values`
-    values: np.ndarray  # (n, n_causes)
-    like: tuple  # models of earlier arms of the make
+    `rows` are the first rows of each pose among those `given`; `causes` name the columns of
+    `values` (n, n_causes); `like` are models of earlier arms of the make.
+    """
 
-    @classmethod
-    def checked(
-        cls, arm, angles, positions, points, lengths, angle_unit,
+    def __init__(
+        self, arm, angles, positions, points, lengths, angle_unit,
         extra=None, in_order=False, like=(), tools=None,
     ):  # fmt: skip
         check_arm(arm)
@@ -56,7 +45,7 @@ class Data:
         angles = within_turn(angles)
         lengths = listed("lengths", lengths)
         if points is not None:
-            points = check_points(points, 3)
+            points = floats("points", points, 3)
             if len(points) != len(angles):
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
             if positions is None:
@@ -78,14 +67,12 @@ class Data:
                 raise ValueError("like and tools cannot be given together.")
             names, of_tool = encode_groups(tools, len(angles), "tools")
             tools, kinds = names[of_tool], codes * len(names) + of_tool
-        given = angles, labels[codes], points, tools
         poses = find_poses(angles, kinds, points)
-        angles, points, first = poses.mean_angles(angles), poses.mean(points), poses.first
-        tools = None if tools is None else tools[first]
-        return cls(
-            arm, angles, given[1][first], points, tools, lengths, first, given, causes,
-            values[first], like,
-        )  # fmt: skip
+        self.arm, self.lengths, self.like, self.rows = arm, lengths, like, poses.first
+        self.given = angles, labels[codes], points, tools
+        self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
+        self.positions, self.tools = labels[codes][self.rows], _at(self.rows, tools)
+        self.causes, self.values = causes, values[self.rows]
 
     @property
     def inputs(self):
@@ -171,19 +158,16 @@ class Data:
     def fit(self, model, calibration, rows):
         """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
         y = self.residuals(calibration, rows)
+        fitted = None
         if self.like and model is None:
-            fitted = self._like_others(calibration.arm, rows, y)
-        else:
+            of_rows = self.inputs[rows], y, self.positions[rows]
+            fitted = transferred_model(self.like, calibration.arm, *of_rows)
+        if fitted is None:
             fitted = self._fit_alone(model, calibration, rows, y)
         left = y - self.at_probes(fitted, calibration, rows).predict(self.inputs[rows])
         if self.points is None:
             left = position_residuals(left, self.positions[rows])
         return fitted, float(np.sqrt(np.mean(np.square(left))))
-
-    def _like_others(self, arm, rows, y):
-        """A model that starts from earlier arms of the make, where these are believed."""
-        X, groups = self.inputs[rows], self.positions[rows]
-        return transfer_correction(list(self.like), arm, X, y, groups=groups)
 
     def _fit_alone(self, model, calibration, rows, y):
         fitted = model_for(model, calibration.arm, self.causes)
@@ -213,11 +197,11 @@ def _at(rows, values):
     return None if values is None else values[rows]
 
 
-class _OfTools(NamedTuple):
-    """A model at the probes of several tools, for rows in this order."""
+class _OfTools:
+    """A model at the probes of several tools, by their labels, for rows with these (n,) labels."""
 
-    models: dict  # by the label of the tool
-    tools: np.ndarray  # (n,) label of each row
+    def __init__(self, models, tools):
+        self.models, self.tools = models, tools
 
     def predict(self, X, return_std=False):
         found = np.empty((1 + return_std, len(X), 3))

@@ -3,15 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.arm import Arm, check_arm, reach_mm
 from sklearn_raacmm.error_model import angles_for, limits_of
-from sklearn_raacmm.utils import check_whole_number, floats
+from sklearn_raacmm.utils import floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
 _PLACES, _STARTS = 4, 8
@@ -54,8 +55,7 @@ def plan_poses(
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
-    allows, and in an order of short ways. Spread cones are what a plan is worth: a choice by
-    :func:`next_poses` is no better in a first test.
+    allows, and in an order of short ways (``benchmarks/bench_first_test.py``).
 
     Parameters
     ----------
@@ -93,15 +93,15 @@ def plan_poses(
     True
     """
     check_arm(arm)
-    check_whole_number("n_positions", n_positions, 1)
-    check_whole_number("n_poses", n_poses, 2)
+    check_scalar(n_positions, "n_positions", Integral, min_val=1)
+    check_scalar(n_poses, "n_poses", Integral, min_val=2)
     rng, reach = check_random_state(random_state), reach_mm(arm)
     if region is not None:
         region = floats("region", region)
         if region.shape != (2, 3) or not np.all(region[0] <= region[1]):
             raise ValueError(
                 "region must be the lowest and the highest x, y and z in mm, shape (2, 3), got "
-                f"{region.tolist()}."
+                f"{region.tolist()!s:.60}."
             )
     places, poses = [], []
     for _ in range(_PLACES * n_positions):

@@ -23,7 +23,6 @@ from sklearn_raacmm.utils import (
     listed,
     natural_order,
     say_findings,
-    show,
     unheard,
 )
 
@@ -214,7 +213,7 @@ def _folds(data, kept, cv):
         if not all(_are_rows(pair, len(codes)) for pair in cv):
             raise ValueError(
                 "cv must be a whole number, a splitter, or pairs of the rows to fit on and to "
-                f"leave out, got {show(cv)}."
+                f"leave out, got {cv!r:.60}."
             )
     splits = list(check_cv(cv).split(data.angles, groups=blocks))
     times = np.zeros(len(codes), dtype=int)

@@ -8,13 +8,14 @@ from datetime import date as calendar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings, validate_params
+from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
@@ -33,7 +34,6 @@ def update_correction(
     arm: Arm | None = None,
     groups: ArrayLike | None = None,
     sample_weight: ArrayLike | None = None,
-    orientation_residuals: ArrayLike | None = None,
     date: str | None = None,
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
@@ -61,8 +61,6 @@ def update_correction(
         Label of the position of each sample, for the offsets of a single-point test.
     sample_weight : array-like of shape (n_samples,), default=None
         Weights. Poses that lie far off are left out by themselves.
-    orientation_residuals : array-like of shape (n_samples, 3), default=None
-        Residuals of the orientation, as `fit` takes them, for a model that was fitted with some.
     date : str, default=None
         When the new poses were measured, for the record; None: today.
 
@@ -77,8 +75,8 @@ def update_correction(
     TypeError
         If the model holds no linear model in use: such a one can be registered, not updated.
     ValueError
-        If shapes do not fit, something is NaN or infinite, groups are missing though the model has
-        offsets, or orientations are given to a model that was fitted without.
+        If shapes do not fit, something is NaN or infinite, or groups are missing though the model
+        has offsets.
 
     Warns
     -----
@@ -119,7 +117,7 @@ def update_correction(
     model = model if arm is None else model.with_arm(arm)
     if np.shape(X)[:1] == (0,):
         return deepcopy(model)
-    new = X, y, groups, sample_weight, orientation_residuals
+    new = X, y, groups, sample_weight
     updated, found = hear(_updated, model, new, date)
     updated.findings_ = tuple(found)
     return updated
@@ -127,36 +125,23 @@ def update_correction(
 
 def _updated(model, new, date):
     """A copy of the model, brought up to date if the new poses show enough."""
-    poses = NewPoses.checked(model, *new)
+    poses = NewPoses(model, *new)
     linear, updated = model.linear_model_, deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
         say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return updated
     say_findings(what_is_wrong(model, poses))
-    left = poses.residuals - model.second_stage(poses.angles)
-    changed = changed_model(linear, poses._replace(residuals=left))
-    if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
+    updated.linear_model_, entry, _ = changed_model(linear, poses, date=date)
+    if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
-            f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
-            f"model, the old ones did by {linear.noise_sd:.3g} mm:"
+            f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
+            f"updated model, the old ones did by {linear.noise_sd:.3g} mm:"
         )
         advice = (
             "are they of this arm, and residuals in its base frame, registered through the "
             "correction?"
         )
-        say_findings([Finding("strange-poses", said, advice, size_mm=changed.noise_sd)])
-    updated.linear_model_ = changed.model
-    before = vars(model).get("updates_", ())
-    updated.updates_ = (*before, record_of(changed, len(poses.angles), date))
+        say_findings([Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"])])
+    updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated
-
-
-def record_of(changed, n_poses, date):
-    """What `updates_` keeps of a change."""
-    return {
-        "date": calendar.today().isoformat() if date is None else str(date),
-        "n_poses": n_poses,
-        "tau": changed.tau,
-        "noise_sd_mm": changed.noise_sd,
-    }

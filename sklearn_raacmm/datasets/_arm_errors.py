@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import show
-
 
 @dataclass(frozen=True, kw_only=True)
 class ArmErrors:
@@ -66,7 +64,7 @@ class ArmErrors:
         Weight at the probe, N: it varies between 0 and this number from pose to pose. Joints twist
         and tubes bend under it as under the arm's own weight.
     slip_share : float, default=0.0
-        Share of the poses in which the probe has slipped out of its seat.
+        Share of the poses in which the probe has slipped out of its cone.
     slip_mm : float, default=1.0
         How far it has slipped then, in a random direction.
 
@@ -102,12 +100,12 @@ class ArmErrors:
             numbers = np.asarray(value)
             wanted = "two numbers" if pair else "a number"
             if numbers.dtype.kind not in "iuf" or numbers.shape != ((2,) if pair else ()):
-                raise ValueError(f"{field.name} must be {wanted}, got {show(value)}.")
+                raise ValueError(f"{field.name} must be {wanted}, got {value!r:.60}.")
             signed = field.name in ("warming_k", "drift_k")
             high = 1 if field.name in ("counterbalance", "slip_share") else np.inf
             if not np.all(np.isfinite(numbers) & (signed | (numbers >= 0)) & (numbers <= high)):
                 bounds = "finite" if signed else f"finite and in [0, {high:g}]"
-                raise ValueError(f"{field.name} must be {bounds}, got {show(value)}.")
+                raise ValueError(f"{field.name} must be {bounds}, got {value!r:.60}.")
             plain = tuple(map(float, value)) if pair else float(value)
             object.__setattr__(self, field.name, plain)
 

@@ -7,11 +7,13 @@ from datetime import datetime
 from functools import partial
 from numbers import Integral, Real
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sklearn.utils import Bunch
+from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
@@ -19,7 +21,6 @@ from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
 from sklearn_raacmm.datasets._generators import pack
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Interval, StrOptions, validate_params
 
 PANDA_URL = (
     "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/"
@@ -34,48 +35,6 @@ _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 
 # Three angles in degrees. The file does not say about which axes. Of all orders, senses and
 # inverses only this one fits a target fixed to the flange: to 0.1 degrees, the next one to 8.
 _TURN, _TURN_ORDER = slice(17, 20), "XYZ"
-
-_PANDA_DESCR = """\
-Ball-and-socket test of two Franka Panda arms
----------------------------------------------
-
-Two Franka Panda robots, seven joints, held a ball in one of two sockets in many poses: the
-single-point (cone-hole) test of a measuring arm. The two sockets of a placement are 50 mm apart.
-
-:Arms: panda_3, 387 poses at 6 placements; panda_2, 559 poses at 9 placements
-:Known faults: panda_2 holds outliers of up to 2.8 mm after calibration. panda_3 stood on a grid of
-    holes (150 mm from front to back, 175 mm from left to centre to right); its placement frontleft
-    is 25 mm off the grid. The ball is about 241 mm from joint 7's frame along its axis.
-
-Source: https://github.com/platonics-delft/kinematics_calibration, folder data, commit
-05a05ab4cbbe328c8f5bfcc76479c752ed07b82e.
-
-Licence: MIT, copyright (c) 2024 platonics (Giovanni Franzese, Max Spahn, Mariano Ramirez).
-
-Please cite: G. Franzese, M. Spahn, J. Kober, C. Della Santina, "MUKCa: Accurate and Affordable
-Cobot Calibration Without External Measurement Devices", 2025, arXiv:2503.12584.
-"""
-
-_UR10_DESCR = """\
-A UR10 against a laser tracker
-------------------------------
-
-A UR10, six joints, went to 619 goal positions in up to 24 orientations each, within 101 hours with
-breaks; a Leica T-Mac on its flange was followed by a laser tracker. Here the residual is known in
-full, not only up to a constant per position.
-
-:Rows: 11 911 poses; the joint angles are commanded, not read
-:Pose: the shoulder and elbow axes are parallel, there is no swivel between them; the pose is made
-    of joints 4 and 3 and the elevation of the line from shoulder to wrist.
-
-Source: https://github.com/christianlandgraf/ipa-robot-accuracy, Series_A/measurements_grid.csv,
-commit 507fba69bdaf6c43c2faf306e70a7e37c5e39b89.
-
-Licence: MIT, copyright (c) 2021 Christian Landgraf.
-
-Please cite: C. Landgraf et al., "A Hybrid Neural Network Approach for Increasing the Absolute
-Accuracy of Industrial Robots", IEEE CASE 2021.
-"""
 
 _CONSTRAINTS = {
     "data_home": [str, PathLike, None],
@@ -134,8 +93,8 @@ def fetch_panda_ball_socket(
     data : :class:`~sklearn.utils.Bunch`
         As :func:`make_single_point`: ``data`` (n_poses, 7), ``target``, ``groups``, ``points``,
         ``arm``, calibrated on all rows and the known lengths (to judge a correction, calibrate
-        without the placements left out, as ``benchmarks/real_arm.py``), ``nominal_arm`` and names;
-        and:
+        without the placements left out, as ``benchmarks/compare_regressors.py``),
+        ``nominal_arm`` and names; and:
 
         placements : ndarray or Series of shape (n_poses,)
             Label of the placement of the two sockets. Split by it, not by socket: the other socket
@@ -194,7 +153,7 @@ def fetch_panda_ball_socket(
         lengths=lengths,
         feature_names=[f"q{i}" for i in range(1, 8)],
         target_names=["dx", "dy", "dz"],
-        DESCR=_PANDA_DESCR,
+        DESCR=_description("_panda_ball_socket.rst"),
     )
     return pack(data, return_X_y, as_frame, split_by="placements")
 
@@ -229,7 +188,7 @@ def fetch_ur10_tracker(
         As :func:`make_single_point`: ``data`` (11911, 6), the commanded joint angles, rad,
         ``groups``, the numbers of the goal positions, ``temperature``, ``directions`` by the pose
         that was measured before, ``points``, ``arm``, calibrated on all rows (to judge a correction
-        see ``benchmarks/real_tracker.py``), ``nominal_arm`` and names; and:
+        see ``benchmarks/compare_regressors.py``), ``nominal_arm`` and names; and:
 
         target : ndarray or DataFrame of shape (11911, 3)
             Residuals dx, dy, dz in the arm's base frame, mm: what the calibrated arm shows minus
@@ -238,7 +197,7 @@ def fetch_ur10_tracker(
             Measured points in the tracker's frame, mm.
         tracker_orientations : ndarray of shape (11911, 3, 3)
             Measured orientations of the tracker's target, as rotation matrices from the target's
-            axes to the tracker's, for ``calibrate(..., orientations=)``.
+            axes to the tracker's.
         time : ndarray of datetime64 of shape (11911,)
             When each pose was measured, to a second. Ten poses do not stand in this order.
         DESCR : str
@@ -293,7 +252,7 @@ def fetch_ur10_tracker(
         nominal_arm=nominal,
         feature_names=[f"q{i}" for i in range(1, 7)],
         target_names=["dx", "dy", "dz"],
-        DESCR=_UR10_DESCR,
+        DESCR=_description("_ur10_tracker.rst"),
     )
     return pack(data, return_X_y, as_frame)
 
@@ -306,3 +265,7 @@ def _address(given, default):
             f"base_url must be an address like https://... or file:///..., got {given!r}."
         )
     return given
+
+
+def _description(name):
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")

@@ -5,17 +5,19 @@
 
 import warnings
 from functools import lru_cache
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import Bunch, check_random_state
+from sklearn.utils import Bunch, check_random_state, check_scalar
+from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_whole_number, floats, show, validate_params
+from sklearn_raacmm.utils import floats
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -98,7 +100,7 @@ def make_single_point(
             What is known in a simulation only: ``machine`` (SimulatedArm), ``positions``
             (centres of the cones, mm), ``true_points`` (where the probe really was, mm),
             ``perfect_correction`` (what the best possible model predicts from the readings, mm) and
-            ``slipped`` (whether the probe had slipped out of its seat).
+            ``slipped`` (whether the probe had slipped out of its cone).
 
     Raises
     ------
@@ -115,8 +117,8 @@ def make_single_point(
     >>> 0 < single_point_repeatability(test.points, test.groups) < 0.2
     True
     """
-    check_whole_number("n_positions", n_positions, 1)
-    check_whole_number("n_poses", n_poses, 2)
+    check_scalar(n_positions, "n_positions", Integral, min_val=1)
+    check_scalar(n_poses, "n_poses", Integral, min_val=2)
     machine, rng = _machine_and_stream(machine, random_state, stream=1)
     positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
     known = []
@@ -180,8 +182,8 @@ def make_gauge(
     >>> bool(length_error(measured, test.lengths, statistic="max") < 0.2)
     True
     """
-    check_whole_number("n_placements", n_placements, 1)
-    check_whole_number("n_poses", n_poses, 2)
+    check_scalar(n_placements, "n_placements", Integral, min_val=1)
+    check_scalar(n_poses, "n_poses", Integral, min_val=2)
     machine, rng = _machine_and_stream(machine, random_state, stream=2)
     lengths = np.repeat(_check_lengths(lengths, machine), n_placements)
     ends, poses = _draw_gauges(machine, lengths, n_poses, rng)
@@ -227,35 +229,22 @@ def _readings(machine, cones, poses, rng, warming_k=0.0, slipped: Any = 0.0, pay
     return machine.read(machine.solve(poses, true_points, **state), rng), groups, true_points
 
 
-def _warming(errors, n_rows):
-    """Warming of each row in K: three time constants of an arm that has been switched on."""
-    time = np.linspace(0, 3, n_rows)
-    return errors.warming_k + errors.drift_k * (1 - np.exp(-time)) / (1 - np.exp(-3))
-
-
-def _slips(errors, n_rows, rng):
-    """How far the probe has slipped out of its seat in each row, (n, 3), mm."""
-    if not errors.slip_share:  # and no draw: the noise after it stays what it was
-        return np.zeros((n_rows, 3))
-    slipped = rng.uniform(size=n_rows) < errors.slip_share
-    directions = rng.normal(size=(n_rows, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return errors.slip_mm * slipped[:, None] * directions
-
-
-def _payloads(errors, n_rows, rng):
-    """Weight at the probe in each row, N."""
-    if not errors.payload_n:  # and no draw
-        return np.zeros(n_rows)
-    return rng.uniform(0, errors.payload_n, n_rows)
-
-
 def _measure(machine, cones, poses, rng):
-    n_rows = sum(map(len, poses))
-    warming = _warming(machine.errors, n_rows)
-    slips = _slips(machine.errors, n_rows, rng)
+    """What the user of an arm has after a test, and what only the simulation knows."""
+    n_rows, errors = sum(map(len, poses)), machine.errors
+    # Three time constants of an arm that has been switched on.
+    warm = (1 - np.exp(-np.linspace(0, 3, n_rows))) / (1 - np.exp(-3))
+    warming = errors.warming_k + errors.drift_k * warm
+    slips, payload = np.zeros((n_rows, 3)), np.zeros(n_rows)
+    # Without these sources nothing is drawn: the noise after them stays what it was.
+    if errors.slip_share:
+        slipped = rng.uniform(size=n_rows) < errors.slip_share
+        away = rng.normal(size=(n_rows, 3))
+        away /= np.linalg.norm(away, axis=1, keepdims=True)
+        slips = errors.slip_mm * slipped[:, None] * away
     directions = directions_of(np.vstack(poses))
-    payload = _payloads(machine.errors, n_rows, rng)
+    if errors.payload_n:
+        payload = rng.uniform(0, errors.payload_n, n_rows)
     angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips, payload)
     arm = _calibrated_arm(machine)
     points = arm.forward(angles)
@@ -363,7 +352,7 @@ def _check_lengths(lengths, machine) -> np.ndarray:
     # Both ends in the shell: the longest gauge spans it.
     longest = 2 * _SHARE_OF_REACH[1] * machine.reach
     if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():
-        raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {show(lengths)}.")
+        raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {lengths!r:.60}.")
     return lengths
 
 

@@ -3,15 +3,16 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
-from sklearn_raacmm.utils import check_whole_number, floats, refuse_huge, show
+from sklearn_raacmm.utils import floats
 
 _ARCSEC = np.pi / (180 * 3600)  # rad
 
@@ -322,7 +323,7 @@ class SimulatedArm:
         """
         rng = check_random_state(random_state)
         point = _points("point", point, (3,))
-        check_whole_number("n_poses", n_poses, 0)
+        check_scalar(n_poses, "n_poses", Integral, min_val=0)
         arm = self.nominal_arm
         found = np.empty((0, 6))
         for _ in range(10):
@@ -421,7 +422,7 @@ def _per_row(name, value, n_rows):
     """A column of one number for each row, (n_rows, 1), or one row of it for all."""
     numbers = floats(name, value)
     if numbers.shape not in ((), (n_rows,)) or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"{name} must be a finite number, or {n_rows} of them, got {show(value)}.")
+        raise ValueError(f"{name} must be a finite number, or {n_rows} of them, got {value!r:.60}.")
     return numbers.reshape(-1, 1)
 
 
@@ -433,10 +434,9 @@ def directions_of(angles: np.ndarray) -> np.ndarray:
 
 
 def _points(name, points, shape) -> np.ndarray:
-    points = floats(name, points)
+    points = floats(name, points, finite=True)
     if points.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {points.shape}.")
-    refuse_huge(name, points)
     return points
 
 

@@ -8,14 +8,12 @@ Those of repeatability, gauge lengths and residuals are after Gao et al. (2020),
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.display._before_after import LengthErrorDisplay, RepeatabilityDisplay
-from sklearn_raacmm.display._control_chart import ControlChartDisplay
 from sklearn_raacmm.display._harmonics import HarmonicDisplay
 from sklearn_raacmm.display._poses import ArmPosesDisplay
 from sklearn_raacmm.display._residuals import ResidualDisplay
 
 __all__ = [
     "ArmPosesDisplay",
-    "ControlChartDisplay",
     "HarmonicDisplay",
     "LengthErrorDisplay",
     "RepeatabilityDisplay",

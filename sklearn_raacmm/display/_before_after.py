@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import (
-    PointsDisplay,
+    FittedDisplay,
     axes_grid,
     draw_sides,
     name_places,
@@ -24,13 +24,13 @@ from sklearn_raacmm.metrics import (
     repeatability_interval,
     single_point_repeatability,
 )
-from sklearn_raacmm.utils import check_points
+from sklearn_raacmm.utils import floats
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class RepeatabilityDisplay(PointsDisplay):
+class RepeatabilityDisplay(FittedDisplay):
     """Single-point repeatability of every position, before and after the correction.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`. Judge a correction at
@@ -82,6 +82,7 @@ class RepeatabilityDisplay(PointsDisplay):
     statistic: str = "2s"
     before_interval: np.ndarray | None = None
     after_interval: np.ndarray | None = None
+    name: str = "after"
     ax_: Any = field(init=False)
     figure_: Any = field(init=False)
     unit_: str = field(init=False)
@@ -129,7 +130,7 @@ class RepeatabilityDisplay(PointsDisplay):
             If shapes differ, values are not finite, a position holds a single point, or `interval`
             is not between 0 and 1.
         """
-        points = check_points(points, n_coordinates=3)
+        points = floats("points", points, 3)
         options: dict = {"statistic": statistic, "aggregate": None}
 
         def spread(points):
@@ -183,7 +184,7 @@ class RepeatabilityDisplay(PointsDisplay):
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class LengthErrorDisplay(PointsDisplay):
+class LengthErrorDisplay(FittedDisplay):
     """Length errors of gauges in several placements, before and after the correction.
 
     Make one with :meth:`from_estimator` or :meth:`from_predictions`. Each calibrated length gets
@@ -228,6 +229,7 @@ class LengthErrorDisplay(PointsDisplay):
     after: np.ndarray
     lengths: np.ndarray
     floor: np.ndarray | None = None
+    name: str = "after"
     axes_: Any = field(init=False)
     figure_: Any = field(init=False)
     unit_: str = field(init=False)
@@ -273,7 +275,7 @@ class LengthErrorDisplay(PointsDisplay):
             measured length is not within half of the calibrated one (residuals given as points?),
             or there are not as many axes as lengths.
         """
-        points = check_points(points, n_coordinates=3)
+        points = floats("points", points, 3)
 
         def errors(correction):
             measured = gauge_lengths(subtract(points, correction), groups, pairs)

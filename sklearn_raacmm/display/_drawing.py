@@ -3,14 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.utils import check_points, deviations_by_group, show
+from sklearn_raacmm.utils import deviations_by_group, floats
 
 # Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
 # have no order, so that no line joins them.
@@ -24,34 +23,29 @@ _SHIFT = 0.12
 _MICROMETRES_UP_TO = 0.1
 
 
-@dataclass(kw_only=True, eq=False, repr=False)
-class BeforeAfter:
-    """What a correction does: drawn of given predictions, or of those of a fitted model."""
+class FittedDisplay:
+    """What a correction does, drawn of given predictions or of those of a fitted model."""
 
-    name: str = "after"
+    name: str
+    # Whether `from_predictions` takes the joint angles beside the points or residuals.
+    _draws_poses = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise TypeError(f"name must be a text for the legend, got {show(self.name)}.")
-
-
-class PointsDisplay(BeforeAfter):
-    """A display of measured points."""
+            raise TypeError(f"name must be a text for the legend, got {self.name!r:.60}.")
 
     @classmethod
-    def from_estimator(
-        cls, estimator: Any, X: ArrayLike, points: ArrayLike, **options: Any
-    ) -> Self:
-        """Draw points corrected by a fitted model.
+    def from_estimator(cls, estimator: Any, X: ArrayLike, y: ArrayLike, **options: Any) -> Self:
+        """Draw what a fitted model corrects.
 
         Parameters
         ----------
         estimator : object
             Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-        X : array-like of shape (n_points, n_features)
+        X : array-like of shape (n_rows, n_features)
             What the model takes, such as joint angles.
-        points : array-like of shape (n_points, 3)
-            Measured points, mm.
+        y : array-like of shape (n_rows, 3)
+            Measured points or Cartesian residuals, mm, as in :meth:`from_predictions`.
         **options : dict
             The other parameters of :meth:`from_predictions`.
 
@@ -62,40 +56,13 @@ class PointsDisplay(BeforeAfter):
         """
         check_model(estimator)
         display: Any = cls
-        return display.from_predictions(points, estimator.predict(X), **options)
-
-
-class PosesDisplay(BeforeAfter):
-    """A display of the residuals of poses."""
-
-    @classmethod
-    def from_estimator(cls, estimator: Any, X: ArrayLike, y: ArrayLike, **options: Any) -> Self:
-        """Draw residuals and what a fitted model leaves of them.
-
-        Parameters
-        ----------
-        estimator : object
-            Fitted model whose ``predict(X)`` gives the residuals dx, dy, dz in mm.
-        X : array-like of shape (n_poses, n_joints)
-            Joint angles.
-        y : array-like of shape (n_poses, 3)
-            Cartesian residuals dx, dy, dz, mm.
-        **options : dict
-            The other parameters of :meth:`from_predictions`.
-
-        Returns
-        -------
-        display : object
-            What was drawn.
-        """
-        check_model(estimator)
-        display: Any = cls
-        return display.from_predictions(X, y, estimator.predict(X), **options)
+        given = (X, y) if cls._draws_poses else (y,)
+        return display.from_predictions(*given, estimator.predict(X), **options)
 
 
 def before_and_after(n_rows, y, y_pred, groups):
     """Residuals (n, 3) of so many poses, and what is left of them; None without a prediction."""
-    y = check_points(y, n_coordinates=3)
+    y = floats("y", y, 3)
     if len(y) != n_rows:
         raise ValueError(f"X has {n_rows} rows, but y {len(y)}.")
     if y_pred is None:
@@ -106,7 +73,7 @@ def before_and_after(n_rows, y, y_pred, groups):
 
 def subtract(points, correction):
     """Take a correction (n, 3) off points (n, 3), both checked."""
-    correction = check_points(correction, n_coordinates=3)
+    correction = floats("correction", correction, 3)
     if len(correction) != len(points):
         raise ValueError(f"{len(points)} points, but a correction for {len(correction)}.")
     return points - correction
@@ -123,7 +90,7 @@ def pyplot():
 def check_model(estimator):
     """Refuse what is no fitted model."""
     if not hasattr(estimator, "predict"):
-        raise TypeError(f"estimator must be a fitted model, got {show(estimator)}.")
+        raise TypeError(f"estimator must be a fitted model, got {estimator!r:.60}.")
     check_is_fitted(estimator)
 
 
@@ -136,7 +103,7 @@ def axes_grid(axes, shape, **options):
         raise ValueError(f"{axes.size} axes were given, but {np.prod(shape)} are needed.")
     for ax in axes.flat:
         if not hasattr(ax, "axhline"):
-            raise TypeError(f"Axes of matplotlib are needed to draw on, got {show(ax)}.")
+            raise TypeError(f"Axes of matplotlib are needed to draw on, got {ax!r:.60}.")
     return axes.reshape(shape)
 
 

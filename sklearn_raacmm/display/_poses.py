@@ -4,33 +4,33 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, field
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils import check_scalar
 
 from sklearn_raacmm.arm import Arm, arm_or_built_in, check_arm
 from sklearn_raacmm.display._drawing import (
     AFTER,
     BEFORE,
-    PosesDisplay,
+    FittedDisplay,
     before_and_after,
     pyplot,
 )
-from sklearn_raacmm.utils import check_option, check_whole_number, show
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
 _BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
 _AFTER = {"color": AFTER["color"], "linewidth": 1.0}
 # The longest residual is drawn as long as this share of the arm, or a little shorter.
 _LONGEST = 0.3
-# Matplotlib leaves room around a box in space for any view; the usual ones need less.
+# Matplotlib leaves space around a box in space for any view; the usual ones need less.
 _ZOOM = 1.05
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class ArmPosesDisplay(PosesDisplay):
+class ArmPosesDisplay(FittedDisplay):
     """Poses of an arm as stick figures in space, over their residuals, magnified.
 
     In a single-point test all poses end at one point, and the residuals stand on it like bristles.
@@ -73,9 +73,11 @@ class ArmPosesDisplay(PosesDisplay):
     >>> plt.close(display.figure_)
     """
 
+    _draws_poses = True
     chains: np.ndarray
     before: np.ndarray
     after: np.ndarray | None = None
+    name: str = "after"
     ax_: Any = field(init=False)
     figure_: Any = field(init=False)
     magnification_: Any = field(init=False)
@@ -151,12 +153,14 @@ class ArmPosesDisplay(PosesDisplay):
         """
         if ax is not None and not hasattr(ax, "get_zlim"):
             raise ValueError('The axes are flat; make them with projection="3d".')
-        check_whole_number("max_poses", max_poses, 1)
+        check_scalar(max_poses, "max_poses", Integral, min_val=1)
         if isinstance(magnification, str):
-            check_option("magnification", magnification, ("auto",))
-        elif not (isinstance(magnification, Real) and 0 < magnification < np.inf):
+            fits = magnification == "auto"
+        else:
+            fits = isinstance(magnification, Real) and 0 < magnification < np.inf
+        if not fits:
             raise ValueError(
-                f'magnification must be "auto" or positive, got {show(magnification)}.'
+                f'magnification must be "auto" or positive, got {magnification!r:.60}.'
             )
         if ax is None:
             ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")

@@ -14,7 +14,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.display._drawing import (
     AFTER,
     BEFORE,
-    PosesDisplay,
+    FittedDisplay,
     axes_grid,
     before_and_after,
     unit_of,
@@ -28,7 +28,7 @@ _COMPONENTS = ("radial", "tangential", "axial")
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class ResidualDisplay(PosesDisplay):
+class ResidualDisplay(FittedDisplay):
     """Radial, tangential and axial residuals against the three angles of the pose.
 
     Dots are single poses. Where a correction is given, lines bound the band in which 90 % of the
@@ -70,10 +70,12 @@ class ResidualDisplay(PosesDisplay):
     >>> plt.close(display.figure_)
     """
 
+    _draws_poses = True
     pose: np.ndarray
     before: np.ndarray
     after: np.ndarray | None = None
     feature_names: Sequence[Any] = ("theta3", "theta4", "theta_dis")
+    name: str = "after"
     axes_: Any = field(init=False)
     figure_: Any = field(init=False)
     unit_: str = field(init=False)

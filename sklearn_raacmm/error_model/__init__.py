@@ -4,15 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model._checks import check_poses, check_turns
+from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._columns import (
     LOAD,
     PUSH,
     SHIFT,
     Terms,
     column_table,
-    given_factors,
-    observed_columns,
     term_columns,
 )
 from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
@@ -20,7 +18,6 @@ from sklearn_raacmm.error_model._fading import Fading
 from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
 from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._moved import lever_mm
 from sklearn_raacmm.error_model._solve import angles_for, limits_of
 from sklearn_raacmm.error_model._structures import IDLE_SD, order_price, smooth_shares
 
@@ -37,14 +34,10 @@ __all__ = [
     "angles_for",
     "check_extra",
     "check_poses",
-    "check_turns",
     "column_table",
     "constrained",
     "force_on_probe",
-    "given_factors",
-    "lever_mm",
     "limits_of",
-    "observed_columns",
     "order_price",
     "smooth_shares",
     "term_columns",

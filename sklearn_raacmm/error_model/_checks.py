@@ -17,18 +17,16 @@ from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of
 from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
-    CENTRED,
     Finding,
+    are_deviations,
     check_data,
     check_features,
     check_weights,
     encode_groups,
     floats,
     listed,
-    refuse_huge,
     say_findings,
     share_of_means,
-    show,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -36,9 +34,7 @@ from sklearn_raacmm.utils import (
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
-# A residual of the orientation that is larger, in rad, is no small error of an arm.
-_LARGEST_TURN = 0.5
-# A share of the means between CENTRED and 1 is worth a word where independent rows have one as
+# A share of means that are no deviations is worth a warning where independent rows have one as
 # small in fewer fits than one of a thousand.
 _BY_CHANCE = 1e-3
 
@@ -54,7 +50,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     check_extra(extra, arm.n_joints)
     unknown = [name for name in estimator.causes if name not in CAUSES]
     if unknown:
-        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {show(unknown[0])}.")
+        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {unknown[0]!r:.60}.")
     X = in_rad(X, arm.n_joints, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
@@ -65,19 +61,16 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     say_findings(check_targets(targets))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     if probes is not None:
-        X = np.hstack([X, _check_probes(probes, len(X), estimator.regressor)])
+        X = np.hstack([X, _check_probes(probes, len(X))])
     rows = Rows(arm, X, y, weights, codes, tuple(lengths))
     return rows, np.arange(len(y)) if groups is None else positions
 
 
-def _check_probes(probes, n_rows, regressor):
+def _check_probes(probes, n_rows):
     """Probe of each row, (n, 3) in mm."""
-    probes = floats("probes", probes)
+    probes = floats("probes", probes, finite=True)
     if probes.shape != (n_rows, 3):
         raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
-    if regressor is not None:
-        raise ValueError("A second stage sees one probe only: probes go with regressor=None.")
-    refuse_huge("probes", probes)
     return probes
 
 
@@ -141,14 +134,15 @@ def _have_offsets(offsets, y, weights, positions):
         return False
     if offsets != "auto":
         return offsets
-    share = share_of_means(y, positions, weights)
-    if share >= CENTRED:
-        say_findings(_deviations_of_other_rows(share, y.shape[1], positions, weights))
-    return share < CENTRED
+    deviations = are_deviations(y, positions, weights)
+    if not deviations:
+        say_findings(_deviations_of_other_rows(y, positions, weights))
+    return deviations
 
 
-def _deviations_of_other_rows(share, n_outputs, codes, weights):
+def _deviations_of_other_rows(y, codes, weights):
     """Means that are not zero, and smaller than those of independent rows."""
+    share, n_outputs = share_of_means(y, codes, weights), y.shape[1]
     weights = weights / min(weights[weights > 0].mean(), 1.0)
     n_groups = len(np.unique(codes[weights > 0]))
     n_free = weights.sum() - n_groups
@@ -162,11 +156,11 @@ def _deviations_of_other_rows(share, n_outputs, codes, weights):
         )
 
 
-def poses_of(rows, extra, *others):
+def poses_of(rows, extra):
     """Rows (of weights above 0) in which the arm stood still as one pose each.
 
-    A pose has one probe, and one direction, which `extra` names. Returns the `Dwells`, the `Rows`,
-    and of each of the others, (n, ...) or None, the mean of each pose.
+    A pose has one probe, and one direction, which `extra` names. Returns the `Dwells`, and the
+    `Rows`.
     """
     n_joints = rows.arm.n_joints
     kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith("direction")]
@@ -175,7 +169,7 @@ def poses_of(rows, extra, *others):
     codes = np.unique(np.column_stack([codes, rows.X[:, kinds]]), axis=0, return_inverse=True)[1]
     dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)
     if not dwells.merges:
-        return dwells, rows, *others
+        return dwells, rows
     say_findings(dwells.findings())
     angles = dwells.mean_angles(rows.X[:, :n_joints])
     rows = rows._replace(
@@ -184,32 +178,7 @@ def poses_of(rows, extra, *others):
         weights=dwells.mean(rows.weights),
         codes=None if rows.codes is None else rows.codes[dwells.first],
     )
-    return dwells, rows, *(dwells.mean(other) for other in others)
-
-
-def check_turns(turns: Any, n_rows: int, codes: np.ndarray | None) -> Any:
-    """Residuals of the orientation (n, 3) in rad, or None where there are none."""
-    if turns is None:
-        return None
-    turns = floats("orientation_residuals", turns)
-    if turns.shape != (n_rows, 3):
-        raise ValueError(
-            f"orientation_residuals must be {n_rows} rotation vectors in rad, shape ({n_rows}, 3), "
-            f"got {turns.shape}."
-        )
-    refuse_huge("orientation_residuals", turns)
-    largest = np.linalg.norm(turns, axis=1).max()
-    if largest > _LARGEST_TURN:
-        raise ValueError(
-            f"orientation_residuals reach {largest:.3g} rad: they must be small errors, what the "
-            "calibrated arm shows against what was measured."
-        )
-    if codes is not None:
-        raise ValueError(
-            "orientation_residuals are for residuals against a reference: here positions have "
-            "unknown offsets."
-        )
-    return turns
+    return dwells, rows
 
 
 def check_poses(model: Any, X: ArrayLike) -> np.ndarray:

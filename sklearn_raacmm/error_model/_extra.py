@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, say_findings, show
+from sklearn_raacmm.utils import Finding, row_numbers, say_findings
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
@@ -41,13 +41,13 @@ def parsed(name, n_joints):
         if not 1 <= int(rest[0]) <= n_joints:
             raise ValueError(f"extra names {name!r}, but the arm has joints 1 to {n_joints}.")
         return kind, int(rest[0]) - 1
-    raise ValueError(f"extra must hold names of columns, {_FORMS}; got {show(name)}.")
+    raise ValueError(f"extra must hold names of columns, {_FORMS}; got {name!r:.60}.")
 
 
 def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
-        raise ValueError(f"extra must be a list of names, one for each column, got {show(extra)}.")
+        raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")
     names = tuple(extra)
     found = [parsed(name, n_joints) for name in names]
     for i, one in enumerate(found):
@@ -96,12 +96,13 @@ def _beyond(name, known, column):
     room = _BEYOND * (high - low)
     far = np.flatnonzero((column < low - room) | (column > high + room))
     if room > 0 and len(far):
+        rows = row_numbers(far)
         said = (
-            f"The column {name!r} is {column[far[0]]:g} in row {far[0]}, and in the fit it was "
+            f"The column {name!r} is {column[far[0]]:g} in row {rows[0]}, and in the fit it was "
             f"from {low:g} to {high:g}."
         )
         advice = "Is the sensor alive, and the unit that of the fit?"
-        yield Finding("column-out-of-range", said, advice, rows=tuple(far.tolist()))
+        yield Finding("column-out-of-range", said, advice, rows=rows)
 
 
 def force_on_probe(extra: Any, values: np.ndarray) -> Any:

@@ -23,7 +23,7 @@ from sklearn_raacmm.error_model._columns import (
     term_names,
 )
 from sklearn_raacmm.inference import Extra
-from sklearn_raacmm.utils import chunks, group_means, group_sums, group_weights
+from sklearn_raacmm.utils import chunks, group_means, group_sums
 
 # Columns that move the arm as a whole, the first axis standing still in the base.
 _BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
@@ -74,7 +74,7 @@ def length_equations(arm, angles, weights, codes, terms, lengths):
     ends = ends.reshape(2, -1)
     rows = np.isin(codes, used)
     angles, weights, codes = angles[rows], weights[rows], np.searchsorted(used, codes[rows])
-    total = group_weights(codes, weights)
+    total = np.bincount(codes, weights)
     points = group_means(points_of_rows(arm, terms, angles), codes, weights)
     columns = _mean_columns(arm, angles, weights, codes, terms)
     line = points[ends[1]] - points[ends[0]]
@@ -91,7 +91,7 @@ def length_equations(arm, angles, weights, codes, terms, lengths):
 
 def _mean_columns(arm, angles, weights, codes, terms):
     """Mean of the model's columns over each position, (n_positions, 3, n_columns)."""
-    total = group_weights(codes, weights)
+    total = np.bincount(codes, weights)
     sums = 0.0
     for rows in chunks(len(angles), _CHUNK):
         columns = term_columns(arm, angles[rows], terms)

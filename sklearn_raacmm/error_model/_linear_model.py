@@ -80,9 +80,6 @@ class LinearModel:
         positions that were left out; 1 where that is not known.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
-    turn_mm : float
-        The noise of a coordinate over that of a component of the orientation, mm per rad; 0 where
-        no orientations were given.
     """
 
     arm: Arm
@@ -99,7 +96,6 @@ class LinearModel:
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
-    turn_mm: float = 0.0
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
@@ -137,11 +133,6 @@ class LinearModel:
         """Standard deviation of a coordinate about the model, mm."""
         return float(np.sqrt(self.noise_variance))
 
-    @property
-    def turn_noise(self) -> Any:
-        """Widened standard deviation of a component of the orientation, rad; NaN without any."""
-        return self.noise_scale * self.noise_sd / self.turn_mm if self.turn_mm else float("nan")
-
     def columns(self, angles: np.ndarray) -> np.ndarray:
         """Columns (n, 3, n_columns) of the model in mm per unit coefficient: see `term_columns`."""
         return term_columns(self.arm, angles, self.terms)
@@ -167,17 +158,12 @@ class LinearModel:
         mean, found = self._posterior(angles, roots)
         return mean, found[0] if return_std else None, np.linalg.norm(found[-1], axis=1)
 
-    def predict_turn(self, angles: np.ndarray, return_std: bool = False) -> Any:
-        """As `predict`, of the orientation of the last link: rotation vectors in rad."""
-        mean, found = self._posterior(angles, [self._std_root] * return_std, of_turns=True)
-        return mean, found[0] if return_std else None
-
-    def _posterior(self, angles, roots, of_turns=False):
+    def _posterior(self, angles, roots):
         """Mean (n, 3), and standard deviations (n, 3) by each of some roots."""
         mean = np.empty((len(angles), 3))
         found = [np.empty((len(angles), 3)) for _ in roots]
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
-            columns = factored_columns(self.arm, angles[rows], self.terms, of_turns)
+            columns = factored_columns(self.arm, angles[rows], self.terms)
             mean[rows] = columns.dot(self.coef)
             for std, root in zip(found, roots, strict=True):
                 std[rows] = np.sqrt(columns.squares(root))

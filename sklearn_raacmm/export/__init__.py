@@ -1,37 +1,24 @@
-"""A fitted model on its way: as C99, as ONNX, as JSON, and what to say of it."""
+"""A fitted model on its way: as C99, as ONNX, and what to say of it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
-
-import contextlib
 
 from sklearn_raacmm.correction import TRUSTED_TYPES
 from sklearn_raacmm.export._export import (
     export_c,
     fingerprint,
-    from_json,
-    to_json,
     to_onnx,
 )
-from sklearn_raacmm.export._json import ExportedModel
 from sklearn_raacmm.export._load_c import CompiledModel, load_c
 from sklearn_raacmm.export._model_card import ModelCard, describe
-from sklearn_raacmm.export._onnx import register_onnx
 
 __all__ = [
     "TRUSTED_TYPES",
     "CompiledModel",
-    "ExportedModel",
     "ModelCard",
     "describe",
     "export_c",
     "fingerprint",
-    "from_json",
     "load_c",
-    "register_onnx",
-    "to_json",
     "to_onnx",
 ]
-
-with contextlib.suppress(ImportError):  # wherever skl2onnx is, it knows this package's estimators
-    register_onnx()

@@ -5,11 +5,10 @@
 
 import hashlib
 import re
-from typing import NamedTuple
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export._c_program import Tables, function
-from sklearn_raacmm.export._c_text import Numbers, comment, plain
+from sklearn_raacmm.export._c_program import function
+from sklearn_raacmm.export._c_text import Tables, comment, plain
 from sklearn_raacmm.export._program import fingerprint_of, pruned
 
 # What the functions return.
@@ -26,21 +25,13 @@ _DEVIATIONS = """ It is of a coordinate within a
    of a distance L the root of w^2 of both ends along it and ({upper}_SCALE_SD * L)^2."""
 
 
-class Function(NamedTuple):
-    """A public function in C: its head, what it does, and its body."""
-
-    head: str
-    about: str
-    body: str
-
-
 def sources(program, name, stem, dtype, card=None, notes=()):
     """Text of the C file and of the header.
 
     Names of functions begin with `name`, those of the files with `stem`. Fields of a `card` that is
     a dict become macros, too; `notes` are more lines for the comment at the top.
     """
-    about, tables = program.about, Tables(Numbers(dtype))
+    about, tables = program.about, Tables(dtype)
     functions = _functions(program, name, dtype)
     text = function(pruned(program, ("y", "point", "trust")), tables, "evaluate", _FADED_BELOW)
     if "std" in program.outputs:
@@ -58,14 +49,14 @@ def sources(program, name, stem, dtype, card=None, notes=()):
     pair = hashlib.sha256("\0".join([banner, macros, text, *map(str, functions)]).encode())
     pair = f"{name.upper()}_PAIR_{pair.hexdigest()[:16]}"
     guard = f"{name.upper()}_H"
-    declared = "".join(f"/* {one.about} */\n{one.head};\n\n" for one in functions)
+    declared = "".join(f"/* {what} */\n{head};\n\n" for head, what, _ in functions)
     header = (
         f"/* {stem}.h\n{banner} */\n#ifndef {guard}\n#define {guard}\n\n#include <stddef.h>\n\n"
         f"{macros}#define {pair} 1 /* {stem}.c asks for it */\n\n"
         f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared}'
         "#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
     )
-    defined = "".join(f"\n{one.head}\n{{\n{one.body}}}\n" for one in functions)
+    defined = "".join(f"\n{head}\n{{\n{body}}}\n" for head, _, body in functions)
     source = (
         f"/* {stem}.c\n{banner} *\n"
         " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
@@ -89,7 +80,7 @@ def _macros(program, name, digest, card, tables):
         "FINGERPRINT": f'"{digest}"',
         "N_INPUTS": program.n_inputs,
         "N_OUTPUTS": program.n_outputs,
-        "TABLE_BYTES": tables.numbers.n_bytes,
+        "TABLE_BYTES": tables.n_bytes,
         "INPUT_UNIT": f'"{about["angle_unit"]}"' if "arm" in about else None,
         "OUTPUT_UNIT": '"mm"' if about["corrects"] else None,
         "SERIAL_NUMBER": _quoted(card.get("serial_number")),
@@ -106,7 +97,7 @@ def _quoted(text):
 
 
 def _functions(program, name, real):
-    """Public functions."""
+    """Public functions: of each its head, what it does, and its body."""
     about, n, q = program.about, program.n_inputs, program.n_outputs
     corrects, fades, upper = about["corrects"], "trust" in program.outputs, name.upper()
     x = "joint_angles" if "arm" in about else "features"
@@ -120,7 +111,7 @@ def _functions(program, name, real):
     found = []
 
     def add(head, about, *lines):
-        found.append(Function(head, about, "".join(f"    {line}\n" for line in lines)))
+        found.append((head, about, "".join(f"    {line}\n" for line in lines)))
 
     what = f"What the model predicts from {x.replace('_', ' ')}."
     if corrects:

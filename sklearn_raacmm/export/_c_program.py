@@ -40,36 +40,12 @@ def _whole(n):
     return -(-n // _VECTOR) * _VECTOR
 
 
-class Tables:
-    """Tables of constants and helping functions, each there once."""
-
-    def __init__(self, numbers):
-        self.numbers, self.texts, self.helpers, self._names = numbers, [], {}, {}
-
-    def __call__(self, name, array, note=""):
-        """Name of a table: of whole numbers, if its type is such."""
-        array = np.asarray(array)
-        key = (array.dtype.str, array.shape, array.tobytes())
-        if key not in self._names:
-            self._names[key] = f"{name}_{len(self._names)}"
-            write = self.numbers.table if array.dtype.kind == "f" else self.numbers.integers
-            self.texts.append(write(self._names[key], array, note))
-        return self._names[key]
-
-    def help(self, name, text):
-        self.helpers[name] = text
-
-    @property
-    def text(self):
-        return "\n".join([*self.helpers.values(), *self.texts])
-
-
 class _Writer:
     """Writes one program as a function."""
 
     def __init__(self, program, tables):
         self.ops, self.outputs, self.tables = program.ops, program.outputs, tables
-        self.numbers, self.real, self.f = tables.numbers, tables.numbers.real, tables.numbers.suffix
+        self.real, self.f = tables.real, tables.suffix
         self.users = [[] for _ in self.ops]
         for number, op in enumerate(self.ops):
             for place, i in enumerate(op.inputs):
@@ -107,18 +83,19 @@ class _Writer:
         i = "0" if op.size == 1 else i
         if op.name == "constant":
             if op.size == 1:
-                return self.numbers.literal(op.given["value"][0])
+                return self.tables.literal(op.given["value"][0])
             return f"{self.tables('constant', op.given['value'])}[{i}]"
         if not self.inline(number):
             return f"{self.array(number)}[{i}]"
         if op.name == "take":
             return self.at(op.inputs[0], self._index(op, i))
-        operands = [self.at(source, i) for source in op.inputs]
-        return self._format(op.name, operands)
+        return self._expression(op, i)
 
-    def _format(self, name, operands):
+    def _expression(self, op, i):
+        """An elementwise operation on the numbers i of its values."""
+        name, operands = op.name, [self.at(source, i) for source in op.inputs]
         if name in HELPERS:
-            self.tables.help(name, HELPERS[name].format(real=self.real))
+            self.tables.helpers[name] = HELPERS[name].format(real=self.real)
         return _ELEMENTWISE[name].format(*operands, f=self.f)
 
     def array(self, number):
@@ -151,14 +128,7 @@ class _Writer:
             return
         if op.name in _ELEMENTWISE:
             self.declare(number)
-            self.loop(
-                op.size,
-                lambda i: (
-                    f"v{number}[{i}] = "
-                    + self._format(op.name, [self.at(source, i) for source in op.inputs])
-                    + ";"
-                ),
-            )
+            self.loop(op.size, lambda i: f"v{number}[{i}] = {self._expression(op, i)};")
         else:
             getattr(self, f"_{op.name}")(number, op)
 
@@ -229,7 +199,7 @@ class _Writer:
 
     def _within(self, number, op):
         y, x = op.inputs
-        low, high = (self.numbers.literal(op.given[key]) for key in ("low", "high"))
+        low, high = (self.tables.literal(op.given[key]) for key in ("low", "high"))
         name, n = self.array(x), self.ops[x].size
         parts = [f"{name}[{j}] >= {low} && {name}[{j}] <= {high}" for j in range(n)]
         self._refused(number, " && ".join(parts), y)
@@ -267,7 +237,7 @@ class _Writer:
 
     def _init(self, shift, i="i"):
         if len(shift) == 1:
-            return self.numbers.literal(shift[0])
+            return self.tables.literal(shift[0])
         return f"{self.tables('shift', np.asarray(shift, dtype=float))}[{i}]"
 
     def _sparse(self, number, matrix, shift, x):
@@ -329,9 +299,9 @@ class _Writer:
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
         center = self.tables("center", np.pad(centers, ((0, 0), (0, n - k))), note)
-        most = self.numbers.literal(-EXP[self.real]["least"])
+        most = self.tables.literal(-EXP[self.real]["least"])
         if any("falling_exp" in line for line in KERNEL_LOOPS[kernel]):
-            self.tables.help("falling_exp", exponential(self.numbers))
+            self.tables.helpers["falling_exp"] = exponential(self.tables)
         self.declare(number, " = {0}", padded=True)
         self.put(
             f"for (int i = 0; i < {d}; ++i) {{",
@@ -340,7 +310,7 @@ class _Writer:
             f"        {v}[c] += (z - {center}[i][c]) * (z - {center}[i][c]);", "}",
             f"/* {kernel}, of the squared distance in units of the length scales */",
         )  # fmt: skip
-        roots = {f"sqrt{i}": self.numbers.literal(np.sqrt(i)) for i in (3, 5)}
+        roots = {f"sqrt{i}": self.tables.literal(np.sqrt(i)) for i in (3, 5)}
         for line in KERNEL_LOOPS[kernel]:
             body = line.format(v=v, f=self.f, most=most, **roots)
             self.put(f"for (int c = 0; c < {n}; ++c)", f"    {body}")
@@ -362,17 +332,16 @@ class _Writer:
 def function(program, tables, name, faded_below):
     """A static function that computes the outputs of a program; it returns a status."""
     writer = _Writer(program, tables)
-    real, ops = tables.numbers.real, program.ops
-    tables.help("all_finite", ALL_FINITE.format(real=real))
+    real, ops = tables.real, program.ops
+    tables.helpers["all_finite"] = ALL_FINITE.format(real=real)
     outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
     for out, i in program.outputs.items():
         writer.loop(ops[i].size, lambda j, out=out, i=i: f"{out}_out[{j}] = {writer.at(i, j)};")
-    status = f"return all_finite(y_out, {program.n_outputs}) ? 0 : 2;"
+    finite = f"all_finite(y_out, {program.n_outputs})"
+    status = f"return {finite} ? 0 : 2;"
     if "trust" in program.outputs:
-        limit = tables.numbers.literal(faded_below)
-        status = (
-            f"return !all_finite(y_out, {program.n_outputs}) ? 2 : trust_out[0] < {limit} ? 1 : 0;"
-        )
+        limit = tables.literal(faded_below)
+        status = f"return !{finite} ? 2 : trust_out[0] < {limit} ? 1 : 0;"
     body = "\n".join(f"    {line}" for line in [*writer.lines, status])
     head = f"static int {name}(const {real} input[{program.n_inputs}], {', '.join(outputs)})"
     return f"/* 0: fine, 1: faded, 2: not finite. */\n{head}\n{{\n{body}\n}}\n"

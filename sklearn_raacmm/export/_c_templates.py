@@ -111,8 +111,6 @@ KERNEL_LOOPS = {
         _BOUND,
         "{v}[c] = (1 + {v}[c] + {v}[c] * {v}[c] / 3) * falling_exp(-{v}[c]);",
     ],
-    "rational_quadratic": ["{v}[c] = 1 / (1 + 0.5{f} * {v}[c]);"],
-    "inverse_multiquadric": ["{v}[c] = 1 / sqrt{f}(1 + {v}[c]);"],
 }
 _FALLING_EXP = """
 /* exp(x) for {least} <= x <= 0, to {error} of itself: libm's cannot be computed for several x at
@@ -159,17 +157,17 @@ _FACTS = {
 EXP = {real: {k: v[i] for k, v in _FACTS.items()} for i, real in enumerate(("double", "float"))}
 
 
-def exponential(numbers):
+def exponential(tables):
     """``falling_exp(x)`` in C."""
-    facts = dict(EXP[numbers.real])
+    facts = dict(EXP[tables.real])
     degree = facts.pop("degree")
-    factors = [numbers.literal(1 / factorial(i)) for i in range(degree + 1)]
+    factors = [tables.literal(1 / factorial(i)) for i in range(degree + 1)]
     for name in ("least", "shifter", "high", "low"):
-        facts[name] = numbers.literal(facts[name])
+        facts[name] = tables.literal(facts[name])
     return _FALLING_EXP.format(
-        real=numbers.real,
-        f=numbers.suffix,
-        log2e=numbers.literal(1 / np.log(2)),
+        real=tables.real,
+        f=tables.suffix,
+        log2e=tables.literal(1 / np.log(2)),
         last=factors[-1],
         series="\n".join(f"    p = p * r + {factor};" for factor in factors[-2::-1]),
         **facts,

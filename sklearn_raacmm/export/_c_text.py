@@ -8,8 +8,6 @@ import textwrap
 
 import numpy as np
 
-from sklearn_raacmm.utils import show
-
 # C99 promises 63 significant characters within a file; the rest is for what is appended.
 _MAX_NAME = 40
 _KEYWORDS = """
@@ -32,7 +30,7 @@ def check_name(name):
     if not fits or "__" in name or len(name) > _MAX_NAME:
         raise ValueError(
             "name must be a C identifier: a letter, then letters, digits or single underscores, "
-            f"at most {_MAX_NAME} characters; got {show(name)}."
+            f"at most {_MAX_NAME} characters; got {name!r:.60}."
         )
     if name in _KEYWORDS.split():
         raise ValueError(f"name must not be a word of C or C++, got {name!r}.")
@@ -59,17 +57,30 @@ def comment(lines, width=96):
     return text
 
 
-class Numbers:
-    """Numbers and arrays as C literals of one precision.
+class Tables:
+    """Literals of one precision, and tables of constants and helping functions, each there once.
 
     Literals are the shortest decimals that read back as the same number.
     """
 
     def __init__(self, dtype):
-        self.real = dtype
+        self.real, self.n_bytes = dtype, 0  # of all tables written so far
         self.literal_type = np.float64 if dtype == "double" else np.float32
         self.suffix = "" if dtype == "double" else "f"
-        self.n_bytes = 0  # of all tables written so far
+        self.helpers, self._texts, self._names = {}, [], {}
+
+    def __call__(self, name, array, note=""):
+        """Name of a table: of whole numbers, if its type is such."""
+        array = np.asarray(array)
+        key = (array.dtype.str, array.shape, array.tobytes())
+        if key not in self._names:
+            self._names[key] = f"{name}_{len(self._names)}"
+            self._texts.append(self.table(self._names[key], array, note))
+        return self._names[key]
+
+    @property
+    def text(self):
+        return "\n".join([*self.helpers.values(), *self._texts])
 
     def literal(self, value):
         """One number."""
@@ -86,30 +97,25 @@ class Numbers:
         return text + self.suffix
 
     def table(self, name, array, note=""):
-        """A static constant array of one or two dimensions."""
-        array = np.asarray(array, dtype=float)
-        self.n_bytes += array.size * np.dtype(self.literal_type).itemsize
-        return _table(self.real, name, array, self.literal, note)
-
-    def integers(self, name, array, note=""):
-        """The same of integers."""
-        array = np.asarray(array, dtype=int)
-        self.n_bytes += 4 * array.size
-        return _table("int", name, array, str, note)
-
-
-def _table(kind, name, array, literal, note):
-    shape = "".join(f"[{n}]" for n in array.shape)
-    if array.ndim == 1:
-        body = _wrapped(array, literal, "    ")
-    else:
-        rows = [_wrapped(row, literal, "     ") for row in array]
-        body = ",\n".join("    {" + text[5:] + "}" for text in rows)
-    head = f"/* {note} */\n" if note else ""
-    return f"{head}static const {kind} {name}{shape} = {{\n{body}\n}};\n"
+        """A static constant array of one or two dimensions, of numbers or of whole numbers."""
+        array = np.asarray(array)
+        kind, literal, size = "int", str, 4
+        if array.dtype.kind == "f":
+            kind, literal, size = self.real, self.literal, np.dtype(self.literal_type).itemsize
+        else:
+            array = array.astype(int)
+        self.n_bytes += size * array.size
+        shape = "".join(f"[{n}]" for n in array.shape)
+        if array.ndim == 1:
+            body = _wrap(array, literal, "    ")
+        else:
+            rows = [_wrap(row, literal, "     ") for row in array]
+            body = ",\n".join("    {" + text[5:] + "}" for text in rows)
+        head = f"/* {note} */\n" if note else ""
+        return f"{head}static const {kind} {name}{shape} = {{\n{body}\n}};\n"
 
 
-def _wrapped(values, literal, indent, width=96):
+def _wrap(values, literal, indent, width=96):
     """Values with commas, in lines of limited width."""
     lines, line = [], indent
     for i, value in enumerate(values):

@@ -1,9 +1,8 @@
-"""A fitted model on its way: as C99, as ONNX, as JSON, and what to say of it."""
+"""A fitted model as C99 and as ONNX: the public functions that write files."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import json
 import re
 from os import PathLike
 from pathlib import Path
@@ -13,46 +12,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export import _onnx
-from sklearn_raacmm.export._any_probe import AnyProbe
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._c_project import project_files
+from sklearn_raacmm.export._c_test import make_test
 from sklearn_raacmm.export._c_text import check_name
-from sklearn_raacmm.export._json import ExportedModel, program_of_text, text_of
 from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._onnx import LEAST_OPSET, converted, run_onnx
 from sklearn_raacmm.export._program import fingerprint_of, run
-from sklearn_raacmm.export._proof import answered, dict_of_rows, proved, rows_to_test
-from sklearn_raacmm.export._steps import check_fitted, check_std
-from sklearn_raacmm.utils import check_flags, check_path, show, write_whole
+from sklearn_raacmm.export._proof import check_answers, make_test_rows, rows_as_json
+from sklearn_raacmm.utils import check_flags, write_whole
 
 
-def _check(std, card, dtype="double"):
+def _check(dtype, card, **flags):
     """Refuse what cannot be one of these parameters."""
-    check_std(std)
+    check_flags(**flags)
     if not (card is None or isinstance(card, str | dict)):
-        raise TypeError(f"card must be what describe gives, or text, got {show(card)}.")
+        raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
-        raise ValueError(f"dtype must be 'double' or 'float', got {show(dtype)}.")
-
-
-def _rows_of(model, poses, std, n_inputs, dtype="double"):
-    """Test rows of a model, of some poses or of random ones, in what a precision can hold."""
-    if poses is not None:
-        poses = np.asarray(poses, dtype=np.float64)
-        finite = bool(np.isfinite(poses).all())
-        if poses.ndim != 2 or poses.shape[1] != n_inputs or not len(poses) or not finite:
-            raise ValueError(
-                f"poses must be rows of {n_inputs} finite numbers, at least one; got shape "
-                f"{poses.shape}{'' if finite else ' with NaN or infinity'}."
-            )
-    if isinstance(model, AnyProbe):
-        poses = model.rows(poses)
-    rows = rows_to_test(model, poses, std)
-    if dtype == "float":
-        rows = answered(model, rows["X"].astype(np.float32).astype(float), std)
-    return rows
+        raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
 
 
 def export_c(
@@ -119,14 +97,13 @@ def export_c(
 
     poses : array-like of shape (n, N) or "random", default=None
         Rows that the model was fitted on, or others that it will see; "random" takes random ones.
-        With them come, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
-        ``predict`` gives; ``CMakeLists.txt``, which builds, runs and installs; and ``<stem>.hpp``,
-        for C++17.
+        With them comes, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
+        ``predict`` gives.
 
     any_probe : bool, default=False
         Whether the functions take the vector of the probe: three more numbers in mm at the end of
         a row. They then give what ``model.with_arm`` of an arm with this probe predicts. For an
-        :class:`ArmResidualRegressor` without a second stage and without temperatures.
+        :class:`ArmResidualRegressor` without temperatures.
 
     Returns
     -------
@@ -137,8 +114,7 @@ def export_c(
     ------
     ValueError
         If a step cannot be exported, a parameter is none that C can have, a number of the model is
-        not finite in this precision, or a CMakeLists.txt of somebody else is there; if the file,
-        compiled, does not give what ``predict`` gives.
+        not finite in this precision; if the file, compiled, does not give what ``predict`` gives.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -169,36 +145,35 @@ def export_c(
     int sine_predict_n(const double *features, double *prediction, size_t n);
     const char *sine_fingerprint(void);
     """
-    path = check_path("path", path)
+    path = Path(path)
     if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z0-9_.+-]+", path.name, re.ASCII):
         raise ValueError(
             "path must name a file of letters, digits, '_', '.', '+' and '-' that ends in .c, got "
-            f"{show(str(path))}."
+            f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
-    _check(std, card, dtype)
-    check_flags(any_probe=any_probe)
+    _check(dtype, card, std=std, any_probe=any_probe)
     given = None if isinstance(poses, str) and poses == "random" else poses
-    judge = AnyProbe(model) if any_probe else model
     program = program_of(model, std, any_probe)
-    rows = _rows_of(judge, given, std, program.n_inputs - 3 * any_probe, dtype)
-    extra = {}
-    if poses is not None:
-        gap = np.abs(run(program, rows["X"])["y"] - rows["y"])
-        extra = project_files(rows, np.nanmax(gap), name, path, dtype, program.about["corrects"])
-    notes = _proved_in_c(model, program, rows, dtype)
+    rows = make_test_rows(model, given, std, dtype, any_probe)
+    notes = _check_in_c(program, rows, dtype)
     source, header = sources(program, name, path.stem, dtype, card, notes)
     header_path = path.with_suffix(".h")
-    write_whole({path: source, header_path: header, **extra})
+    files = {path: source, header_path: header}
+    if poses is not None:
+        gap = np.nanmax(np.abs(run(program, rows["X"])["y"] - rows["y"]))
+        text = make_test(rows, gap, name, path.stem, dtype, program.about["corrects"])
+        files[path.with_name(f"{path.stem}_test.c")] = text
+    write_whole(files)
     return path, header_path
 
 
-def _proved_in_c(model, program, rows, dtype):
+def _check_in_c(program, rows, dtype):
     """What the header has to say of how far the C file is from ``predict``."""
     found = answers_in_c(program, dtype, rows["X"])
     if found is None:
         return []
-    notes = proved("the C source", rows, found["y"], found.get("std"), dtype)
+    notes = check_answers("the C source", rows, found, dtype)
     if dtype == "float":
         known = np.isfinite(rows["y"]).all(axis=1)
         size = np.abs(rows["y"][known]).max(initial=1e-300)
@@ -213,115 +188,6 @@ def _proved_in_c(model, program, rows, dtype):
     return notes
 
 
-def to_json(
-    model: Any,
-    path: str | PathLike[str] | None = None,
-    *,
-    std: bool = False,
-    card: ModelCard | str | None = None,
-    poses: ArrayLike | None = None,
-) -> str:
-    """Write a fitted model as JSON: for other languages, and for an archive of twenty years.
-
-    Parameters
-    ----------
-    model : estimator
-        Fitted, of a kind that :func:`export_c` writes.
-
-    path : str or path-like, default=None
-        File to write, renamed when complete. None only returns the text.
-
-    std : bool, default=False
-        Also write the standard deviation.
-
-    card : ModelCard or str, default=None
-        Facts to keep in the file, see :func:`describe`.
-
-    poses : array-like of shape (n, n_inputs), default=None
-        Rows for the test rows in the file, as :func:`export_c` takes them; None takes random ones.
-
-    Returns
-    -------
-    str
-        JSON: the operations that the model is made of, their constants, and 32 test rows with what
-        ``predict`` gives. All numbers are the shortest decimals that read back as the same float64.
-        The page "Numerics" describes the fields.
-
-    Raises
-    ------
-    ValueError
-        If something in the model cannot be written (the sentence says what), or if the text, read
-        again, does not give what ``predict`` gives.
-    sklearn.exceptions.NotFittedError
-        If the model is not fitted.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_raacmm import RBFNetRegressor
-    >>> from sklearn_raacmm.export import from_json, to_json
-    >>> X = np.linspace(0, 6, 50)[:, None]
-    >>> model = RBFNetRegressor(5).fit(X, np.sin(X[:, 0]))
-    >>> again = from_json(to_json(model))
-    >>> bool(np.abs(again.predict(X) - model.predict(X)).max() < 1e-12)
-    True
-    """
-    path = None if path is None else check_path("path", path)
-    _check(std, card)
-    program = program_of(model, std)
-    rows = _rows_of(model, poses, std, program.n_inputs)
-    if card is not None:
-        program.about["card"] = str(card)
-    text = text_of(program, dict_of_rows(rows))
-    notes = _proved("the JSON text", program_of_text(text)[0], rows)
-    if notes:
-        program.about["accuracy"] = notes
-        text = text_of(program, dict_of_rows(rows))
-    if path is not None:
-        write_whole({path: text})
-    return text
-
-
-def _proved(what, program, rows):
-    found = run(program, rows["X"])
-    return proved(what, rows, found["y"], found.get("std"))
-
-
-def from_json(source: str | PathLike[str]) -> ExportedModel:
-    """Read a model that :func:`to_json` wrote. Nothing in it is run but the listed operations.
-
-    Parameters
-    ----------
-    source : str or path-like
-        File, or the text itself.
-
-    Returns
-    -------
-    ExportedModel
-        Has ``predict(X, return_std=False)`` with the predictions of the model that was written, to
-        rounding. It is no estimator any more: skops and joblib files keep that.
-
-    Raises
-    ------
-    ValueError
-        If the text is not such a model, of another version of the format, or damaged, or if its
-        own test rows do not come out.
-    OSError
-        If the file cannot be read.
-    """
-    if isinstance(source, str) and source.lstrip().startswith("{"):
-        text, where = source, "the JSON text"
-    else:
-        content, where = check_path("source", source).read_bytes(), str(source)
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{source} is not valid JSON: {error}.") from None
-    program, rows = program_of_text(text, where)
-    _proved(where, program, rows)
-    return ExportedModel(program, rows)
-
-
 def fingerprint(model: Any) -> str:
     """Fingerprint of what a fitted model computes.
 
@@ -334,7 +200,7 @@ def fingerprint(model: Any) -> str:
     -------
     str
         SHA-256 as 64 hexadecimal digits, of every constant and operation of the prediction in
-        double precision. The same one is in the files of C, ONNX and JSON.
+        double precision. The same one is in the files of C and ONNX.
 
     Raises
     ------
@@ -350,7 +216,7 @@ def to_onnx(
     *,
     dtype: str = "double",
     std: bool = False,
-    target_opset: int | None = None,
+    target_opset: int = 17,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
 ) -> Any:
@@ -359,7 +225,7 @@ def to_onnx(
     Parameters
     ----------
     model : estimator
-        Fitted, of a kind that :func:`export_c` writes, or a chain whose other steps skl2onnx knows.
+        Fitted, of a kind that :func:`export_c` writes.
 
     path : str or path-like, default=None
         File to write, renamed when complete.
@@ -370,8 +236,8 @@ def to_onnx(
     std : bool, default=False
         Whether there is a second output, the standard deviation.
 
-    target_opset : int, default=None
-        Version of the ONNX operators, 13 or newer; None takes 17.
+    target_opset : int, default=17
+        Version of the ONNX operators, 13 or newer.
 
     card : ModelCard or str, default=None
         Facts to keep in the file's metadata, see :func:`describe`.
@@ -391,8 +257,8 @@ def to_onnx(
     ImportError
         Without onnx: ``pip install -e ".[onnx]"`` in the project's folder installs it.
     ValueError
-        If an estimator has no converter, or skl2onnx fails on it; if ONNX Runtime is installed and
-        does not give what ``predict`` gives.
+        If a step cannot be exported; if ONNX Runtime is installed and does not give what
+        ``predict`` gives.
     sklearn.exceptions.NotFittedError
         If the model is not fitted.
 
@@ -404,34 +270,26 @@ def to_onnx(
         session = onnxruntime.InferenceSession("arm.onnx")
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
-    _check(std, card, dtype)
-    if target_opset is not None and not isinstance(target_opset, int | dict):
-        raise ValueError(f"target_opset must be a whole number, got {show(target_opset)}.")
-    path = None if path is None else check_path("path", path)
-    check_fitted(model)
-    facts = {"sklearn_raacmm_version": __version__}
-    try:
-        program = program_of(model, std)
-    except (ValueError, AttributeError):  # not one of ours in each of its steps
-        if std:
-            raise
-        made = _onnx.by_skl2onnx(model, dtype, target_opset)
-    else:
-        made = _onnx.converted(program, dtype, target_opset)
-        facts["fingerprint"] = fingerprint_of(program)
-        rows = _rows_of(model, poses, std, program.n_inputs, dtype)
-        found = _onnx.run_onnx(made, rows["X"])
-        if found is not None:
-            found = [out.astype(float) for out in found]
-            spread = found[1] if std else None
-            notes = proved("the ONNX file", rows, found[0], spread, dtype)
-            facts |= {"accuracy": "; ".join(notes)} if notes else {}
-        facts["test_rows"] = json.dumps(dict_of_rows(rows))
+    _check(dtype, card, std=std)
+    whole = isinstance(target_opset, int) and not isinstance(target_opset, bool)
+    if not whole or target_opset < LEAST_OPSET:
+        raise ValueError(
+            f"target_opset must be a whole number, {LEAST_OPSET} or newer, got "
+            f"{target_opset!r:.60}."
+        )
+    path = None if path is None else Path(path)
+    program = program_of(model, std)
+    made = converted(program, dtype, target_opset)
+    facts = {"sklearn_raacmm_version": __version__, "fingerprint": fingerprint_of(program)}
+    rows = make_test_rows(model, poses, std, dtype)
+    found = run_onnx(made, rows["X"])
+    if found is not None and (notes := check_answers("the ONNX file", rows, found, dtype)):
+        facts["accuracy"] = "; ".join(notes)
+    facts["test_rows"] = rows_as_json(rows)
     if card is not None:
         facts["model_card"] = str(card)
     for key, value in facts.items():
-        entry = made.metadata_props.add()
-        entry.key, entry.value = key, value
+        made.metadata_props.add(key=key, value=value)
     if path is not None:
         write_whole({path: made.SerializeToString()})
     return made

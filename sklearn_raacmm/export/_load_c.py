@@ -23,8 +23,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
-from sklearn_raacmm.export._steps import check_std
-from sklearn_raacmm.utils import check_path, show, write_whole
+from sklearn_raacmm.utils import check_flags, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
 _FLAGS = ("-std=c99", "-O3", "-shared", "-fPIC")
@@ -55,10 +54,8 @@ class CompiledModel:
     n_features_in_: int
     n_outputs_: int
 
-    def __init__(
-        self, text: Any, facts: Any, compiler: Any, folder: Any, flags: Any = _FLAGS
-    ) -> None:
-        self._state = text, facts, compiler, folder
+    def __init__(self, text: Any, facts: Any, compiler: Any, folder: Any, flags: Any) -> None:
+        self._state = text, facts, compiler, folder, flags
         self.fingerprint, self.n_features_in_, self.n_outputs_, dtype, self._about = facts
         self._verb = "correct" if self._about["corrects"] else "predict"
         self._real = np.float64 if dtype == "double" else np.float32
@@ -100,7 +97,14 @@ class CompiledModel:
             If X has another number of columns.
         """
         X = X if isinstance(X, np.ndarray) else np.asarray(X)
-        out = self._rows(X) if X.ndim == 2 else self._row(X, self._verb)[1].copy()
+        if X.ndim == 2:
+            X = np.ascontiguousarray(X, dtype=self._real)
+            if X.shape[1] != self.n_features_in_:
+                self._refuse(X)
+            out = np.empty((len(X), self.n_outputs_), dtype=self._real)
+            self._many(X.ctypes.data, out.ctypes.data, len(X))
+        else:
+            out = self._row(X, self._verb)[1].copy()
         return out[..., 0] if self._about["flat"] else out
 
     def correct(self, angles: ArrayLike) -> np.ndarray:
@@ -128,35 +132,21 @@ class CompiledModel:
 
     def _row(self, row: Any, name: str) -> Any:
         """Status of one row, and the thread's own buffers with prediction and deviation."""
-        try:
-            given, out, spread, calls = self._local.buffers
-        except AttributeError:
-            given, out, spread, calls = self._buffers()
+        if not hasattr(self._local, "buffers"):
+            sizes = self.n_features_in_, self.n_outputs_, self.n_outputs_
+            buffers = [np.empty(n, dtype=self._real) for n in sizes]
+            places = [ctypes.c_void_p(array.ctypes.data) for array in buffers]
+            calls = {
+                name: partial(function, *(places if name.endswith("_std") else places[:2]))
+                for name, function in self._functions.items()
+            }
+            self._local.buffers = *buffers, calls
+        given, out, spread, calls = self._local.buffers
         row = row if isinstance(row, np.ndarray) else np.asarray(row)
         if row.shape != given.shape:
             self._refuse(row)
         given[:] = row
         return calls[name](), out, spread
-
-    def _buffers(self):
-        """Arrays of this thread, and the functions bound to them."""
-        sizes = self.n_features_in_, self.n_outputs_, self.n_outputs_
-        buffers = [np.empty(n, dtype=self._real) for n in sizes]
-        places = [ctypes.c_void_p(array.ctypes.data) for array in buffers]
-        calls = {
-            name: partial(function, *(places if name.endswith("_std") else places[:2]))
-            for name, function in self._functions.items()
-        }
-        self._local.buffers = *buffers, calls
-        return self._local.buffers
-
-    def _rows(self, X):
-        X = np.ascontiguousarray(X, dtype=self._real)
-        if X.shape[1] != self.n_features_in_:
-            self._refuse(X)
-        out = np.empty((len(X), self.n_outputs_), dtype=self._real)
-        self._many(X.ctypes.data, out.ctypes.data, len(X))
-        return out
 
     def _refuse(self, X):
         n = self.n_features_in_
@@ -219,7 +209,7 @@ def load_c(
         compiled = load_c(model)
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
-    check_std(std)
+    check_flags(std=std)
     return _compiled(program_of(model, std), "double", compiler, cache_dir)
 
 
@@ -262,8 +252,13 @@ def _library(text, compiler, folder, flags):
     compiler = _find_compiler(compiler)
     parts = [*text, compiler, *flags, platform.platform(), platform.machine()]
     place = f"{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()}.so"
-    given = folder is not None
-    folder = check_path("cache_dir", folder) if given else _own_folder()
+    given, env = folder is not None, os.environ
+    if given:
+        folder = Path(folder)
+    elif env.get("SKLEARN_RAACMM_CACHE"):
+        folder = Path(env["SKLEARN_RAACMM_CACHE"])
+    else:
+        folder = Path(env.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sklearn_raacmm"
     try:
         _make_own(folder)
     except OSError:
@@ -273,34 +268,22 @@ def _library(text, compiler, folder, flags):
     if folder is not None and (folder / place).exists():
         return ctypes.CDLL(str(folder / place))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as build:
-        library = _compile(text, compiler, Path(build), flags)
+        source, header, library = (Path(build, f"{NAME}.{end}") for end in ("c", "h", "so"))
+        write_whole(dict(zip((source, header), text, strict=True)))
+        command = [compiler, *flags, "-o", str(library), str(source), "-lm"]
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=_PATIENCE
+        )
+        if done.returncode != 0 or not library.exists():
+            output = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
+            raise RuntimeError(
+                f"{compiler} could not compile the model (exit status {done.returncode}): "
+                + " | ".join(output[:_SHOWN_LINES])
+            )
         if folder is not None:
             write_whole({folder / place: library.read_bytes()})
             library = folder / place
         return ctypes.CDLL(str(library))
-
-
-def _compile(text, compiler, build, flags):
-    """Path of the library that a compiler makes of source and header."""
-    source, header, library = (build / f"{NAME}.{end}" for end in ("c", "h", "so"))
-    write_whole(dict(zip((source, header), text, strict=True)))
-    command = [compiler, *flags, "-o", str(library), str(source), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_PATIENCE)
-    if done.returncode != 0 or not library.exists():
-        said = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
-        raise RuntimeError(
-            f"{compiler} could not compile the model (exit status {done.returncode}): "
-            + " | ".join(said[:_SHOWN_LINES])
-        )
-    return library
-
-
-def _own_folder():
-    """Where libraries are kept: SKLEARN_RAACMM_CACHE, or in the user's cache folder."""
-    named = os.environ.get("SKLEARN_RAACMM_CACHE")
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sklearn_raacmm"
 
 
 def _make_own(folder):
@@ -311,7 +294,7 @@ def _make_own(folder):
     facts = folder.stat()
     if facts.st_uid != os.getuid() or facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise ValueError(
-            f"Compiled models are loaded from {show(str(folder))}, which others may write to: "
+            f"Compiled models are loaded from {str(folder)!r:.60}, which others may write to: "
             "choose a folder of your own, or take the others' right to write (chmod 700)."
         )
     if not os.access(folder, os.W_OK | os.X_OK):

@@ -16,22 +16,21 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
-from sklearn.utils import check_array, check_consistent_length
+from sklearn.utils import _safe_indexing, check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import fingerprint_of
-from sklearn_raacmm.export._steps import arm_of, check_fitted, described, extra_of, leaves
-from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import (
-    centred,
-    encode_groups,
-    refuse_disguised,
-    safe_indexing,
-    share_of_means,
-    show,
+from sklearn_raacmm.export._steps import (
+    check_fitted,
+    described,
+    extra_columns,
+    find_arm,
+    leaves,
 )
+from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.utils import encode_groups, floats, share_of_means
 
 # Positions' mean residuals count as taken off below this share of their squares that chance would
 # leave: those of a single-point test are zero but for the digits of a file. Noise alone at twelve
@@ -178,10 +177,10 @@ def describe(
         raise ValueError("y and groups describe rows of X, which is None.")
     whole = isinstance(n_folds, int | np.integer) and not isinstance(n_folds, bool)
     if not whole or n_folds < 0 or n_folds == 1:
-        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {show(n_folds)}.")
+        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {n_folds!r:.60}.")
     arm, unit = _arm(model)
-    first = next(leaves(model)).estimator
-    then = "".join(f", then {name}" for name, _ in extra_of(model))
+    first = next(leaves(model))[1]
+    then = "".join(f", then {name}" for name, _ in extra_columns(model))
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=_fingerprint(model),
@@ -200,7 +199,7 @@ def describe(
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
-    last = list(leaves(model))[-1].estimator
+    *_, (_, last) = leaves(model)
     findings = vars(model).get("findings_") or vars(last).get("findings_", ())
     if findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in findings]
@@ -216,20 +215,18 @@ def describe(
 
 def _of_rows(model, X, y, groups, n_folds):
     """The card's sections on the rows given: `training`, and with y `error`."""
-    first, (arm, unit) = next(leaves(model)).estimator, _arm(model)
+    first, (arm, unit) = next(leaves(model))[1], _arm(model)
     given = X  # a table keeps the names that the model was fitted with
-    refuse_disguised("X", X)
-    X = check_array(X, dtype=np.float64, input_name="X")
+    X = floats("X", X, -1)
     if X.shape[1] != first.n_features_in_:
         raise ValueError(
             f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
         )
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if y is not None:
-        refuse_disguised("y", y)
-        y = check_array(y, dtype=np.float64, input_name="y", ensure_2d=False)
+        y = floats("y", y, finite=True)
         check_consistent_length(X, y)
-    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_of(model)])}
+    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_columns(model)])}
     sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
     if y is not None:
         named = given if hasattr(first, "feature_names_in_") else X
@@ -240,7 +237,7 @@ def _of_rows(model, X, y, groups, n_folds):
 def _text(name, value):
     """A field of text, or one clear sentence."""
     if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"{name} must be text, got {show(value)}.")
+        raise ValueError(f"{name} must be text, got {value!r:.60}.")
     return value
 
 
@@ -257,7 +254,7 @@ def _data_fingerprint(X, y, codes):
 
 def _arm(model):
     try:
-        return arm_of(model)
+        return find_arm(model)
     except ValueError:  # an azimuth that is not an arm's, or two arms: not what can be described
         return None, None
 
@@ -293,7 +290,7 @@ def _training(X, codes, arm, unit, extra):
 
 def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) -> dict[str, Any]:
     """Errors before and after; the latter at positions that a copy of the model has not seen."""
-    n_outputs = np.shape(model.predict(safe_indexing(X, [0])).ravel())[0]
+    n_outputs = np.shape(model.predict(_safe_indexing(X, [0])).ravel())[0]
     if y.size != len(y) * n_outputs:
         raise ValueError(
             f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
@@ -305,8 +302,8 @@ def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) ->
         groups = np.asarray(groups)
         for train, test in GroupKFold(folds).split(codes, groups=codes):
             extra = {"groups": groups[train]} if takes_groups else {}
-            fold = clone(model).fit(safe_indexing(X, train), y[train], **extra)
-            predicted[test] = np.reshape(fold.predict(safe_indexing(X, test)), y[test].shape)
+            fold = clone(model).fit(_safe_indexing(X, train), y[train], **extra)
+            predicted[test] = np.reshape(fold.predict(_safe_indexing(X, test)), y[test].shape)
         seen = f"positions not seen: {folds} folds by position, fitted again each time"
     else:
         predicted[:] = np.reshape(model.predict(X), y.shape)
@@ -318,7 +315,9 @@ def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) ->
     facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}
     for when, left in (("before", y), ("after", y - predicted)):
         # Residuals of a single-point test say nothing of a position's mean, nor can the model.
-        left = centred(left, codes) if relative else left
+        if relative:
+            means = [left[codes == code].mean(axis=0) for code in range(int(codes.max()) + 1)]
+            left = left - np.array(means)[codes]
         size = np.abs(left) if y.ndim == 1 else np.linalg.norm(left, axis=1)
         facts[f"mean_{when}_mm"] = float(size.mean())
         facts[f"largest_{when}_mm"] = float(size.max())

@@ -17,8 +17,6 @@ from sklearn_raacmm.error_model import (
     ArmResidualRegressor,
     column_table,
     force_on_probe,
-    given_factors,
-    lever_mm,
 )
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder
@@ -26,10 +24,10 @@ from sklearn_raacmm.export._steps import (
     KNOWN,
     REGRESSORS,
     SCALERS,
-    arm_of,
     check_fitted,
     described,
-    extra_of,
+    extra_columns,
+    find_arm,
     is_flat,
     leaves,
     n_inputs,
@@ -47,11 +45,9 @@ _TINY = 1e-30
 class _Chain:
     """A chain that adds its operations to a program, and the arm that its angles belong to."""
 
-    def __init__(self, model, p, std, x=None, unit=None, any_probe=False):
-        self.p, self.std, self.x = p, std, p.x if x is None else x
-        self.any_probe = any_probe
-        self.arm, own = arm_of(model)
-        self.unit = own if unit is None else unit
+    def __init__(self, model, p, std, any_probe):
+        self.p, self.std, self.x, self.any_probe = p, std, p.x, any_probe
+        self.arm, self.unit = find_arm(model)
         self.trust = None
 
     def angles(self):
@@ -72,11 +68,9 @@ class _Chain:
         last = self.p.take(self.frames(), 12 * self.arm.n_joints + np.arange(12))
         if self.any_probe:
             axes = self.p.take(last, [0, 3, 6, 1, 4, 7, 2, 5, 8])
-            return self.p(
-                "add", self.p("dots", axes, self.probe_vector()), self.p.take(last, [9, 10, 11])
-            )
-        axes, eye = self.arm.probe.reshape(3, 1, 1), np.eye(3)
-        matrix = np.concatenate([*(axes * eye), eye], axis=1)
+            along = self.p("dots", axes, self.probe_vector())
+            return self.p("add", along, self.p.take(last, [9, 10, 11]))
+        matrix = np.kron([*self.arm.probe, 1.0], np.eye(3))
         return self.p("affine", last, matrix=matrix, shift=np.zeros(3))
 
     def probe_vector(self):
@@ -85,8 +79,9 @@ class _Chain:
 
     def lever_ratio(self):
         """By how much the lever of the last joint is longer than with the model's own probe."""
-        p, own = self.p, lever_mm(self.arm)
-        ratio = p("div", p("add", p.length(self.probe_vector()), lever_mm(self.arm, 0.0)), own)
+        p, link = self.p, np.hypot(self.arm.a[-1], self.arm.d[-1])
+        own = link + np.linalg.norm(self.arm.probe)
+        ratio = p("div", p("add", p.length(self.probe_vector()), link), own)
         return p("max", ratio, 1.0) if own > 0 else p.constant(1.0)
 
     def direction(self):
@@ -107,8 +102,17 @@ def program_of(model, std=False, any_probe=False):
     asked for. With `any_probe` its last three inputs are the vector of the probe in mm.
     """
     check_fitted(model)
+    if any_probe and not isinstance(model, ArmResidualRegressor):
+        raise ValueError(
+            "any_probe=True needs an ArmResidualRegressor: others have seen one probe only."
+        )
+    if any_probe and any(name.startswith("temperature") for name, _ in extra_columns(model)):
+        raise ValueError(
+            "any_probe=True does not go with temperatures, by which a probe grows in proportion to "
+            "its length: export a model for each probe, model.with_arm(arm)."
+        )
     p = Builder(n_inputs(model) + 3 * any_probe)
-    chain, steps = _Chain(model, p, std, any_probe=any_probe), list(leaves(model))
+    chain, steps = _Chain(model, p, std, any_probe), list(leaves(model))
     y, v = _read(chain, steps, p.x)
     y = p("finite", y, p("join", p.x, y))
     outputs = {"y": y}
@@ -124,7 +128,7 @@ def program_of(model, std=False, any_probe=False):
         label = f" {chain.arm.name}" if chain.arm.name else ""
         n = chain.arm.n_joints
         about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
-        extra = [name for name, _ in extra_of(model)]
+        extra = [name for name, _ in extra_columns(model)]
         extra += [f"probe {axis} in mm" for axis in "xyz"] * any_probe
         about |= {"angle_unit": chain.unit, "extra": extra}
     about["flat"] = bool(p.size(y) == 1 and is_flat(model))
@@ -145,14 +149,13 @@ def _read(chain, steps, x):
         elif isinstance(step, REGRESSORS):
             if rest:
                 raise ValueError(
-                    f"{rest[0].path} comes after the regressor, which cannot be exported."
+                    f"{rest[0][0]} comes after the regressor, which cannot be exported."
                 )
             return _regressor(chain, path, step, x)
         else:
             raise ValueError(
                 f"{path} is a {type(step).__name__}, which cannot be exported: only "
-                f"{', '.join(kind.__name__ for kind in KNOWN)} and pipelines of these can. "
-                "to_onnx also takes what skl2onnx knows."
+                f"{', '.join(kind.__name__ for kind in KNOWN)} and pipelines of these can."
             )
     names = ", ".join(kind.__name__ for kind in REGRESSORS)
     raise ValueError(f"The model has no regressor at its end: none of {names}.")
@@ -184,34 +187,25 @@ def _regressor(chain, path, step, x):
 
 def _cylindrical(chain, path, step, rest, x):
     """A regressor in the cylindrical frame of the probe's azimuth."""
+    p, n = chain.p, step.n_features_in_ - 2
     if any(isinstance(inner, CylindricalResidualTarget) for _, inner in rest):
-        raise ValueError(f"{rest[0].path} is the second of its kind, which cannot be exported.")
-    if step._rotates and not step._drops_direction and x != chain.x:
+        raise ValueError(f"{rest[0][0]} is the second of its kind, which cannot be exported.")
+    direction = None
+    if step._drops_direction:
+        # A direction that comes with the features becomes NaN where its norm is not 1.
+        given, x = p.take(x, [n, n + 1]), p.take(x, np.arange(n))
+        low, high = 1 - NORM_TOLERANCE, 1 + NORM_TOLERANCE
+        direction = p("within", given, p.length(given), low=low, high=high)
+    elif step._rotates and x != chain.x:
         raise ValueError(
             f"{path} takes its azimuth from the joint angles but comes after a transformer, "
             "which cannot be exported."
         )
-    direction, x = _direction(chain, step, x)
+    elif step._rotates:
+        direction = chain.direction()[0]
     y, v = _read(chain, rest, x)
-    return (y, v) if direction is None else to_cartesian(chain.p, direction, y, v)
-
-
-def _direction(chain, step, x):
-    """Cosine and sine of the azimuth to turn by, or None, and the columns that are left.
-
-    A direction that comes with the features becomes NaN where its norm is not 1.
-    """
-    p, n = chain.p, step.n_features_in_ - 2
-    if step._drops_direction:
-        given = p.take(x, [n, n + 1])
-        low, high = 1 - NORM_TOLERANCE, 1 + NORM_TOLERANCE
-        direction = p("within", given, p.length(given), low=low, high=high)
-        return direction, p.take(x, np.arange(n))
-    return (chain.direction()[0] if step._rotates else None), x
-
-
-def to_cartesian(p, direction, y, v=None):
-    """Radial, tangential and axial numbers as x, y and z; variances of independent ones."""
+    if not step._rotates:
+        return y if direction is None else p("finite", y, direction), v
     along, across = p.take(direction, [0, 1]), p.take(direction, [1, 0])
     across_signed = p("mul", across, [-1.0, 1.0])
 
@@ -220,36 +214,11 @@ def to_cartesian(p, direction, y, v=None):
         b = p("mul", p.take(values, [1, 1]), second)
         return p("join", p("add", a, b), p.take(values, [2]))
 
-    # x is radial cos - tangential sin, y radial sin + tangential cos.
+    # x is radial cos - tangential sin, y radial sin + tangential cos; the variances are those of
+    # independent radial, tangential and axial numbers.
     both = p("join", p.take(along, [0]), p.take(along, [1]))
     y = turned(y, both, across_signed)
-    if v is None:
-        return y, None
-    return y, turned(v, p("mul", along, along), p("mul", across, across))
-
-
-# -- parts of a chain, for converters that know the rest of it -------------------------------------
-
-
-def step_program(step):
-    """The program of one step by itself, transformer or regressor."""
-    p = Builder(n_inputs(step))
-    chain = _Chain(step, p, False)
-    if isinstance(step, PoseFeatures):
-        y = pose_features(chain, step)
-    else:
-        y = _read(chain, list(leaves(step)), p.x)[0]
-    return p.program({"y": p("finite", y, p.x)}, {})
-
-
-def turning_program(step):
-    """From columns of a `CylindricalResidualTarget` and what its regressor gives to x, y and z."""
-    n = step.n_features_in_
-    p = Builder(n + 3)
-    x = p.take(p.x, np.arange(n))
-    direction, _ = _direction(_Chain(step, p, False, x), step, x)
-    y, _ = to_cartesian(p, direction, p.take(p.x, n + np.arange(3)))
-    return p.program({"y": p("finite", y, p.x)}, {})
+    return y, None if v is None else turned(v, p("mul", along, along), p("mul", across, across))
 
 
 # -- transformers ---------------------------------------------------------------------------------
@@ -311,20 +280,10 @@ def scaler(p, step, x):
 
 
 def arm_model(chain, step):
-    """Correction and variance (or None) of an `ArmResidualRegressor`: both stages, faded."""
+    """Correction and variance (or None) of an `ArmResidualRegressor`, faded."""
     p, linear, fading = chain.p, step.linear_model_, step.fading_
-    for name in ("size_mm", "factor"):
-        value = getattr(fading, name)
-        if not 0 <= value < np.inf:
-            raise ValueError(
-                f"{name} of Fading must be a finite number of at least 0, got {value}."
-            )
     y, v, doubt = linear_model(chain, linear, fading.factor > 0)
     y = y if step.helps_ else p.constant(np.zeros(3))
-    if step.regressor_ is not None:
-        steps = list(leaves(step.regressor_))
-        second = _Chain(step.regressor_, p, False, chain.angles(), "rad")
-        y = p("add", y, _read(second, steps, second.x)[0])
     if doubt is not None:
         share = p.constant(1.0)
         if fading.size_mm > 0:
@@ -339,12 +298,12 @@ def linear_model(chain, linear, fades):
     """Correction of a `LinearModel`, variances, and squared doubt; each None where not needed."""
     p, arm = chain.p, linear.arm
     table = column_table(arm, linear.terms)
-    m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
+    m, n_axes = len(table), 3 * (arm.n_joints + 1)
     if not m:
         return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
     # Columns that share a vector stand together; large groups last, where rows of a triangle are
     # long anyway.
-    vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
+    vector = np.where(table["kind"] == SHIFT, n_axes, 0) + 3 * table["frame"] + table["axis"]
     order = np.lexsort([vector, np.bincount(vector)[vector]])
     vectors = _vectors(chain)
     sizes = p.take(_sizes(chain, linear, table, vectors), order)
@@ -397,19 +356,19 @@ def _vectors(chain):
 
 def _sizes(chain, linear, table, vectors):
     """Size of each column: unit, wave, torque, and what an extra column says."""
-    p, arm, m = chain.p, linear.arm, len(table.kind)
+    p, arm, m = chain.p, linear.arm, len(table)
     n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
-    sizes = p.constant(table.unit)
-    if np.any(table.order):
-        waves = p("waves", chain.angles(), joint=table.of * (table.order != 0), order=table.order)
+    sizes = p.constant(table["unit"])
+    if np.any(table["order"]):
+        waves = p("waves", chain.angles(), joint=table["joint"], order=table["order"])
         sizes = p("mul", sizes, waves)
-    loaded = np.flatnonzero(table.kind == LOAD)
+    loaded = np.flatnonzero(table["kind"] == LOAD)
     if len(loaded):
         # The torque of a load: gravity is along -z.
         places = p("join", chain.frames(), chain.probe())
-        of, frame = (12 * at[loaded] + 9 for at in (table.of, table.frame))
-        of = np.where(table.of[loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
-        axis = 12 * table.frame[loaded] + 3 * table.axis[loaded]
+        of, frame = (12 * table[name][loaded] + 9 for name in ("load", "frame"))
+        of = np.where(table["load"][loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
+        axis = 12 * table["frame"][loaded] + 3 * table["axis"][loaded]
         x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in (0, 1))
         ux, uy = (p.take(places, axis + k) for k in (0, 1))
         torque = p("sub", p("mul", uy, x), p("mul", ux, y))
@@ -417,26 +376,20 @@ def _sizes(chain, linear, table, vectors):
     if not extra:
         return sizes
     values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
-    pushed = np.flatnonzero(table.kind == PUSH)
+    pushed = np.flatnonzero(table["kind"] == PUSH)
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
-        force = p("affine", p("sub", values, mean), matrix=_force_of(extra), shift=np.zeros(3))
-        turns = 3 * table.frame[pushed] + table.axis[pushed]
+        unit_forces = np.round(force_on_probe(extra, mean + np.eye(len(extra)))).T
+        force = p("affine", p("sub", values, mean), matrix=unit_forces, shift=np.zeros(3))
+        turns = 3 * table["frame"][pushed] + table["axis"][pushed]
         at = np.arange(3) * 2 * n_axes + turns[:, None]
         torque = p("dots", p.take(vectors, at.ravel()), force)
         sizes = p("mul", sizes, _at_columns(p, m, pushed, torque))
-    column, by, reference = given_factors(arm, linear.terms)
-    if not len(column):
+    given = np.flatnonzero(table["by"] >= 0)
+    if not len(given):
         return sizes
-    given = p("sub", p.take(values, by), reference)
-    return p("mul", sizes, _at_columns(p, m, column, given))
-
-
-def _force_of(extra):
-    """Force on the probe of one unit of each extra column, (3, n_extra), base frame."""
-    mean = np.array([reference[0] for _, reference in extra])
-    one = force_on_probe(extra, mean + np.eye(len(extra)))
-    return np.round(one - force_on_probe(extra, mean[None])).T
+    factors = p("sub", p.take(values, table["by"][given]), table["reference"][given])
+    return p("mul", sizes, _at_columns(p, m, given, factors))
 
 
 def _at_columns(p, m, columns, factors):

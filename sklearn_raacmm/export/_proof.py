@@ -4,14 +4,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import contextlib
+import json
 import warnings
 
 import numpy as np
 
-from sklearn_raacmm.export._steps import typical_rows
+from sklearn_raacmm.export._steps import n_inputs, typical_rows
 
 # Test rows: given ones, corners of their ranges, and what is no number.
 _N_INSIDE, _N_CORNERS, _N_BAD = 20, 8, 4
+# Lengths of the probes of test rows, in those of the model's own probe (or in 100 mm).
+_PROBE_LENGTHS = (0.5, 4.0)
 # How far a file may be from predict, as a share of the largest expected number: double keeps 1e-12
 # where weights are no larger than 1000; single precision has 7 digits, of which weights cost some.
 TOLERANCE = {"double": 1e-9, "float": 2e-2}
@@ -24,14 +27,28 @@ _LIMIT, _STD_LIMIT = 1e-5, 0.1
 _NOTHING = 1e-9
 
 
-def rows_to_test(model, poses=None, std=False):
+def make_test_rows(model, poses=None, std=False, dtype="double", any_probe=False):
     """32 rows with what ``predict`` gives: given ones, corners of their ranges, NaN and infinity.
 
-    `poses` (n, n_inputs) are rows to take some of; None: random ones, see `typical_rows`. The dict
-    has X, y and, with `std`, std: one row each; NaN where predict refuses.
+    `poses` (n, n_inputs) are rows to take some of; None: random ones, see `typical_rows`. With
+    `any_probe` every row ends with the vector of a probe. The dict has X, y and, with `std`, std:
+    one row each; NaN where predict refuses.
     """
     if poses is None:
         poses = typical_rows(model, 200)
+    poses, n = np.asarray(poses, dtype=np.float64), n_inputs(model)
+    finite = bool(np.isfinite(poses).all())
+    if poses.ndim != 2 or poses.shape[1] != n or not len(poses) or not finite:
+        raise ValueError(
+            f"poses must be rows of {n} finite numbers, at least one; got shape "
+            f"{poses.shape}{'' if finite else ' with NaN or infinity'}."
+        )
+    if any_probe:
+        own = model.arm_.probe if model.arm_.probe.any() else np.array([0.0, 0.0, 100.0])
+        rng = np.random.default_rng(0)
+        probes = own * rng.uniform(*_PROBE_LENGTHS, (len(poses), 1))
+        probes += 0.2 * np.linalg.norm(own) * rng.normal(size=probes.shape)
+        poses = np.hstack([poses, probes])
     inside = poses[np.linspace(0, len(poses) - 1, _N_INSIDE).round().astype(int)]
     low, high = poses.min(axis=0), poses.max(axis=0)
     # Corners spread over all: bit i of an odd multiple says whether input i is low or high.
@@ -39,60 +56,53 @@ def rows_to_test(model, poses=None, std=False):
     bits = (np.arange(_N_CORNERS)[:, None] * 2654435761 >> np.arange(8, 8 + n) % 40) & 1
     bad = np.tile(inside[0], (_N_BAD, 1))
     bad[np.arange(_N_BAD), np.arange(_N_BAD) % n] = [np.nan, np.inf, -np.inf, np.nan]
-    return answered(model, np.concatenate([inside, np.where(bits, high, low), bad]), std)
-
-
-def answered(model, X, std=False):
-    """Rows with what ``predict`` gives, one by one, as `rows_to_test`."""
-    found = []
-    while hasattr(model, "best_estimator_"):  # a search hands on no return_std
-        model = model.best_estimator_
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of poses that the model does not know
-        for row in X:
-            answer = None
-            if np.isfinite(row).all():
-                with contextlib.suppress(ValueError):  # a corner where the model is not defined
-                    answer = model.predict(row[None], **({"return_std": True} if std else {}))
-            found.append(None if answer is None else np.reshape(answer, (1 + std, -1)))
-    known = [answer for answer in found if answer is not None]
+    X = np.concatenate([inside, np.where(bits, high, low), bad])
+    if dtype == "float":  # what single precision can hold
+        X = X.astype(np.float32).astype(float)
+    answers = [_answer(model, row, std, any_probe) for row in X]
+    known = [answer for answer in answers if answer is not None]
     if not known:
         raise ValueError(
             f"predict refuses all of {len(X)} rows, so the export cannot be compared with it: give "
             "poses that the model takes."
         )
-    nothing = np.full(known[0].shape, np.nan)
-    y = np.stack([nothing if answer is None else answer for answer in found], axis=1)
+    refused = np.full(known[0].shape, np.nan)
+    y = np.stack([refused if answer is None else answer for answer in answers], axis=1)
     return {"X": X, "y": y[0], **({"std": y[1]} if std else {})}
 
 
-def dict_of_rows(rows):
-    """Test rows as what JSON has: null for NaN, text for infinity."""
+def _answer(model, row, std, any_probe):
+    """What ``predict`` gives at one row, (1 + std, n_outputs), or None where it refuses."""
+    if not np.isfinite(row).all():
+        return None
+    while hasattr(model, "best_estimator_"):  # a search hands on no return_std
+        model = model.best_estimator_
+    if any_probe:
+        model, row = model.with_arm(model.arm_.replace(probe=row[-3:])), row[:-3]
+    with warnings.catch_warnings(), contextlib.suppress(ValueError):
+        warnings.simplefilter("ignore")  # of poses that the model does not know
+        answer = model.predict(row[None], **({"return_std": True} if std else {}))
+        return np.reshape(answer, (1 + std, -1))
+    return None  # a corner where the model is not defined
+
+
+def rows_as_json(rows):
+    """Test rows as JSON text: null for NaN, text for infinity."""
     names = {np.inf: "Infinity", -np.inf: "-Infinity"}
-    return {
+    lists = {
         key: [[None if np.isnan(v) else names.get(v, v) for v in row] for row in array.tolist()]
         for key, array in rows.items()
     }
+    return json.dumps(lists)
 
 
-def rows_of_dict(content):
-    """The opposite of `dict_of_rows`."""
-    numbers = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
-    return {
-        key: np.array(
-            [[v if isinstance(v, float | int) else numbers[v] for v in row] for row in of]
-        )
-        for key, of in content.items()
-    }
+def check_answers(what, rows, found, dtype="double"):
+    """How far a file is from ``predict`` at test rows, or ValueError if that is too far.
 
-
-def proved(what, rows, y, std=None, dtype="double"):
-    """How far a file is from ``predict`` at some rows, or ValueError if that is too far.
-
-    `what` names the file, `rows` are those of `rows_to_test`, y and std what the file gives. The
-    list has what the file must say where it is worse than promised.
+    `what` names the file, `found` is what it gives: y and perhaps std. The list has what the file
+    must say where it is worse than promised.
     """
-    expected = rows["y"]
+    expected, y, std = rows["y"], found["y"], found.get("std")
     refused = np.isnan(expected)
     size = np.abs(expected[~refused]).max(initial=1e-3)
     wrong = np.isnan(y) != refused

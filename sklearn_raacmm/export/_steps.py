@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from sklearn.exceptions import NotFittedError
@@ -17,26 +17,17 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import show
 
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
-OWN = (PoseFeatures, CylindricalResidualTarget, RBFNetRegressor, ArmResidualRegressor)
 REGRESSORS = (RBFNetRegressor, ArmResidualRegressor, *LINEAR)
 KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, *REGRESSORS)
 
 
-class Step(NamedTuple):
-    """One estimator of the chain, by the path that leads to it."""
-
-    path: str
-    estimator: Any
-
-
 def leaves(model, path=None):
-    """Steps in the order in which data pass, as `Step`; a wrapper comes before what it wraps.
+    """Path and estimator of each step in the order in which data pass; a wrapper comes first.
 
-    `path` is what a message calls it.
+    The path is what a message calls the step; `path` is that of the model.
     """
     path = type(model).__name__ if path is None else path
     if isinstance(model, Pipeline):
@@ -47,7 +38,7 @@ def leaves(model, path=None):
     if hasattr(model, "best_estimator_"):  # of a search: what it has found
         yield from leaves(model.best_estimator_, path)
         return
-    yield Step(path, model)
+    yield path, model
     if isinstance(model, CylindricalResidualTarget) and hasattr(model, "regressor_"):
         yield from leaves(model.regressor_, f"{path}.regressor")
 
@@ -55,7 +46,7 @@ def leaves(model, path=None):
 def check_fitted(model: Any) -> None:
     """Refuse a class, or an estimator that is not fitted, with one sentence."""
     if isinstance(model, type) or not hasattr(model, "fit"):
-        raise TypeError(f"model must be a fitted estimator, got {show(model)}.")
+        raise TypeError(f"model must be a fitted estimator, got {model!r:.60}.")
     for path, step in leaves(model):
         try:
             check_is_fitted(step)
@@ -63,36 +54,24 @@ def check_fitted(model: Any) -> None:
             raise NotFittedError(f"{path} is not fitted: fit the model first.") from None
 
 
-def check_std(std):
-    """Refuse what is neither True nor False."""
-    if not isinstance(std, bool):
-        raise ValueError(f"std must be True or False, got {show(std)}.")
-
-
-def _azimuth_arm(path, azimuth):
-    """Arm and angle unit of a callable `azimuth`, which has to be the method of an `Arm`."""
-    unit, method = "rad", azimuth
-    if (
-        isinstance(azimuth, partial)
-        and not azimuth.args
-        and set(azimuth.keywords) == {"angle_unit"}
-    ):
-        unit, method = azimuth.keywords["angle_unit"], azimuth.func
-    owner = getattr(method, "__self__", None)
-    if getattr(method, "__func__", None) is not Arm.azimuth or not isinstance(owner, Arm):
-        raise ValueError(
-            f"{path} takes its azimuth from {azimuth!r}, which cannot be exported: only the method "
-            "of an Arm can, azimuth=arm.azimuth."
-        )
-    return owner, unit
-
-
-def arm_of(model) -> tuple[Any, Any]:
+def find_arm(model) -> tuple[Any, Any]:
     """Arm and angle unit of a chain, (None, None) without one; ValueError if steps disagree."""
     found = []
     for path, step in leaves(model):
         if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
-            found.append((path, *_azimuth_arm(path, step.azimuth)))
+            # A callable azimuth has to be the method of an arm, perhaps with an angle unit.
+            method: Any = step.azimuth
+            unit = "rad"
+            known = (), ["angle_unit"]
+            if isinstance(method, partial) and (method.args, [*method.keywords]) == known:
+                method, unit = method.func, method.keywords["angle_unit"]
+            owner = getattr(method, "__self__", None)
+            if getattr(method, "__func__", None) is not Arm.azimuth or not isinstance(owner, Arm):
+                raise ValueError(
+                    f"{path} takes its azimuth from {step.azimuth!r}, which cannot be exported: "
+                    "only the method of an Arm can, azimuth=arm.azimuth."
+                )
+            found.append((path, owner, unit))
         elif isinstance(arm := getattr(step, "arm_", None), Arm):
             found.append((path, arm, getattr(step, "angle_unit", "rad")))
     for path, arm, unit in found[1:]:
@@ -105,7 +84,7 @@ def arm_of(model) -> tuple[Any, Any]:
     return found[0][1:] if found else (None, None)
 
 
-def extra_of(model):
+def extra_columns(model):
     """Name and reference of each column after the angles, as `Terms` has them."""
     for _, step in leaves(model):
         if isinstance(step, ArmResidualRegressor):
@@ -115,7 +94,7 @@ def extra_of(model):
 
 def is_flat(model):
     """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
-    last = list(leaves(model))[-1].estimator
+    *_, (_, last) = leaves(model)
     if isinstance(last, ArmResidualRegressor):
         return False
     # A linear model without intercept has a scalar for it in either case.
@@ -135,26 +114,23 @@ def described(step):
     if isinstance(step, PoseFeatures):
         return f"{name}: {', '.join(step._names())}"
     if isinstance(step, ArmResidualRegressor):
-        inside = (
-            [described(inner) for _, inner in leaves(step.regressor_)] if step.regressor_ else []
-        )
-        return ", then ".join([f"{name}: {len(step.linear_model_.coef)} terms", *inside])
+        return f"{name}: {len(step.linear_model_.coef)} terms"
     return name
 
 
 def n_inputs(model):
     """Number of inputs of the first step."""
-    return int(next(leaves(model)).estimator.n_features_in_)
+    return int(next(leaves(model))[1].n_features_in_)
 
 
 def typical_rows(model, n, seed=0):
     """Rows (n, n_inputs) that a fitted model may see: angles, or features between centres."""
     rng = np.random.default_rng(seed)
-    arm, unit = arm_of(model)
+    arm, unit = find_arm(model)
     size = n_inputs(model)
     if arm is not None and size >= arm.n_joints:
         turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
-        extra = [rng.choice(known, n) for _, known in extra_of(model)]
+        extra = [rng.choice(known, n) for _, known in extra_columns(model)]
         return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
     rows, back = rng.normal(size=(n, size)), []
     for _, step in leaves(model):

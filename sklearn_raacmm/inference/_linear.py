@@ -25,9 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, cho_solve, cholesky
-
-from sklearn_raacmm.utils import invert_triangle
+from scipy.linalg import LinAlgError, cho_solve, cholesky, lapack
 
 # Steps of the variances at most. They stop by the evidence: few problems take more than 30.
 MAX_STEPS = 100
@@ -297,7 +295,7 @@ class Problem:
             root = root_of(S.T, lower=True)  # of which S.T is the same, in the order of Fortran
             coef = cho_solve((root, True), r[::-1], check_finite=False)[::-1]
             volume += 2 * np.log(root.diagonal()).sum()
-            invert_triangle(root)
+            root[:] = lapack.dtrtri(root, lower=1, overwrite_c=1)[0]
             half = root.T[::-1]
         return State(
             lines=lines,

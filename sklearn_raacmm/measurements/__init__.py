@@ -1,4 +1,4 @@
-"""What was measured, and what is to be said about it: the gate of every door that takes data."""
+"""What was measured, and what is to be said about it, for every function that takes data."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -14,14 +14,10 @@ from sklearn_raacmm.measurements._order import (
 )
 from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import Targets, check_targets
-from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
 __all__ = [
     "MOST_TOLD",
     "Dwells",
-    "Finding",
-    "FindingError",
-    "FindingWarning",
     "Targets",
     "base_motions",
     "check_targets",

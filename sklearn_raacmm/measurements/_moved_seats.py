@@ -5,12 +5,12 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.utils import Finding, chunks, encode_groups
+from sklearn_raacmm.utils import Finding, chunks, encode_groups, row_numbers
 
 # Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
 # beyond ten a slow change of the residuals counts as much as a step.
@@ -66,22 +66,21 @@ def find_steps(
     at the largest ratio, then their parts. Outliers are no steps; in rows that were shuffled
     neighbours differ as much as others do, and nothing is found.
     """
-    poses = _Poses.of(left, angles, codes)
-    poses = poses.at(np.bincount(poses.codes)[poses.codes] >= 2 * _LEAST)
-    if not len(poses.codes):
+    poses = _sorted_poses(left, angles, codes)
+    poses = poses[np.bincount(poses.codes)[poses.codes] >= 2 * _LEAST]
+    if not len(poses):
         return []
-    spread = _Spread.of(poses, noise_variance)
-    alone = _alone(poses, _OUTLIER * np.sqrt(spread.half[-1]))
-    kept = poses.at(~alone)
-    spread = spread.as_wide_as(kept)
+    spread = _semivariogram(poses, noise_variance)
+    kept = poses[~_alone(poses, _OUTLIER * np.sqrt(spread[1][-1]))]
+    spread = _widened(spread, kept)
     found = []
     for code in np.unique(kept.codes[_contrasts(kept, spread, _LIMIT) > _LIMIT]).tolist():
-        one = kept.at(kept.codes == code)
+        one = kept[kept.codes == code]
         cuts, clearest = _cuts(one, spread)
         if not cuts:
             continue
         sizes = _sizes(one.left, cuts)
-        if _in_order(poses.at(poses.codes == code), one.first[clearest[0]], max(sizes)):
+        if _in_order(poses[poses.codes == code], one.first[clearest[0]], max(sizes)):
             rows = [(int(one.last[k - 1]), int(one.first[k])) for k in cuts]
             found += [Step(code, *pair, size) for pair, size in zip(rows, sizes, strict=True)]
     return found
@@ -114,12 +113,12 @@ def moved_positions(
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
     yield Finding(
         "moved-position",
-        f"{MOVED} {'; '.join(named)}{more} (rows counted from 0).",
+        f"{MOVED} {'; '.join(named)}{more}.",
         "No model of the arm can follow that: fasten the socket and the arm's base and measure "
         "again, or give the rows after each step a label of their own.",
         "repair",
         positions=tuple(labels[moved]),
-        rows=tuple(rows[step.after] for step in steps),
+        rows=row_numbers(rows[step.after] for step in steps),
         size_mm=max(step.size_mm for step in steps),
     )
 
@@ -127,90 +126,81 @@ def moved_positions(
 def _in_words(steps, rows):
     """The largest steps, in their order."""
     largest = sorted(sorted(steps, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
-    parts = [
-        f"{step.size_mm:.3g} mm between rows {rows[step.before]} and {rows[step.after]}"
-        for step in largest
-    ]
+    parts = []
+    for step in largest:
+        before, after = row_numbers(rows[[step.before, step.after]])
+        parts.append(f"{step.size_mm:.3g} mm between rows {before} and {after}")
     more = f" and {len(steps) - _NAMED} more times" * (len(steps) > _NAMED)
     return f"{', by '.join(parts)}{more}"
 
 
-class _Poses(NamedTuple):
-    """Poses, position by position, in the order of their rows."""
+def _sorted_poses(left, angles, codes):
+    """Poses, position by position in the order of their rows; rows in a row at one pose are one.
 
-    left: np.ndarray  # (n, 3) mm
-    place: np.ndarray  # (n, 2 n_joints) cosines and sines of the angles
-    codes: np.ndarray  # (n,)
-    first: np.ndarray  # (n,) first and last row of each pose
-    last: np.ndarray
-
-    @classmethod
-    def of(cls, left, angles, codes):
-        """Sort rows by position; rows in a row at the same pose become one."""
-        rows = np.argsort(codes, kind="stable")
-        place = np.hstack([np.cos(angles[rows]), np.sin(angles[rows])])
-        way = np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1)
-        stretch = np.floor(np.cumsum(way) / _SAME_POSE)
-        new = np.diff(stretch, prepend=-1) != 0
-        new[1:] |= np.diff(codes[rows]) != 0
-        first = np.flatnonzero(new)
-        if not len(first):
-            return cls(left, place, codes, rows, rows)
+    A record array: `left` (n, 3) mm, `place` (n, 2 n_joints) cosines and sines of the angles,
+    `codes`, and the `first` and the `last` row of each pose.
+    """
+    rows = np.argsort(codes, kind="stable")
+    left, codes = left[rows], codes[rows]
+    place = np.hstack([np.cos(angles[rows]), np.sin(angles[rows])])
+    way = np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1)
+    new = np.diff(np.floor(np.cumsum(way) / _SAME_POSE), prepend=-1) != 0
+    new[1:] |= np.diff(codes) != 0
+    first = np.flatnonzero(new)
+    kinds = [("left", float, 3), ("place", float, place.shape[1])]
+    kinds += [(name, int) for name in ("codes", "first", "last")]
+    poses: Any = np.recarray(len(first), kinds)
+    if len(first):
         size = np.diff(first, append=len(rows))[:, None]
-        mean = np.add.reduceat(left[rows], first, axis=0) / size
-        last = rows[np.r_[first[1:], len(rows)] - 1]
-        return cls(mean, place[first], codes[rows][first], rows[first], last)
-
-    def at(self, which):
-        return _Poses(*(values[which] for values in self))
+        poses.left = np.add.reduceat(left, first, axis=0) / size
+        poses.place, poses.codes = place[first], codes[first]
+        poses.first, poses.last = rows[first], rows[np.r_[first[1:], len(rows)] - 1]
+    return poses
 
 
-class _Spread(NamedTuple):
-    """Half of the mean square difference of a coordinate at two poses, by their distance."""
+def _semivariogram(poses, noise_variance):
+    """Half of the mean square difference of a coordinate at two poses, by their distance.
 
-    edges: np.ndarray  # distances between which a class lies
-    half: np.ndarray  # mm^2
+    Distances between which a class lies, and mm^2 of each class: from all pairs that windows may
+    hold, by medians, since steps are in few of them.
+    """
+    distance, square = [], []
+    for lag in range(1, 2 * max(_WINDOWS)):
+        same = np.flatnonzero(poses.codes[lag:] == poses.codes[:-lag])
+        for values, out in ((poses.place, distance), (poses.left, square)):
+            out.append(np.square(values[same + lag] - values[same]).sum(axis=1))
+    distance, square = np.sqrt(np.concatenate(distance)), np.concatenate(square)
+    n = max(min(_CLASSES, len(distance) // _PAIRS), 1)
+    edges = np.quantile(distance, np.arange(1, n) / n)
+    of = np.searchsorted(edges, distance)
+    medians = [np.median(square[of == i]) if np.any(of == i) else 0.0 for i in range(n)]
+    half = np.maximum.accumulate(np.array(medians) / (2 * _MEDIAN_SQUARE))
+    return edges, np.maximum(half, max(noise_variance, _LEAST_NOISE_MM**2))
 
-    @classmethod
-    def of(cls, poses, noise_variance):
-        """Find it from all pairs that windows may hold, by medians: steps are in few of them."""
-        distance, square = [], []
-        for lag in range(1, 2 * max(_WINDOWS)):
-            same = np.flatnonzero(poses.codes[lag:] == poses.codes[:-lag])
-            for values, out in ((poses.place, distance), (poses.left, square)):
-                out.append(np.square(values[same + lag] - values[same]).sum(axis=1))
-        distance, square = np.sqrt(np.concatenate(distance)), np.concatenate(square)
-        n = max(min(_CLASSES, len(distance) // _PAIRS), 1)
-        edges = np.quantile(distance, np.arange(1, n) / n)
-        of = np.searchsorted(edges, distance)
-        medians = [np.median(square[of == i]) if np.any(of == i) else 0.0 for i in range(n)]
-        half = np.maximum.accumulate(np.array(medians) / (2 * _MEDIAN_SQUARE))
-        return cls(edges, np.maximum(half, max(noise_variance, _LEAST_NOISE_MM**2)))
 
-    def as_wide_as(self, poses):
-        """The same, such that most differences of runs of poses are as large as expected.
+def _widened(spread, poses):
+    """A semivariogram such that most differences of runs of poses are as large as expected.
 
-        A model that is far from complete leaves errors that change faster in some directions of
-        joint space than the distance tells.
-        """
-        tried = np.linspace(0, len(poses.codes), _TRIED, endpoint=False).astype(int)
-        ratio = _contrasts(poses, self, 0.0, np.unique(tried))
-        ratio = ratio[ratio >= 0]
-        wider = np.quantile(ratio, _QUANTILE) / _USUAL if len(ratio) else 1.0
-        return self._replace(half=self.half * max(wider, 1.0))
+    A model that is far from complete leaves errors that change faster in some directions of joint
+    space than the distance shows.
+    """
+    edges, half = spread
+    tried = np.linspace(0, len(poses), _TRIED, endpoint=False).astype(int)
+    ratio = _contrasts(poses, spread, 0.0, np.unique(tried))
+    ratio = ratio[ratio >= 0]
+    wider = np.quantile(ratio, _QUANTILE) / _USUAL if len(ratio) else 1.0
+    return edges, half * max(wider, 1.0)
 
-    def of_difference(self, place, n_before):
-        """Variance of a coordinate of the difference of the means of two runs of poses."""
-        apart = np.linalg.norm(place[:, None] - place, axis=2)
-        half = self.half[np.searchsorted(self.edges, apart)]
-        np.fill_diagonal(half, 0.0)
-        a, b = slice(n_before), slice(n_before, None)
-        found = 2 * half[a, b].mean() - half[a, a].mean() - half[b, b].mean()
-        return max(found, self.of_noise(n_before, len(place) - n_before))
 
-    def of_noise(self, n_before, n_after):
-        """The least that it is."""
-        return self.half[0] * (1 / n_before + 1 / n_after)
+def _variance_of_difference(place, n_before, spread):
+    """Variance of a coordinate of the difference of the means of two runs of poses."""
+    edges, half = spread
+    apart = np.linalg.norm(place[:, None] - place, axis=2)
+    between = half[np.searchsorted(edges, apart)]
+    np.fill_diagonal(between, 0.0)
+    a, b = slice(n_before), slice(n_before, None)
+    found = 2 * between[a, b].mean() - between[a, a].mean() - between[b, b].mean()
+    return max(found, half[0] * (1 / n_before + 1 / (len(place) - n_before)))
 
 
 def _alone(poses, limit):
@@ -244,10 +234,10 @@ def _contrasts(poses, spread, limit, k=None):
         step = (sums[high] - sums[k]) / after[:, None] - (sums[k] - sums[low]) / before[:, None]
         square = np.square(step).sum(axis=1)
         square[(k - start < _LEAST) | (end - k < _LEAST)] = -1.0
-        bound = square / spread.of_noise(before, after)
+        bound = square / (spread[1][0] * (1 / before + 1 / after))
         for i in np.flatnonzero(bound > np.maximum(limit, largest)):
-            variance = spread.of_difference(poses.place[low[i] : high[i]], before[i])
-            bound[i] = square[i] / variance
+            place = poses.place[low[i] : high[i]]
+            bound[i] = square[i] / _variance_of_difference(place, before[i], spread)
         largest = np.maximum(largest, bound)
     return largest
 
@@ -259,7 +249,7 @@ def _cuts(poses, spread):
         low, high = parts.pop()
         if high - low < 2 * _LEAST:
             continue
-        ratio = _contrasts(poses.at(slice(low, high)), spread, _LIMIT)
+        ratio = _contrasts(poses[low:high], spread, _LIMIT)
         k = int(np.argmax(ratio))
         if ratio[k] > _LIMIT:
             k = _sharpest(poses.left, low, low + k, high)

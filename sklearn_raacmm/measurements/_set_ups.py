@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding
+from sklearn_raacmm.utils import Finding, row_numbers
 
 # Share of the squares that a set-up of its own behind a row has to take away, beside what chance
-# does (``benchmarks/bench_gate.py set-ups``; parts of the real UR10 show up to 0.41), and rows
+# does (``benchmarks/bench_mistakes.py set-ups``; parts of the real UR10 show up to 0.41), and rows
 # beside.
 _SHARE, _LEAST_ROWS = 0.5, 8
 # No move is smaller: rounding is none.
@@ -67,15 +67,15 @@ def moved_set_up(
     size = np.linalg.norm((base if what == "stations" else turns)[row:] @ move, axis=1).mean()
     if size < _LEAST_MM:
         return
-    numbers = np.arange(n) if numbers is None else numbers
+    before, after = row_numbers([row - 1, row] if numbers is None else numbers[[row - 1, row]])
     moved = "the tracker or the arm's base" if what == "stations" else "the probe or target"
     yield Finding(
         "moved-station" if what == "stations" else "moved-tool",
         f"The measured points jump beside the arm's, as if {moved} had moved by {size:.3g} mm "
-        f"between rows {numbers[row - 1]} and {numbers[row]} (rows counted from 0).",
+        f"between rows {before} and {after}.",
         f"Give each part a label of its own, calibrate(..., {what}=labels), or measure again.",
         "repair",
-        rows=(numbers[row],),
+        rows=(after,),
         size_mm=size,
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
 from sklearn_raacmm.measurements._set_ups import base_motions
-from sklearn_raacmm.utils import CENTRED, Finding, align, centred, share_of_means
+from sklearn_raacmm.utils import Finding, align, are_deviations, centred
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
 # base: no calibrated arm is that far off.
@@ -170,7 +170,7 @@ def are_of_positions_unnamed(targets, points):
     codes = codes.ravel()
     if 2 * len(labels) > len(codes) or len(labels) < 2:
         return
-    if share_of_means(targets.y, codes, targets.weights) < CENTRED:
+    if are_deviations(targets.y, codes, targets.weights):
         yield Finding(
             "groups-missing",
             f"y are deviations from the means of {len(labels)} positions, and the fit does not "

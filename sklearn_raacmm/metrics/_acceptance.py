@@ -9,15 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.metrics import _spheres
-from sklearn_raacmm.utils import (
-    check_groups,
-    check_option,
-    check_points,
-    floats,
-    group_means,
-    refuse_huge,
-    refuse_masked,
-)
+from sklearn_raacmm.utils import check_groups, check_option, floats, group_means
 
 # Points of a face that are this close to a line, by its length, do not determine a plane.
 _LEAST_SPREAD = 1e-3
@@ -52,7 +44,7 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     >>> gauge_lengths(points, ["a", "a", "b", "b"], [["a", "b"]])
     array([300.])
     """
-    points = check_points(points, n_coordinates=3)
+    points = floats("points", points, 3)
     labels, position = check_groups(groups, len(points))
     ends = _ends(labels, pairs)
     means = group_means(points, position)
@@ -91,7 +83,7 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     >>> block_lengths([*left, *right], ["l", "l", "l", "r", "r", "r"], [["l", "r"]]).round(6)
     array([100.])
     """
-    points = check_points(points, n_coordinates=3)
+    points = floats("points", points, 3)
     labels, position = check_groups(groups, len(points))
     means = group_means(points, position)
     lengths = []
@@ -110,7 +102,6 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
 
 def _ends(labels, pairs):
     """Numbers (n_lengths, 2) of the two groups of each pair."""
-    refuse_masked("pairs", pairs)
     pairs = np.asarray(pairs)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
         raise ValueError(f"pairs has shape {pairs.shape}; (n_lengths, 2) is needed.")
@@ -209,7 +200,7 @@ def probing_size_error(points: ArrayLike, diameter: float) -> float:
     if np.ndim(diameter):
         raise ValueError(f"diameter must be one number, got shape {np.shape(diameter)}.")
     (diameter,) = _check_lengths("diameter", diameter)
-    return float(2 * _spheres.fit_sphere(check_points(points, n_coordinates=3))[1] - diameter)
+    return float(2 * _spheres.fit_sphere(floats("points", points, 3))[1] - diameter)
 
 
 def probing_form_error(points: ArrayLike) -> float:
@@ -241,7 +232,7 @@ def probing_form_error(points: ArrayLike) -> float:
     >>> round(probing_form_error(points), 6)
     0.1
     """
-    return float(np.ptp(_spheres.fit_sphere(check_points(points, n_coordinates=3))[2]))
+    return float(np.ptp(_spheres.fit_sphere(floats("points", points, 3))[2]))
 
 
 def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = None) -> float:
@@ -250,7 +241,7 @@ def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = Non
     Parameters
     ----------
     points : array-like of shape (n_points, 3)
-        Without groups, the centres themselves, mm: the means of a seat, or centres of spheres.
+        Without groups, the centres themselves, mm: the means of a cone, or centres of spheres.
         With groups, points probed on one sphere.
     groups : array-like of shape (n_points,), default=None
         Label of the articulation of each point: a least-squares sphere is fitted to each group,
@@ -276,7 +267,7 @@ def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = Non
     >>> round(articulated_location_error([[0, 0, 0], [0.03, 0, 0], [0.01, 0.01, 0]]), 6)
     0.03
     """
-    centers = check_points(points, n_coordinates=3)
+    centers = floats("points", points, 3)
     if groups is not None:
         labels, position = check_groups(groups, len(centers))
         points, centers = centers, np.empty((len(labels), 3))
@@ -291,14 +282,13 @@ def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = Non
 
 
 def _check_lengths(name, lengths) -> np.ndarray:
-    lengths = np.atleast_1d(floats(name, lengths))
+    lengths = np.atleast_1d(floats(name, lengths, finite=True))
     if lengths.ndim != 1 or not len(lengths):
         raise ValueError(f"{name} has shape {lengths.shape}; one value per length is needed.")
-    bad = ~(np.isfinite(lengths) & (lengths > 0))
+    bad = lengths <= 0
     if bad.any():
         raise ValueError(
             f"{name} holds {bad.sum()} of {len(bad)} values that are not positive lengths "
             f"(the first: {lengths[bad][0]})."
         )
-    refuse_huge(name, lengths)
     return lengths

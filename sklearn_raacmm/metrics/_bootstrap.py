@@ -3,14 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from numbers import Real
+from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.metrics._repeatability import single_point_repeatability
-from sklearn_raacmm.utils import check_option, check_points, check_whole_number, encode_groups, show
+from sklearn_raacmm.utils import check_option, encode_groups, floats
 
 _ROWS_AT_ONCE = 250_000  # about 20 MB with their labels
 
@@ -68,10 +68,10 @@ def repeatability_interval(
     True
     """
     check_option("aggregate", aggregate, ("mean", "max", None))
-    check_whole_number("n_resamples", n_resamples, 2)
+    check_scalar(n_resamples, "n_resamples", Integral, min_val=2)
     if not (isinstance(probability, Real) and 0 < probability < 1):
-        raise ValueError(f"probability must be between 0 and 1, got {show(probability)}.")
-    points = check_points(points)
+        raise ValueError(f"probability must be between 0 and 1, got {probability!r:.60}.")
+    points = floats("points", points, -1)
     options = {"statistic": statistic, "aggregate": None}
     single_point_repeatability(points, groups, **options)  # refuses what cannot be judged
     codes = np.zeros(len(points), dtype=int) if groups is None else encode_groups(groups)[1]

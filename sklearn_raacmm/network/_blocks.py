@@ -13,7 +13,7 @@ from sklearn.utils import check_array
 
 from sklearn_raacmm.network._least_squares import stack_triangles, triangle_of_all
 from sklearn_raacmm.network._rows import block_rows, merge
-from sklearn_raacmm.utils import chunks, one_blas_thread, refuse_huge
+from sklearn_raacmm.utils import chunks, floats, one_blas_thread
 
 # Rows looked at together.
 CHUNK_ROWS = 2**16
@@ -79,7 +79,7 @@ def _of_chunk(X, Y, weights, start, function, combine, width):
         input_name="sample_weight",
     )
     for name, array in (("X", X), ("y", Y), ("sample_weight", weights)):
-        refuse_huge(name, array)
+        floats(name, array, finite=True)
     return ArrayChunks(X, Y, weights, start).reduce(function, combine, width)
 
 

@@ -14,7 +14,7 @@ References
 from functools import partial
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack, solve_triangular
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm.network._candidates import Features, candidates_of
@@ -31,7 +31,7 @@ from sklearn_raacmm.network._linear import without_constants
 from sklearn_raacmm.network._posterior import Network, covariance_factor
 from sklearn_raacmm.network._rows import prepare
 from sklearn_raacmm.network._selection import forward_selection
-from sklearn_raacmm.utils import invert_triangle, stage, warn_user
+from sklearn_raacmm.utils import stage, warn_user
 
 # Rows drawn as candidate centres where there are more, which is also how many may all be centres:
 # their kernel matrix fits in memory, 800 MB, and takes 10 s of one thread.
@@ -130,7 +130,7 @@ def share_of_parameters(problem, alpha, structure, n, enough=0.0):
     while True:
         rows = np.sort(order[:size])
         factor = covariance_factor(Z[rows], structure.kernel, weights[rows], alpha)
-        invert_triangle(factor)
+        factor = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
         share = 1 - alpha * np.square(factor).sum() / size
         if share <= enough or size == n:
             return share

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
 from sklearn_raacmm.network._kernels import KERNELS, squared_distances
-from sklearn_raacmm.utils import invert_triangle
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
@@ -161,7 +160,7 @@ def solve_and_invert(C, y):
         raise LinAlgError("kernel matrix is not positive definite to working precision")
     log_det = 2 * np.log(factor.diagonal()).sum()
     solved = lapack.dpotrs(factor, y, lower=1)[0]
-    invert_triangle(factor)
+    factor = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
     half = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # the lower triangle of the inverse
     half[np.diag_indices(len(C))] *= 0.5
     return solved, log_det, half

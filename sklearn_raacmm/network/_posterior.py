@@ -16,7 +16,7 @@ from sklearn_raacmm.network._kernels import (
 )
 from sklearn_raacmm.network._least_squares import penalise, triangular_factor
 from sklearn_raacmm.network._linear import ridge_rows, without_constants
-from sklearn_raacmm.utils import check_shapes, chunks, invert_triangle, one_blas_thread
+from sklearn_raacmm.utils import check_shapes, chunks, one_blas_thread
 
 # Kernel values held at a time while predicting: they stay in a core's cache. For the standard
 # deviation of thousands of centres a hundred points at once are 1.7 times as fast as 26.
@@ -159,7 +159,7 @@ class Network:
         factor = covariance_factor(
             self._scaled_centers[1], self.kernel, self.weights, alpha, self.codes, self.ratio
         )
-        invert_triangle(factor)
+        factor[:] = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
         # The matrix that whitens rows times their root is symmetric.
         A = factor * root.T if self.codes is None else (root * self.weigh(factor.T / root)).T
         along = A @ self.tail(self.centers)

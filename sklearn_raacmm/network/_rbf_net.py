@@ -5,7 +5,9 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from sklearn.base import MultiOutputMixin, RegressorMixin
+from sklearn.utils import check_random_state, check_scalar
+from sklearn.utils._param_validation import Interval, StrOptions
 
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
@@ -18,17 +20,10 @@ from sklearn_raacmm.network._read import (
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
-    Interval,
-    MultiOutputMixin,
-    RegressorMixin,
-    StrOptions,
     VersionedEstimator,
     check_features,
-    check_fitted,
     check_flags,
     check_shapes,
-    check_whole_number,
-    fit_context,
     one_blas_thread,
     whole_fit,
 )
@@ -52,15 +47,15 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     Parameters
     ----------
     n_centers : int, float or "auto", default="auto"
-        Number of centres, or below 1 the share of the variance that they may leave [1]_. "auto"
-        takes as many as make the network about as good as the process.
+        Number of centres of each output, or of all together with `shared`; or below 1 the share of
+        the variance that they may leave [1]_. "auto" takes as many as make the network about as
+        good as the process; more than 300 only where these are worth 2 % of the noise.
 
     kernel : str or array-like of shape (n_outputs,), default="auto"
         Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
         :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
-        :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "rational_quadratic",
-        :math:`1 / (1 + r^2/2)`; "inverse_multiquadric", :math:`1 / \sqrt{1 + r^2}`. "auto" takes
-        the most probable of the first three, with a given `length_scale` "gaussian".
+        :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "auto" takes the
+        most probable, with a given `length_scale` "gaussian".
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width, in the units of X: a number, one for each feature, or a row of these for each output;
@@ -80,8 +75,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Most centres found. None: 2000, or all of up to 10 000 rows.
 
     shared : bool, default=False
-        Whether outputs share kernel, widths and centres, by the trace of the error reduction: the
-        published form. By default each has the network that it would have alone.
+        Whether outputs share kernel, widths and centres, chosen by the trace of the error
+        reduction: the published form, in which outputs of large numbers count most. By default each
+        has the network that it would have alone, and three outputs have three times the centres.
 
     loss : {"auto", "squared", "tukey"}, default="auto"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
@@ -100,7 +96,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Centres, in the order of selection, of one network after another.
 
     center_indices_ : ndarray of shape (n_centers,)
-        Their rows in X.
+        Their rows in X. Of candidates equal to 1e-9 of what they explain the first, in the order of
+        their features, is taken; of those nearly as equal the choice may hang on the processor.
 
     coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
         Weights; 0 at the centres of other outputs.
@@ -213,9 +210,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.loss = loss
         self.random_state = random_state
 
-    @fit_context(prefer_skip_nested_validation=True)
     @one_blas_thread
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=True)
     def fit(
         self,
         X: Any,
@@ -415,7 +411,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         (2, 3)
         """
         X = self._checked_rows(X)
-        n_samples = check_whole_number("n_samples", n_samples, 1)
+        n_samples = check_scalar(n_samples, "n_samples", Integral, min_val=1)
         rng = check_random_state(random_state)
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
@@ -455,7 +451,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return of_mean, self._shaped([part for _, part in parts], axis=1)
 
     def _checked_rows(self, X) -> np.ndarray:
-        check_fitted(self, "networks_")
         return check_features(self, X, dtype=np.float64, reset=False)
 
     def _shaped(self, parts, axis=-1):

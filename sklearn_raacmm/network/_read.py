@@ -6,14 +6,12 @@ from sklearn_raacmm.network._blocks import ArrayChunks, dask_chunks, draw_rows, 
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.utils import (
-    CENTRED,
     LARGEST,
+    are_deviations,
     check_data,
     check_weights,
     encode_groups,
     floats,
-    share_of_means,
-    show,
 )
 
 # Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.
@@ -63,7 +61,7 @@ def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
         return in_blocks(ArrayChunks(X, Y, weights), X.shape[1])
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if labelled is None and codes is not None:
-        labelled = share_of_means(Y, codes, weights) < CENTRED
+        labelled = are_deviations(Y, codes, weights)
     return merge(X, Y, weights, codes=codes if labelled else None), None
 
 
@@ -102,7 +100,7 @@ def check_kernel(kernel, length_scale, n_outputs):
     if names.shape != (n_outputs,) or not all(name in KERNELS for name in names.tolist()):
         raise ValueError(
             f"kernel must be a name, or one of {', '.join(KERNELS)} for each of the {n_outputs} "
-            f"outputs; got {show(kernel)}."
+            f"outputs; got {kernel!r:.60}."
         )
     if np.ndim(length_scale) != 2:
         raise ValueError(
@@ -125,7 +123,7 @@ def check_length_scale(length_scale, X, n_outputs, alpha, shared):
         raise ValueError("length_scale has a row for each output, which shared=True rules out.")
     if not np.all(width >= 1 / LARGEST):
         raise ValueError(
-            f"length_scale must be positive, at least {1 / LARGEST:g}; got {show(length_scale)}."
+            f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r:.60}."
         )
     width = width if width.ndim == 2 else np.broadcast_to(width, d).copy()
     ranges = np.ptp(X, axis=0)
@@ -155,5 +153,5 @@ def of_each_output(name, given, n_outputs):
             f"the {n_outputs} outputs."
         )
     if not np.all((values >= 0) & np.isfinite(values)):
-        raise ValueError(f"{name} must be finite and not negative; got {show(given)}.")
+        raise ValueError(f"{name} must be finite and not negative; got {given!r:.60}.")
     return np.broadcast_to(values, n_outputs).copy()

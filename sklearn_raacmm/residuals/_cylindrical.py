@@ -8,18 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
+from sklearn.utils import _safe_indexing, check_array
 
-from sklearn_raacmm.utils import (
-    centred,
-    check_array,
-    check_weights,
-    encode_groups,
-    floats,
-    refuse_disguised,
-    refuse_huge,
-    safe_indexing,
-    slip_factors,
-)
+from sklearn_raacmm.utils import centred, check_weights, encode_groups, floats, slip_factors
 
 # A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
 NORM_TOLERANCE = 1e-5
@@ -35,7 +26,7 @@ def position_residuals(
     points : array-like of shape (n_points, 3)
         Probe points in mm, as the arm's forward kinematics gives them.
     groups : array-like of shape (n_points,)
-        Label of the position (the seat) each point belongs to: numbers or text.
+        Label of the position each point belongs to: numbers or text.
     sample_weight : array-like of shape (n_points,), default=None
         Weight of each point in the mean of its position; equal if None.
 
@@ -62,7 +53,7 @@ def position_residuals(
     array([[-0.1,  0. ,  0. ],
            [ 0.1,  0. ,  0. ]])
     """
-    points = _check_vectors("points", points)
+    points = floats("points", points, 3)
     labels, codes = encode_groups(groups, len(points))
     weight = check_weights(sample_weight, points)
     # Denormal weights have few digits left, their products with points fewer.
@@ -110,7 +101,7 @@ def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     >>> cartesian_to_cylindrical([[0.0, 0.1, 0.02]], np.pi / 2).round(6)
     array([[0.1 , 0.  , 0.02]])
     """
-    vectors = _check_vectors("vectors", vectors)
+    vectors = floats("vectors", vectors, 3)
     return to_cylindrical(vectors, _direction(azimuth, len(vectors)))
 
 
@@ -144,28 +135,18 @@ def cylindrical_to_cartesian(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     >>> cylindrical_to_cartesian([[0.1, 0.0, 0.02]], np.pi / 2).round(6)
     array([[0.  , 0.1 , 0.02]])
     """
-    vectors = _check_vectors("vectors", vectors)
+    vectors = floats("vectors", vectors, 3)
     return to_cartesian(vectors, _direction(azimuth, len(vectors)))
 
 
 def _direction(azimuth, n):
     """Cosine and sine of one azimuth for all vectors, or of one for each."""
-    azimuth = floats("azimuth", azimuth)
+    azimuth = floats("azimuth", azimuth, finite=True)
     if azimuth.shape not in ((), (n,)):
         raise ValueError(
             f"azimuth must be one angle or one for each of {n} vectors, got shape {azimuth.shape}."
         )
-    refuse_huge("azimuth", azimuth)
     return np.cos(azimuth), np.sin(azimuth)
-
-
-def _check_vectors(name, vectors) -> np.ndarray:
-    refuse_disguised(name, vectors)
-    vectors = check_array(vectors, dtype=np.float64, input_name=name)
-    refuse_huge(name, vectors)
-    if vectors.shape[1] != 3:
-        raise ValueError(f"{name} must have 3 columns, got {vectors.shape[1]}.")
-    return vectors
 
 
 def direction_of(x, y):
@@ -212,7 +193,7 @@ def without_direction(X):
     if type(X) is np.ndarray and X.dtype == np.float64:  # of which only the norm remains to check
         features, tail = X[:, :-2], X[:, -2:]
     else:
-        features, tail = (safe_indexing(X, s, axis=1) for s in (slice(None, -2), slice(-2, None)))
+        features, tail = (_safe_indexing(X, s, axis=1) for s in (slice(None, -2), slice(-2, None)))
         tail = check_array(tail, dtype=[np.float64, np.float32], input_name="X")
     norm = np.hypot(*tail.T)
     wrong = np.flatnonzero(~(np.abs(norm - 1) <= NORM_TOLERANCE))

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.metrics import r2_score
 
-from sklearn_raacmm.residuals._positions import are_deviations
-from sklearn_raacmm.utils import centred, check_points, check_weights, encode_groups
+from sklearn_raacmm.utils import are_deviations, centred, check_weights, encode_groups, floats
 
 # Reference points that are the same to so many digits of a mm are those of one position.
 _DIGITS = 3
@@ -64,7 +63,7 @@ class PointCorrectionMixin:
         points = self._points_of(X) if points is None else points
         if points is None:
             raise ValueError("points must be given where azimuth is not the method of an arm.")
-        points = check_points(points, 3)
+        points = floats("points", points, 3)
         predicted = self.predict(X, **predict_params)
         mean = predicted[0] if isinstance(predicted, tuple) else predicted
         if points.shape != mean.shape:
@@ -110,7 +109,7 @@ class PointCorrectionMixin:
         """
         points = self._points_of(X) if groups is None else None
         if points is not None:
-            groups = positions_of(points, check_points(y, 3))
+            groups = positions_of(points, floats("y", y, 3))
         if groups is not None:
             return within_positions_score(y, self.predict(X), groups, sample_weight)
         if self._knows_deviations_only():
@@ -159,7 +158,7 @@ def within_positions_score(
     >>> within_positions_score(y, [0.6, 0.4, 0.2, -0.2], ["A", "A", "B", "B"])
     1.0
     """
-    y, prediction = check_points(y), check_points(prediction)
+    y, prediction = floats("y", y, -1), floats("prediction", prediction, -1)
     if y.shape != prediction.shape:
         raise ValueError(f"y has shape {y.shape}, but the prediction {prediction.shape}.")
     codes = encode_groups(groups, len(y))[1]

@@ -7,6 +7,9 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.base import TransformerMixin
+from sklearn.utils._param_validation import StrOptions
+from sklearn.utils.validation import _check_feature_names_in, check_is_fitted
 
 from sklearn_raacmm.arm import (
     MIN_LENGTH_MM,
@@ -17,16 +20,7 @@ from sklearn_raacmm.arm import (
     dh_theta,
     probe_points,
 )
-from sklearn_raacmm.utils import (
-    StrOptions,
-    TransformerMixin,
-    VersionedEstimator,
-    check_feature_names_in,
-    check_features,
-    check_fitted,
-    fit_context,
-    whole_fit,
-)
+from sklearn_raacmm.utils import VersionedEstimator, check_features, whole_fit
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _TURN = 2 * np.pi
@@ -110,8 +104,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         self.joints = joints
         self.append_azimuth = append_azimuth
 
-    @fit_context(prefer_skip_nested_validation=True)
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=True)
     def fit(self, X: ArrayLike, y: ArrayLike | None = None) -> Self:
         """Check the number of joints, and find where each joint's turn starts.
 
@@ -159,7 +152,6 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             If the wrist lies on the shoulder, which leaves `theta_dis` undefined, or, with
             `append_azimuth`, the probe on the base axis, which leaves its azimuth undefined.
         """
-        check_fitted(self, "arm_")
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
         angles = check_angles(X, self.arm_.n_joints, self.angle_unit)
         turns = np.floor((angles - self.turn_start_) / _TURN)
@@ -190,8 +182,8 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             `theta3`, `theta4`, `theta_dis` by the numbers of the arm's joints, or these with
             `_cos` and `_sin` for the periodic encoding.
         """
-        check_fitted(self, "arm_")
-        check_feature_names_in(self, input_features)
+        check_is_fitted(self)
+        _check_feature_names_in(self, input_features)
         return np.asarray(self._names(), dtype=object)
 
     def _names(self):

@@ -12,7 +12,7 @@ from sklearn.model_selection._search import BaseSearchCV
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.utils import CENTRED, group_means, share_of_means
+from sklearn_raacmm.utils import group_means
 
 # Predictions that are linear in the targets, once settings are given.
 _LINEAR = (LinearRegression, Ridge, KernelRidge, GaussianProcessRegressor)
@@ -22,11 +22,6 @@ _SINGULAR = 1e-9
 # which they are settled. With six turns trees and perceptrons leave the same to 1 % in the mean
 # of twelve simulated sets (`benchmarks/bench_chain.py --turns`).
 MOST_TURNS, _SETTLED = 3, 0.01
-
-
-def are_deviations(y, codes, weights):
-    """Whether targets are known up to a constant at each position: their means there are small."""
-    return bool(share_of_means(y.reshape(len(y), -1), codes, weights) < CENTRED)
 
 
 def last_step_of(regressor):

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.base import clone
+from sklearn.base import RegressorMixin, clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
-from sklearn.utils import check_consistent_length, get_tags
+from sklearn.utils import _safe_indexing, check_array, check_consistent_length, get_tags
+from sklearn.utils._param_validation import HasMethods, StrOptions
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
-from sklearn.utils.validation import validate_data
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
@@ -29,7 +30,6 @@ from sklearn_raacmm.residuals._cylindrical import (
 )
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
 from sklearn_raacmm.residuals._positions import (
-    are_deviations,
     before_last,
     constants_of,
     last_step_of,
@@ -37,23 +37,14 @@ from sklearn_raacmm.residuals._positions import (
     takes_groups,
 )
 from sklearn_raacmm.utils import (
-    HasMethods,
-    RegressorMixin,
-    StrOptions,
     VersionedEstimator,
-    check_array,
-    check_feature_names,
-    check_fitted,
-    check_n_features,
+    are_deviations,
     check_weights,
     encode_groups,
-    fit_context,
     floats,
     is_plain,
     one_warning,
     refuse_disguised,
-    refuse_huge,
-    safe_indexing,
     say_findings,
     whole_fit,
 )
@@ -138,8 +129,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         self.regressor = regressor
         self.azimuth = azimuth
 
-    @fit_context(prefer_skip_nested_validation=False)
-    @whole_fit
+    @whole_fit(prefer_skip_nested_validation=False)
     def fit(
         self,
         X: ArrayLike,
@@ -181,11 +171,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             If a motion of the arm's base explains nearly all of `y`.
         """
         X = _with_shape(X)
-        refuse_disguised("y", y)
         validate_data(self, X, y, skip_check_array=True)
-        y = check_array(y, ensure_2d=False, dtype="numeric", input_name="y", estimator=self)
-        y = floats("y", y) if y.dtype.kind == "O" else y  # a list of numbers and text
-        refuse_huge("y", y)
+        y = floats("y", y, finite=True)
         check_consistent_length(X, y)
         groups = fit_params.pop("regressor__groups", groups)
         codes = None if groups is None else encode_groups(groups, len(y))[1]
@@ -274,7 +261,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             are rotated as those of independent radial, tangential and axial components, which is
             how scikit-learn's Gaussian process predicts them.
         """
-        check_fitted(self, "regressor_")
+        if "regressor_" not in vars(self):
+            check_is_fitted(self)  # which takes as long as the prediction of one row
         if predict_params.get("return_cov"):
             raise ValueError(
                 "return_cov=True is not supported: a covariance between rows would have to be "
@@ -284,9 +272,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             X = _with_shape(X)
             if np.ndim(X) == 1:
                 check_array(X, estimator=self)  # for its sentence on how to reshape
-            # As validate_data, which would also check the array and collect the tags of all steps.
-            check_feature_names(self, X, reset=False)
-            check_n_features(self, X, reset=False)
+            validate_data(self, X, reset=False, skip_check_array=True)
         features, direction = self._split(X)
         regressor = self.regressor_
         if get_config()["enable_metadata_routing"]:
@@ -304,7 +290,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm; None where there is no arm."""
-        check_fitted(self, "regressor_")
+        check_is_fitted(self)
         arm = self._arm()
         return None if arm is None or not self._rotates else arm.forward(X)
 
@@ -389,7 +375,7 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
         for name, value in fit_params.items()
     }
     X, groups, codes = (
-        v if v is None else safe_indexing(v, dwells.first) for v in (X, groups, codes)
+        v if v is None else _safe_indexing(v, dwells.first) for v in (X, groups, codes)
     )
     return X, dwells.mean(y), groups, codes, merged
 

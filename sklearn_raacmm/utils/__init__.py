@@ -1,31 +1,24 @@
-"""Shared by all wings: groups, input checks, files, and what scikit-learn keeps private."""
+"""Shared by all subpackages: groups, checks of input, files, and decorators of fits."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-# ruff: noqa: F401  (handed on to the other wings)
+# ruff: noqa: F401  (used by the other subpackages)
 
 from sklearn_raacmm.utils._checks import (
     LARGEST,
     check_data,
     check_features,
-    check_fitted,
     check_flags,
     check_option,
-    check_points,
     check_weights,
-    check_whole_number,
     floats,
     is_plain,
     listed,
     refuse_disguised,
-    refuse_huge,
-    refuse_masked,
-    show,
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import (
-    check_path,
     check_places,
     digest_of,
     whole_file,
@@ -37,45 +30,35 @@ from sklearn_raacmm.utils._findings import (
     FindingWarning,
     hear,
     heard_findings,
+    numbered_rows,
     one_warning,
+    row_numbers,
     say_findings,
     unheard,
     with_findings,
 )
 from sklearn_raacmm.utils._groups import (
-    CENTRED,
+    are_deviations,
     centred,
     check_groups,
     deviations_by_group,
     encode_groups,
     group_means,
     group_sums,
-    group_weights,
     natural_order,
     share_of_means,
-    slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
-from sklearn_raacmm.utils._matrices import align, invert_triangle, nearest_rotation
-from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
-from sklearn_raacmm.utils._shapes import check_shapes
-from sklearn_raacmm.utils._sklearn import (
-    HasMethods,
-    Interval,
-    MultiOutputMixin,
-    RegressorMixin,
-    StrOptions,
-    TransformerMixin,
-    check_array,
-    check_feature_names,
-    check_feature_names_in,
-    check_n_features,
-    fit_context,
-    one_blas_thread,
-    safe_indexing,
-    validate_parameter_constraints,
-    validate_params,
+from sklearn_raacmm.utils._matrices import align, nearest_rotation
+from sklearn_raacmm.utils._robust import (
+    TUKEY_CUT,
+    many_without_weight,
+    robust_scale,
+    slip_factors,
+    tukey_weights,
 )
+from sklearn_raacmm.utils._shapes import check_shapes
+from sklearn_raacmm.utils._sklearn import one_blas_thread
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
 from sklearn_raacmm.utils._whole_fit import stage, whole_fit

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.utils.validation import check_is_fitted, validate_data
-
-from sklearn_raacmm.utils._sklearn import check_array, check_sample_weight
+from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 # Smaller numbers can be squared, summed and squared again without overflow.
 LARGEST = 1e50
@@ -23,19 +21,17 @@ LARGEST = 1e50
 _MAY_BE_ARRAYS = (Sequence, Real, NoneType, dict)
 
 
-def show(value: object, limit: int = 60) -> str:
-    """Representation of a value in one line, short enough for a sentence."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= limit else text[:limit] + "..."
-
-
 def refuse_disguised(name: str, value: Any) -> None:
     """Refuse masked values, dates, mappings, and arrays that are to stay another library's.
 
     NumPy would use the values under a mask and convert dates to numbers of days; scikit-learn would
     take the keys of a mapping for data.
     """
-    refuse_masked(name, value)
+    if np.ma.is_masked(value):
+        raise ValueError(
+            f"{name} has {np.ma.count_masked(value)} of {value.size} values masked: leave their "
+            "rows out, or fill them."
+        )
     own = getattr(value, "__array_namespace__", None)
     if (
         own is not None
@@ -52,32 +48,18 @@ def refuse_disguised(name: str, value: Any) -> None:
             "such as data and target."
         )
     if isinstance(value, str | bytes):
-        raise ValueError(f"{name} must hold numbers, got {show(value)}.")
+        raise ValueError(f"{name} must hold numbers, got {value!r:.60}.")
     if not (hasattr(value, "__array__") or isinstance(value, _MAY_BE_ARRAYS) or issparse(value)):
-        raise TypeError(f"{name} must be an array, got {show(value)}.")
+        raise TypeError(f"{name} must be an array, got {value!r:.60}.")
     if isinstance(value, Integral) and abs(int(value)) > LARGEST:  # too long for a float, perhaps
-        raise ValueError(f"{name} holds a number above {LARGEST:g}, got {show(value)}.")
-    if _kinds(value) & {"m", "M"}:
+        raise ValueError(f"{name} holds a number above {LARGEST:g}, got {value!r:.60}.")
+    dtypes = getattr(value, "dtypes", getattr(value, "dtype", None))  # of a frame, or of an array
+    kinds = {getattr(t, "kind", "") for t in (dtypes if np.iterable(dtypes) else [dtypes])}
+    if kinds & {"m", "M"}:
         raise ValueError(f"{name} must hold numbers, got dates or times.")
 
 
-def refuse_masked(name: str, value: Any) -> None:
-    """Refuse an array with masked values."""
-    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
-        raise ValueError(
-            f"{name} has {np.ma.count_masked(value)} of {value.size} values masked: leave their "
-            "rows out, or fill them."
-        )
-
-
-def _kinds(value):
-    if isinstance(value, np.ndarray):
-        return {value.dtype.kind}
-    dtypes = getattr(value, "dtypes", ())  # of a frame
-    return {getattr(t, "kind", "") for t in (dtypes if np.iterable(dtypes) else [dtypes])}
-
-
-def refuse_huge(name: str, array: np.ndarray) -> None:
+def _refuse_huge(name, array):
     """Refuse numbers whose squares overflow, and what is not a number at all."""
     largest = _largest(array)
     if largest <= LARGEST:  # false for NaN
@@ -93,9 +75,30 @@ def _largest(array):
     return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
 
 
-def floats(name: str, value: Any) -> np.ndarray:
-    """Numbers as float64."""
+def floats(
+    name: str, value: Any, columns: int | None = None, *, finite: bool = False
+) -> np.ndarray:
+    """Numbers as float64.
+
+    With `columns` they are finite and have one row at least and so many columns. -1 is any number
+    of columns, and makes one column of one dimension. `finite` refuses NaN, infinity, and numbers
+    whose squares overflow.
+    """
     refuse_disguised(name, value)
+    array = _converted(name, value)
+    if columns == -1 and array.ndim == 1:
+        array = array[:, None]
+    if columns is not None and not (array.ndim == 2 and columns in (-1, array.shape[1])):
+        needed = "(n_rows, n_columns)" if columns == -1 else f"(n_rows, {columns})"
+        raise ValueError(f"{name} has shape {array.shape}; {needed} is needed.")
+    if columns is not None and not array.size:
+        raise ValueError(f"{name} is empty, of shape {array.shape}.")
+    if finite or columns is not None:
+        _refuse_huge(name, array)
+    return array
+
+
+def _converted(name, value):
     try:
         array = np.asarray(value)
         # Text and booleans would be converted silently, and complex numbers would lose a part.
@@ -106,26 +109,24 @@ def floats(name: str, value: Any) -> np.ndarray:
         ):
             return array.astype(np.float64)
     except (TypeError, ValueError, OverflowError):  # the last of whole numbers above 1e308
-        pass
-    raise ValueError(f"{name} must hold numbers, got {show(value)}.")
-
-
-def check_fitted(estimator: Any, attribute: str) -> None:
-    """scikit-learn's `check_is_fitted`, asked only where the fitted attribute is missing.
-
-    It collects the tags of all steps first, which takes longer than the prediction of one row.
-    """
-    if attribute not in vars(estimator):
-        check_is_fitted(estimator)
+        array = None
+    if array is not None and array.dtype.kind == "c":
+        raise ValueError(f"{name} holds complex numbers. Complex data not supported.")
+    raise ValueError(f"{name} must hold numbers, got {value!r:.60}.")
 
 
 def check_features(estimator: Any, X: Any, **options: Any) -> np.ndarray:
-    """scikit-learn's check of X, and ours."""
-    if options.get("reset") is False and is_plain(estimator, X) and _largest(X) <= LARGEST:
-        return X
+    """scikit-learn's check of X, and ours; with ``reset=False`` of a fitted estimator."""
+    if options.get("reset") is False:
+        # scikit-learn's `check_is_fitted` collects the tags of all steps first, which takes longer
+        # than the prediction of one row.
+        if "n_features_in_" not in vars(estimator):
+            check_is_fitted(estimator)
+        if is_plain(estimator, X) and _largest(X) <= LARGEST:
+            return X
     refuse_disguised("X", X)
     X = validate_data(estimator, X, **options)
-    refuse_huge("X", X)
+    _refuse_huge("X", X)
     return X
 
 
@@ -153,8 +154,8 @@ def check_data(estimator: Any, X: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
     X, y = validate_data(estimator, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
     y = y.astype(np.float64, copy=False)
     # Of y, too: scikit-learn looks for NaN before it turns None into it.
-    refuse_huge("X", X)
-    refuse_huge("y", y)
+    _refuse_huge("X", X)
+    _refuse_huge("y", y)
     return X, y
 
 
@@ -163,8 +164,8 @@ def check_weights(
 ) -> np.ndarray:
     """Weights (n,) as float64, not negative and not all zero."""
     refuse_disguised(name, sample_weight)
-    weights = check_sample_weight(sample_weight, X, dtype=np.float64)
-    refuse_huge(name, weights)
+    weights = _check_sample_weight(sample_weight, X, dtype=np.float64)
+    _refuse_huge(name, weights)
     if np.any(weights < 0):
         raise ValueError(
             f"{name} must not be negative, but {np.sum(weights < 0)} of {weights.size} are (the "
@@ -178,7 +179,7 @@ def check_weights(
 def check_option(name: str, value: object, options: Iterable[str | None]) -> None:
     """Refuse what is not one of the options."""
     if not (value is None or isinstance(value, str)) or value not in options:
-        raise ValueError(f"{name}={show(value)} is not one of {', '.join(map(repr, options))}.")
+        raise ValueError(f"{name}={value!r:.60} is not one of {', '.join(map(repr, options))}.")
 
 
 def check_flags(**flags: object) -> None:
@@ -187,7 +188,7 @@ def check_flags(**flags: object) -> None:
         if value is True or value is False:
             continue
         if not isinstance(value, np.bool_ | Integral) or value not in (0, 1):
-            raise TypeError(f"{name} must be True or False, got {show(value)}.")
+            raise TypeError(f"{name} must be True or False, got {value!r:.60}.")
 
 
 def listed(name: str, value: Any) -> list[Any]:
@@ -195,25 +196,4 @@ def listed(name: str, value: Any) -> list[Any]:
     try:
         return [value] if isinstance(value, str) else list(value)
     except TypeError:
-        raise ValueError(f"{name} must be a list, got {show(value)}.") from None
-
-
-def check_whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
-    """Refuse what is not a whole number from `low` to `high`, without an upper bound if None."""
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not whole or int(value) < low or (high is not None and int(value) > high):
-        bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name} must be a whole number {bounds}, got {show(value)}.")
-    return int(value)
-
-
-def check_points(points: Any, n_coordinates: int | None = None) -> np.ndarray:
-    """Points as float64 of shape (n_points, n_coordinates); one dimension becomes one column."""
-    refuse_disguised("points", points)
-    points = check_array(points, dtype=np.float64, ensure_2d=False, input_name="points")
-    if points.ndim == 1:
-        points = points[:, None]
-    refuse_huge("points", points)
-    if n_coordinates not in (None, points.shape[1]):
-        raise ValueError(f"points has shape {points.shape}; (n_points, {n_coordinates}) is needed.")
-    return points
+        raise ValueError(f"{name} must be a list, got {value!r:.60}.") from None

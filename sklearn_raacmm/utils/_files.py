@@ -12,15 +12,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sklearn_raacmm.utils._checks import show
-
-
-def check_path(name: str, value: object) -> Path:
-    """Refuse what is no path of a file or folder, and give it as a `Path`."""
-    if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"{name} must be the path of a file or folder, got {show(value)}.")
-    return Path(value)
-
 
 def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
     """Refuse files that could not be written, or that are read: before the work, not after it.
@@ -30,7 +21,7 @@ def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
     inputs = [path for path in map(Path, inputs) if path.exists()]
     seen = set()
     for path in outputs:
-        place = check_path("path", path)
+        place = Path(path)
         if place.exists() and any(place.samefile(source) for source in inputs):
             raise ValueError(f"{path} is read and would be written over: choose another name.")
         if place.resolve() in seen:
@@ -73,7 +64,7 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     of the others, `whole_file` finds each of them at every moment after the first is in place.
     Text is written as UTF-8 with plain line feeds, so that it is the same bytes everywhere.
     """
-    places = [check_path("path", path).resolve() for path in contents]  # a link stays a link
+    places = [Path(path).resolve() for path in contents]  # a link stays a link
     for place in places:
         if not place.parent.is_dir():
             raise FileNotFoundError(f"No such folder: {place.parent}.")

@@ -1,4 +1,4 @@
-"""Findings: what is said about the data, once, in every place that shows it."""
+"""Findings about the data: made once, and the same in every place that shows them."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -15,8 +15,10 @@ from sklearn_raacmm.utils._warn_user import warn_user
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Where findings are collected instead of being said; None outside of `heard_findings`.
-_HEARD: ContextVar[Any] = ContextVar("heard findings", default=None)
+# Where findings are collected instead of warned of; None outside of `heard_findings`.
+_COLLECTED: ContextVar[Any] = ContextVar("collected findings", default=None)
+# Numbers of the rows in the user's file; None: rows are counted from 0.
+_ROW_NUMBERS: ContextVar[Any] = ContextVar("numbers of the rows", default=None)
 # Rows that a finding lists.
 _LISTED = 100
 
@@ -40,7 +42,8 @@ class Finding:
     positions : tuple
         Labels of the positions that it is about; empty if it is about all.
     rows : tuple of int
-        Rows, counted from 0; the first hundred.
+        Rows, counted from 0, or in the command `raacmm` the numbers of their lines in the file; the
+        first hundred.
     joints : tuple of int
         Joints, counted from 1.
     size_mm : float or None
@@ -73,8 +76,27 @@ class Finding:
         return {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
 
 
+@contextmanager
+def numbered_rows(numbers: Any) -> Iterator[None]:
+    """Let findings that are made within name their rows by these numbers (n,).
+
+    Those of the lines of a file, by which whoever reads the findings knows the rows.
+    """
+    token = _ROW_NUMBERS.set(numbers)
+    try:
+        yield
+    finally:
+        _ROW_NUMBERS.reset(token)
+
+
+def row_numbers(rows: Iterable[Any]) -> tuple[int, ...]:
+    """Numbers by which findings name some rows: counted from 0, or as `numbered_rows` says."""
+    numbers = _ROW_NUMBERS.get()
+    return tuple(int(row if numbers is None else numbers[row]) for row in rows)
+
+
 class FindingWarning(UserWarning):
-    """A warning that says a finding; ``warning.finding`` is the value."""
+    """The warning of a finding; ``warning.finding`` is the value."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding)
@@ -91,55 +113,55 @@ class FindingError(ValueError):
 
 def say_findings(findings: Iterable[Finding]) -> None:
     """Refuse, collect or warn of findings; of a note nobody is warned."""
-    heard = _HEARD.get()
+    collected = _COLLECTED.get()
     for finding in findings:
         if finding.weight == "refuse":
             raise FindingError(finding)
-        if heard is not None:
-            if finding not in heard:
-                heard.append(finding)
+        if collected is not None:
+            if finding not in collected:
+                collected.append(finding)
         elif finding.weight != "note":
             warn_user(FindingWarning(finding))
 
 
 class heard_findings:  # noqa: N801  (a context manager, as those of the standard library)
-    """Collect the findings that are said within, instead of warning.
+    """Collect the findings that are made within, instead of warning.
 
-    ``with heard_findings() as heard`` gives a list, with each finding once; notes, too. It is no
-    generator: one that is interrupted and closed later would end the collection of others.
+    ``with heard_findings() as found`` gives a list, with each finding once; notes, too. It
+    is no generator: one that is interrupted and closed later would end the collection of others.
     """
 
     def __enter__(self) -> list[Finding]:
-        heard: list[Finding] = []
-        self._token = _HEARD.set(heard)
-        return heard
+        found: list[Finding] = []
+        self._token = _COLLECTED.set(found)
+        return found
 
     def __exit__(self, *error: Any) -> None:
-        _HEARD.reset(self._token)
+        _COLLECTED.reset(self._token)
 
 
 def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, list[Finding]]:
-    """Call a function: its result, and what was found within, each said once at the end.
+    """Call a function: its result, and what was found within, each warned of once at the end.
 
-    In a context of its own: whatever interrupts the function, what follows is said again.
+    In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
 
     def inside():
-        heard: list[Finding] = []
+        found: list[Finding] = []
         try:
-            with heard_findings() as heard:
+            with heard_findings() as found:
                 result = function(*args, **kwargs)
         except ValueError:
-            say_findings(heard)  # it may be why
+            say_findings(found)  # one of them may be the reason
             raise
-        say_findings(heard)
-        return result, heard
+        say_findings(found)
+        return result, found
 
     return copy_context().run(inside)
 
 
 def one_warning(function: Function) -> Function:
-    """Make a function that says each finding once, however many of its parts look at the data."""
+    """Make a function that warns of each finding once, however many of its parts make it."""
 
     @wraps(function)
     def wrapper(*args, **kwargs):
@@ -149,19 +171,19 @@ def one_warning(function: Function) -> Function:
 
 
 def with_findings(function: Function) -> Function:
-    """Make a function that puts the findings said within into its result, a dataclass."""
+    """Make a function that puts the findings made within into its result, a dataclass."""
 
     @wraps(function)
     def wrapper(*args, **kwargs):
-        result, heard = hear(function, *args, **kwargs)
-        return replace(result, findings=tuple(heard))
+        result, found = hear(function, *args, **kwargs)
+        return replace(result, findings=tuple(found))
 
     return cast(Function, wrapper)
 
 
 @contextmanager
 def unheard() -> Iterator[None]:
-    """Say nothing of what is found within: it has been said of all rows, or will be."""
+    """Leave out findings and warnings of parts of the data: those of all rows are shown."""
     with heard_findings(), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield

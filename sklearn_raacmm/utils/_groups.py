@@ -11,21 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
-from sklearn_raacmm.utils._checks import check_points, refuse_masked
-from sklearn_raacmm.utils._robust import robust_scale, tukey_weights
+from sklearn_raacmm.utils._checks import floats
+from sklearn_raacmm.utils._robust import slip_factors
 
 # How a missing label that is no text prints: NaN, None, and those of pandas.
 _MISSING = ("nan", "None", "NaT", "<NA>")
 # Mean residuals of positions, as a share of what the scatter within positions explains, below which
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
-CENTRED = 0.5
+_CENTRED = 0.5
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
-# Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
-_LEAST_OF_SLIPS, _ROUNDS = 4, 5
-# Standard deviations of a slip, in units of those from which on a fit gives rows no weight.
-_SLIP = 2.0
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -40,7 +36,8 @@ def encode_groups(
     """
     if groups is None:
         raise ValueError(f"{name} must give the position of each point, got None.")
-    refuse_masked(name, groups)
+    if np.ma.is_masked(groups):
+        raise ValueError(f"{name} has {np.ma.count_masked(groups)} masked labels.")
     groups = _labels(groups, name)
     if n_samples is not None and len(groups) != n_samples:
         raise ValueError(f"{name} names {len(groups)} samples, but there are {n_samples}.")
@@ -60,7 +57,7 @@ def encode_groups(
 
 
 def _labels(groups, name):
-    """Labels as an array of one dimension, in which what is missing can be told from text."""
+    """Labels as an array of one dimension, in which what is missing differs from text."""
     try:
         array = np.asarray(groups)
         if array.dtype.kind == "U" and not isinstance(groups, np.ndarray):
@@ -118,20 +115,13 @@ def group_sums(
     return (sum_up @ values.reshape(n, -1)).reshape(n_groups, *values.shape[1:])
 
 
-def group_weights(
-    codes: np.ndarray, weights: np.ndarray | None = None, n_groups: int | None = None
-) -> np.ndarray:
-    """Sum of the weights of each group, (n_groups,); the number of rows without weights."""
-    return np.bincount(codes, weights=weights, minlength=n_groups or 0)
-
-
 def group_means(
     values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
 ) -> np.ndarray:
     """Weighted mean of the rows of each group, (n_groups, ...); see `group_sums`."""
     # The sums are those of differences from the first row, so that a large mean costs no digits.
     origin = values[0]
-    total = np.maximum(group_weights(codes, weights), _TINY)
+    total = np.maximum(np.bincount(codes, weights), _TINY)
     total = total.reshape(-1, *[1] * (values.ndim - 1))
     return group_sums(values - origin, codes, weights) / total + origin
 
@@ -141,34 +131,6 @@ def centred(
 ) -> np.ndarray:
     """Rows less the weighted mean of their group; as they are where `codes` is None."""
     return values if codes is None else values - group_means(values, codes, weights)[codes]
-
-
-def slip_factors(
-    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
-) -> np.ndarray:
-    """Factors (n,) of the rows' weights in the means of their groups: slips take no part.
-
-    Groups in which no row is farther than 11 standard deviations from the others, by the median of
-    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
-    of an arm have longer tails than normal ones: poses in which it bends most are no slips. Rows of
-    weight 0 have a factor of 1.
-    """
-    factor = np.ones(len(values))
-    used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
-    rows = [used[codes[used] == code] for code in range(int(codes.max(initial=-1)) + 1)]
-    rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
-    if not rows:
-        return factor
-    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
-    usual = robust_scale(np.concatenate(far), values.shape[1])
-    for of, away in zip(rows, far, strict=True):
-        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
-        centre = np.median(values[of], axis=0)
-        for _ in range(_ROUNDS):
-            left = values[of] - centre
-            factor[of] = tukey_weights(left, least_scale=scale)
-            centre = np.average(values[of], axis=0, weights=factor[of])
-    return factor
 
 
 def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:
@@ -183,10 +145,15 @@ def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> flo
     return min(shares)
 
 
+def are_deviations(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> bool:
+    """Whether residuals (n, ...) are known up to a constant at each position: small means there."""
+    return share_of_means(y.reshape(len(y), -1), codes, weights) < _CENTRED
+
+
 def _share_of_means(y, codes, weights):
     # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
     weights = weights / min(weights[weights > 0].mean(), 1.0)
-    total = group_weights(codes, weights)
+    total = np.bincount(codes, weights)
     used = total > 0
     left = centred(y, codes, weights)
     n_free = total.sum() - used.sum()
@@ -209,9 +176,9 @@ def deviations_by_group(
     points: ArrayLike, groups: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Deviation of each point from its position's mean, its position, counts and labels."""
-    points = check_points(points)
+    points = floats("points", points, -1)
     labels, codes = check_groups(groups, len(points))
-    counts = group_weights(codes)
+    counts = np.bincount(codes)
     if counts.min() < 2:
         raise ValueError(
             f"{(counts < 2).sum()} of {len(counts)} positions hold a single point (the first: "

@@ -1,10 +1,9 @@
-"""Small matrices: rigid motions from one set of points to another, and inverse triangles."""
+"""Small matrices: rigid motions from one set of points to another."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from scipy.linalg import lapack
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -21,8 +20,3 @@ def align(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
     centre, target_centre = points.mean(axis=0), target.mean(axis=0)
     rotation = nearest_rotation((target - target_centre).T @ (points - centre))
     return rotation, target_centre - rotation @ centre
-
-
-def invert_triangle(L: np.ndarray) -> None:
-    """Invert a lower triangular matrix (n, n) in Fortran order, in place."""
-    L[:] = lapack.dtrtri(L, lower=1, overwrite_c=1)[0]

@@ -1,4 +1,4 @@
-"""What the estimators take from scikit-learn's private modules, in one place and with types."""
+"""What several modules take from scikit-learn with types of their own."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,9 +6,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-import numpy as np
-from sklearn import base, utils
-from sklearn.utils import _param_validation, validation
+from sklearn import base
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -23,41 +21,8 @@ if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
         def __sklearn_tags__(self) -> Any: ...
         def get_metadata_routing(self) -> Any: ...
 
-    class RegressorMixin:
-        def score(self, X: Any, y: Any, *args: Any, **kwargs: Any) -> float: ...
-
-    class TransformerMixin:
-        def fit_transform(self, X: Any, y: Any = None, **fit_params: Any) -> np.ndarray: ...
-        def set_output(self, *, transform: str | None = None) -> Self: ...
-
-    class MultiOutputMixin: ...
-
 else:
-    BaseEstimator, MultiOutputMixin = base.BaseEstimator, base.MultiOutputMixin
-    RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
-
-safe_indexing: Callable[..., Any] = utils._safe_indexing
-check_array: Callable[..., np.ndarray] = utils.check_array
-check_feature_names: Callable[..., None] = validation._check_feature_names
-check_feature_names_in: Callable[..., np.ndarray] = validation._check_feature_names_in
-check_n_features: Callable[..., None] = validation._check_n_features
-check_sample_weight: Callable[..., np.ndarray] = validation._check_sample_weight
-HasMethods: Any = _param_validation.HasMethods
-Interval: Any = _param_validation.Interval
-StrOptions: Any = _param_validation.StrOptions
-validate_parameter_constraints: Callable[..., None] = (
-    _param_validation.validate_parameter_constraints
-)
-
-
-def fit_context(**options: bool) -> Callable[[Function], Function]:
-    """Check the parameters before a method runs."""
-    return base._fit_context(**options)
-
-
-def validate_params(constraints: dict[str, Any], **options: bool) -> Callable[[Function], Function]:
-    """Check the parameters of a function before it runs."""
-    return _param_validation.validate_params(constraints, **options)
+    BaseEstimator = base.BaseEstimator
 
 
 def one_blas_thread(function: Function) -> Function:

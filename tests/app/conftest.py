@@ -1,4 +1,4 @@
-"""A measuring arm of another make, in plain NumPy: it shares nothing with the package.
+"""A measuring arm of another make, in NumPy and SciPy: it shares nothing with the package.
 
 Seven joints (2-2-3). Its encoders are eccentric, its upper arm sags, and its lengths are not those
 of the drawing. Poses at a cone are found by Gauss-Newton from random starts.
@@ -8,19 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 DRAWING = {"shoulder": 300.0, "upper": 420.0, "fore": 380.0, "probe": 120.0}
-
-
-def rotation(axis, angle):
-    """Rotation matrices (n, 3, 3) about x, y or z."""
-    c, s, o, e = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
-    rows = {
-        "x": [[e, o, o], [o, c, -s], [o, s, c]],
-        "y": [[c, o, s], [o, e, o], [-s, o, c]],
-        "z": [[c, -s, o], [s, c, o], [o, o, e]],
-    }[axis]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 class OtherMake:
@@ -47,7 +37,7 @@ class OtherMake:
             ("y", q[:, 3], self.lengths["fore"]), ("x", q[:, 4], 0.0),
             ("y", q[:, 5], self.lengths["probe"]), ("x", q[:, 6], 0.0),
         ):  # fmt: skip
-            turn = turn @ rotation(axis, angle)
+            turn = turn @ Rotation.from_euler(axis, angle[:, None]).as_matrix()
             place = place + along * turn[:, :, 0]
         place[:, 2] += self.lengths["shoulder"]
         return place

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm
-from sklearn_raacmm.app import TableError, main, read_table
+from sklearn_raacmm.app import TableError, read_table
 
 RAD = np.array(
     [
@@ -314,28 +314,13 @@ def test_the_order_of_strange_names_is_not_guessed(tmp_path):
     np.testing.assert_array_equal(read_table(tmp_path / "log.csv", 6, **options).angles, RAD)
 
 
-def test_commanded_angles_alone_are_taken_and_labels_may_begin_with_a_mark(tmp_path):
-    rows = [["#" + label, *row] for label, row in zip(LABELS, DEG, strict=True)]
-    (tmp_path / "log.csv").write_text(
-        joined([["cone", *(f"target_q_{i}" for i in range(6))], *rows])
-    )
-    table = read_table(tmp_path / "log.csv", 6)
-    assert table.positions.tolist() == ["#A", "#A", "#B", "#B"]
-    assert "Joint angles: target_q_0 to target_q_5." in table.notes
-
-
-def test_other_columns_are_handed_on(tmp_path):
-    header = ["cone", *(f"q{i}" for i in range(1, 7)), "T [°C]", "tool"]
-    rows = [[lab, *row, 20.5, "ball"] for lab, row in zip(LABELS, DEG, strict=True)]
+def test_commanded_angles_alone_are_taken_and_other_columns_are_handed_on(tmp_path):
+    """Labels may begin with the mark of a comment."""
+    header = ["cone", *(f"target_q_{i}" for i in range(6)), "T [°C]", "tool"]
+    rows = [["#" + lab, *row, 20.5, "ball"] for lab, row in zip(LABELS, DEG, strict=True)]
     (tmp_path / "log.csv").write_text(joined([header, *rows]))
     table = read_table(tmp_path / "log.csv", 6, position="cone", others=["t", "tool"])
+    assert table.positions.tolist() == ["#A", "#A", "#B", "#B"]
+    assert "Joint angles: target_q_0 to target_q_5." in table.notes
     assert table.others["t"].tolist() == [20.5] * 4
     assert table.others["tool"].tolist() == ["ball"] * 4
-
-
-@pytest.mark.parametrize("counts", ["0", "1,2", "x"])
-def test_wrong_counts_per_turn(tmp_path, capsys, counts):
-    (tmp_path / "log.csv").write_text(labelled([f"q{i}" for i in range(6)])["text"])
-    arguments = ["learn", str(tmp_path / "log.csv"), "--arm", "ur10", "--out", str(tmp_path / "o")]
-    assert main([*arguments, "--counts-per-turn", counts]) == 2
-    assert "needs a positive number" in (said := capsys.readouterr().err) or "is not a num" in said

@@ -90,18 +90,19 @@ def test_parameter_jacobian_against_central_differences(name):
         assert_allclose(jac[:, :, i], slope / 2e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["single-point", "tracker"])
+@pytest.mark.parametrize("kind", ["single-point", "tracker", "tools and stations"])
 def test_fit_jacobian_against_differences(kind):
     arm = disturbed(NOMINAL["panda"])
     rng = np.random.default_rng(0)
     angles = rng.uniform(-1, 1, (12, 7))
-    if kind == "tracker":
-        problem = Problem(None, rng.normal(0, 500, (12, 3)), [])
-    else:
+    if kind == "single-point":
         problem = Problem(rng.permutation(np.repeat([0, 1, 2], 4)), None, [(0, 2, 300.0, 2.0)])
-    x = pack(NOMINAL["panda"])
-    sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [7, 7, 7, 7, 3])
-    fit = Fit(arm, angles, problem, x, sd, "squared")
+    else:
+        labels = np.arange(12) % 2 if kind == "tools and stations" else None
+        stations = None if labels is None else labels[::-1].copy()
+        problem = Problem(None, rng.normal(0, 500, (12, 3)), [], None, labels, stations)
+    fit = Fit(arm, angles, problem, "squared")
+    fit.prior_sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [7, 7, 7, 7, 3 * problem.n_tools])
     fit.sigma, fit.weights = 3.0, rng.uniform(0.5, 1, 12)
     x = fit.x + 1e-3 * rng.normal(size=len(fit.x))
     mask = np.ones(len(x), bool)
@@ -392,7 +393,10 @@ def test_ur10(ur10):
         ({"groups": [0, 0, 1]}, "groups names 3 samples, but there are 6"),
         ({"groups": np.arange(6)}, "each of the 6 groups has one point"),
         ({"groups": None, "points": np.zeros((6, 2))}, r"\(6, 3\), got \(6, 2\)"),
-        ({"groups": None, "points": np.full((6, 3), np.nan)}, "NaN or infinity, first in row 0"),
+        (
+            {"groups": None, "points": np.full((6, 3), np.nan)},
+            "holds 18 values that are missing, NaN or infinity",
+        ),
         ({"groups": None, "points": np.zeros((6, 3)), "lengths": [(0, 1, 2, 3)]}, "no use for"),
         ({"lengths": [(0, 7, 50.0, 0.1)]}, "name the group 7, which has no samples"),
         ({"lengths": [(0, 1, 50.0)]}, "must be .label, label, length, standard deviation."),

@@ -1,4 +1,4 @@
-"""Several set-ups, several tools, a correction, and orientations in one fit."""
+"""Several set-ups, several tools, and a correction in one fit."""
 
 import numpy as np
 import pytest
@@ -152,78 +152,3 @@ def test_the_ur10_of_another_day(ur10, ur10_b):
         left[name] = np.linalg.norm(residuals, axis=1).mean()
     assert left["through"] < 0.32
     assert left["beside"] > 2 * left["through"]
-
-
-def rigid(n, seed=0, noise_mm=0.05, noise_rad=2e-4):
-    """Positions and orientations of a target on the last link."""
-    rng = np.random.default_rng(seed)
-    arm = ARM.replace(
-        alpha=ARM.alpha + rng.normal(0, 5e-4, 6),
-        theta_offset=ARM.theta_offset + rng.normal(0, 5e-4, 6),
-    )
-    angles = rng.uniform(-2.5, 2.5, (n, 6))
-    base = Rotation.random(random_state=seed)
-    target = Rotation.random(random_state=seed + 1)
-    flange = Rotation.from_matrix(arm.frames(angles)[:, -1, :3, :3])
-    turns = Rotation.from_rotvec(rng.normal(0, noise_rad, (n, 3))) * base * flange * target
-    points = base.apply(arm.forward(angles)) + np.array([10, 20, 30])
-    points += rng.normal(0, noise_mm, (n, 3))
-    return arm, angles, points, turns, target
-
-
-def test_orientations_help_and_find_the_target():
-    arm, angles, points, turns, target = rigid(40)
-    both = calibrate(ARM, angles, points=points, orientations=turns)
-    alone = calibrate(ARM, angles, points=points)
-    assert both.sigma_rad == pytest.approx(2e-4, rel=0.25)
-    assert both.sigma_mm == pytest.approx(0.05, rel=0.25)
-    off = Rotation.from_matrix(both.target_rotation).inv() * target
-    assert off.magnitude() < 2e-3
-    # New orientations, in the frame of the points: base, arm and target together.
-    new = np.random.default_rng(9).uniform(-2.5, 2.5, (200, 6))
-    base = Rotation.random(random_state=0)
-    true = base * Rotation.from_matrix(arm.frames(new)[:, -1, :3, :3]) * target
-    found = Rotation.from_matrix(both.base_rotation)
-    found = found * Rotation.from_matrix(both.arm.frames(new)[:, -1, :3, :3])
-    found = found * Rotation.from_matrix(both.target_rotation)
-    assert (found * true.inv()).magnitude().mean() < 2e-4
-    i = both.names.index("alpha5")
-    assert both.standard_deviations[i] < 0.9 * alone.standard_deviations[i]
-    matrices = calibrate(ARM, angles, points=points, orientations=turns.as_matrix())
-    assert_allclose(matrices.values, both.values)
-
-
-def test_fit_jacobian_with_orientations_against_differences():
-    from scipy.optimize import approx_fprime
-
-    from sklearn_raacmm.calibration._fit import Fit
-    from sklearn_raacmm.calibration._problem import Problem, pack
-
-    _, angles, points, turns, _ = rigid(12)
-    codes = np.arange(12) % 2
-    problem = Problem(
-        None, points, [], tools=codes, stations=codes[::-1].copy(), turns=turns.as_matrix()
-    )
-    nominal = np.r_[pack(ARM), ARM.probe]
-    fit = Fit(ARM, angles, problem, nominal, np.ones(30), "squared")
-    fit.sigma, fit.sigma_turn = 1.0, 1.0
-    x = fit.x + 1e-5 * np.random.default_rng(0).normal(size=len(fit.x))
-    mask = np.ones(len(x), bool)
-    _, jac = fit._residuals_and_jacobian(x, mask)
-    numeric = approx_fprime(x, lambda v: fit._residuals_and_jacobian(v, mask)[0], 1e-6)
-    size = np.abs(numeric).max(axis=0)
-    assert_allclose(jac / size, numeric / size, atol=5e-3)
-
-
-@pytest.mark.parametrize(
-    ("turns", "message"),
-    [
-        (np.zeros((40, 3)), r"shape \(40, 3, 3\), got \(40, 3\)"),
-        (np.zeros((40, 3, 3)), "40 matrices that are no rotations, first in row 0"),
-        (-np.tile(np.eye(3), (40, 1, 1)), "no rotations"),
-    ],
-)
-def test_orientations_must_be_rotations(turns, message):
-    _, angles, points, _, _ = rigid(40)
-    with pytest.raises(ValueError, match=message):
-        calibrate(ARM, angles, points=points, orientations=turns)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, SavedCorrection, calibrate, learn_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, calibrate, learn_correction
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 SMALL = ArmResidualRegressor(orders=3)
@@ -72,7 +72,7 @@ def test_time_is_refused_where_the_angles_tell_it(with_play):
 
 def test_unknown_causes_have_their_usual_value():
     usual = {"temperature": 21.0, "time": 9.0, "direction 2": 0.0}
-    saved = SavedCorrection(Arm.from_name("aacmm6"), None, None, {"causes": usual})
+    saved = Correction(Arm.from_name("aacmm6"), None, None, {"causes": usual})
     X = saved.inputs(np.zeros((2, 6)), {"time": [3.0, 4.0]})
     assert_allclose(X[:, 6:], [[21.0, 3.0, 0.0], [21.0, 4.0, 0.0]])
 

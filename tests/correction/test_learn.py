@@ -219,7 +219,7 @@ def test_several_probes_are_learnt_together(tmp_path):
     assert learned.scores.summary["after"][0] < 0.6 * learned.scores.summary["before"][0]
     assert set(learned.tools) == {"short", "long"}
     learned.save(tmp_path)
-    for saved in (learned.saved, learned.load(tmp_path)):
+    for saved in (learned, learned.load(tmp_path)):
         for tool, own in arms.items():
             rows, moved = tools == tool, saved.with_tool(tool)
             assert_allclose(moved.arm.probe, own.probe, atol=0.02)
@@ -227,7 +227,7 @@ def test_several_probes_are_learnt_together(tmp_path):
             bare = moved.arm.forward(theta[rows]) - own.forward(turned[rows])
             assert np.linalg.norm(left) < 0.5 * np.linalg.norm(bare)
     with pytest.raises(ValueError, match="knows no tool 'other'; it was learnt with long, short"):
-        learned.saved.with_tool("other")
+        learned.with_tool("other")
 
 
 def test_faults_of_tools_get_one_sentence():

@@ -260,7 +260,7 @@ def test_an_update_is_no_reason_to_fade(model, n):
     assert np.quantile(share, 0.05) > 0.9
 
 
-# -- extra columns and orientations ------------------------------------------------------------
+# -- extra columns ------------------------------------------------------------------------------
 
 
 def warm_rows(n, seed, per_kelvin=1.0, lag=0.0):
@@ -289,35 +289,3 @@ def test_extra_columns_are_brought_up_to_date(warm_model):
     assert max(tau, key=tau.get) == "direction"
     lags = {term["name"]: term["value"] for term in updated.terms_}
     assert lags["joint 2 lags"] == pytest.approx(16, abs=1.5)
-
-
-def turned_rows(n, seed, knock=0.0):
-    """Points, and how far the last link is turned by the same encoders."""
-    rng = np.random.default_rng(seed)
-    angles = rng.uniform(-2.5, 2.5, (n, 6))
-    turn = np.zeros_like(angles)
-    turn[:, 0], turn[:, 4] = 10 * np.sin(angles[:, 0]), (20 + knock) * np.cos(angles[:, 4])
-    axes = ARM.frames(angles)[:, :6, :3, 2]
-    y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
-    turns = np.einsum("nji,nj->ni", axes, turn * ARCSEC)
-    return angles, y + rng.normal(0, 0.01, y.shape), turns + rng.normal(0, 1e-5, y.shape)
-
-
-def test_orientations_are_brought_up_to_date_with_and_without_new_ones():
-    """Joint 5 hardly moves the probe, and turns it: with orientations its knock is seen well."""
-    angles, y, turns = turned_rows(400, 0)
-    model = ArmResidualRegressor(ARM, orders=4)
-    model.fit(angles, y, orientation_residuals=turns)
-    new, y_new, turns_new = turned_rows(60, 1, knock=30)
-    far, _, true = turned_rows(300, 2, knock=30)
-    by_points = update_correction(model, new, y_new)
-    by_both = update_correction(model, new, y_new, orientation_residuals=turns_new)
-    old, points, both = (
-        np.linalg.norm(true - m.predict_orientation(far), axis=1).mean()
-        for m in (model, by_points, by_both)
-    )
-    assert both < points < 0.6 * old
-    assert both < 2.5e-5  # of which the noise of the true turns is 1.6e-5
-    plain = ArmResidualRegressor(ARM, orders=4).fit(angles, y)
-    with pytest.raises(ValueError, match="the model was fitted without any"):
-        update_correction(plain, new, y_new, orientation_residuals=turns_new)

@@ -11,11 +11,9 @@ from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.correction._records import append_record
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.display import (
     ArmPosesDisplay,
-    ControlChartDisplay,
     HarmonicDisplay,
     LengthErrorDisplay,
     RepeatabilityDisplay,
@@ -202,21 +200,6 @@ def test_residuals_turn_with_the_arm(cone, model):
     assert low.shape == high.shape == (1,)  # 24 poses: one bin
     assert np.mean((low[0] < y) & (y < high[0])) == pytest.approx(0.9, abs=0.07)
     assert display.axes_[2, 2].get_xlabel() == "theta_dis (deg)"
-
-
-def test_residuals_alone_and_of_another_arm():
-    arm = Arm.from_name("ur10")
-    rng = np.random.default_rng(0)
-    display = ResidualDisplay.from_predictions(
-        rng.uniform(-1, 1, (20, 6)), rng.normal(size=(20, 3)), arm=arm
-    )
-    assert [ax.get_xlabel() for ax in display.axes_[2]] == [
-        "theta4 (deg)",
-        "theta3 (deg)",
-        "theta_dis (deg)",
-    ]
-    assert display.after is None
-    assert [len(ax.get_lines()) for ax in display.axes_.ravel()] == [1] * 9
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "panda", "ur10"])
@@ -414,30 +397,6 @@ def test_gear_ratios_are_named_where_orders_are_multiples():
     labels = [ax.get_ylabel() for ax in display.axes_[:, 0]]
     assert labels[0] == "joint 1\ngear 128?"
     assert labels[4] == "joint 5"
-
-
-def record(day, mean, suspect="nothing"):
-    limits = {"mean_low_mm": 0.015, "mean_high_mm": 0.03, "range_low_mm": 0.03}
-    own = {"date": f"2026-05-{day:02d}", "n_poses": 40, "mean_mm": mean, "range_mm": 2 * mean}
-    return own | limits | {"range_high_mm": 0.08, "p_value": 0.5, "suspect": suspect}
-
-
-def test_a_control_chart_draws_the_records_and_marks_alarms(tmp_path):
-    records = [record(1, 0.02), record(2, 0.06, "offset of joint 2"), record(3, 0.025)]
-    for one in records:
-        append_record(tmp_path / "checks.csv", one)
-    display = ControlChartDisplay.from_file(tmp_path / "checks.csv")
-    low, high, means, alarms = (line.get_ydata() for line in display.axes_[0, 0].get_lines())
-    assert_allclose(means, [0.02, 0.06, 0.025])
-    assert_allclose(low, 0.015)
-    assert_allclose(high, 0.03)
-    assert_allclose(alarms, [0.06])
-    assert display.alarms.tolist() == [1]
-    assert [text.get_text() for text in display.axes_[0, 0].texts] == ["offset of joint 2"]
-    assert_allclose(display.axes_[1, 0].get_lines()[2].get_ydata(), [0.04, 0.12, 0.05])
-    ControlChartDisplay(records=records[:1]).plot(display.axes_)
-    with pytest.raises(ValueError, match="There are no records"):
-        ControlChartDisplay(records=[])
 
 
 @pytest.mark.parametrize("value", ["axes", 3.5, np.ones(1), [None]])

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from sklearn.base import clone
-from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
@@ -15,7 +14,6 @@ from sklearn.preprocessing import FunctionTransformer
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    next_poses,
 )
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
@@ -188,8 +186,6 @@ def test_causes_are_learnt_from_several_probes():
     assert left[0] < 0.1 * np.linalg.norm(true) < 0.5 * left[1]
     with pytest.raises(ValueError, match=r"probes must have shape \(240, 3\), in mm, got \(240,\)"):
         model.fit(theta, y, probes=lengths)
-    with pytest.raises(ValueError, match="A second stage sees one probe only"):
-        model.set_params(regressor=LinearRegression()).fit(theta, y, probes=probes)
 
 
 # -- as an estimator ------------------------------------------------------------------------------
@@ -232,7 +228,6 @@ def test_through_pipelines_and_searches(lagging):
     assert_array_equal(again.predict(X), best.predict(X))
     # Whatever the direction, the lengths of standard deviations and of the fading are there.
     assert best.distance_std(X[:5], X[5:10]).shape == best.fading(X[:5]).shape == (5,)
-    assert len(next_poses(best, X, 2)[0]) == 2
 
 
 def test_what_is_refused(lagging):

@@ -3,7 +3,6 @@
 import ctypes
 import os
 import re
-import shutil
 import subprocess
 import warnings
 
@@ -24,18 +23,25 @@ from sklearn.preprocessing import (
 
 from sklearn_raacmm import (
     Arm,
-    ArmResidualRegressor,
     CylindricalResidualTarget,
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.export import describe, export_c, fingerprint, from_json, to_json
+from sklearn_raacmm.export import describe, export_c, fingerprint
 from sklearn_raacmm.network import KERNELS
 
-STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
-STRICT += ["-Wdouble-promotion", "-Wstrict-overflow=1", "-Wfloat-conversion"]
+from ._chains import (
+    COMPILERS,
+    STRICT,
+    angles_everywhere,
+    form_a,
+    form_b,
+    network,
+    no_azimuth,
+    of_arm,
+)
+
 C99 = ["-std=c99", "-O1", *STRICT]
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 AACMM = Arm.from_name("aacmm6")
 
 
@@ -95,33 +101,6 @@ def build(tmp_path):
 @pytest.fixture(scope="module")
 def small(data):
     return network(n_centers=3).fit(data.data, data.target)
-
-
-def angles_everywhere(n_joints, n=300):
-    """Training-like, wrapped and far angles."""
-    rng = np.random.default_rng(0)
-    turns = 2 * np.pi * rng.integers(-1, 2, (n, n_joints))
-    near = rng.uniform(-np.pi, np.pi, (n, n_joints))
-    edges = np.array([0.0, -np.pi, np.pi, np.pi / 2, 1e-9, -1e-300])
-    corners = rng.choice(edges, (n, n_joints))
-    return np.concatenate([near, near + turns, rng.uniform(-12, 12, (n, n_joints)), corners])
-
-
-def network(**params):
-    # Given widths: what is searched for in a fit is not the question here.
-    given = {"n_centers": 20, "length_scale": 1.5, "alpha": 0.03}
-    return RBFNetRegressor(**{**given, **params})
-
-
-def form_a(arm, scaler=None, net=None, **pose):
-    steps = [PoseFeatures(arm, **pose), scaler or StandardScaler(), net or network()]
-    return CylindricalResidualTarget(make_pipeline(*steps), azimuth=arm.azimuth)
-
-
-def form_b(arm, scaler=None, net=None, **pose):
-    inner = make_pipeline(scaler or StandardScaler(), net or network())
-    pose = PoseFeatures(arm, append_azimuth=True, **pose)
-    return make_pipeline(pose, CylindricalResidualTarget(inner))
 
 
 def rounding(net, features):
@@ -229,13 +208,13 @@ def test_single_precision_is_good_to_its_digits(build, data):
 
 
 @pytest.mark.parametrize("form", [form_a, form_b])
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("kernel", ["gaussian", "rational_quadratic"])
-def test_refuses_with_nan_what_predict_refuses(build, data, form, bad, kernel):
+@pytest.mark.parametrize("kernel", ["gaussian", "matern52"])
+def test_refuses_with_nan_what_predict_refuses(build, data, form, kernel):
     model = form(data.arm, net=network(kernel=kernel)).fit(data.data, data.target)
     call = build(model, std=True)
-    X = np.tile(data.data[:1], (6, 1))
-    X[np.arange(6), np.arange(6)] = bad  # joint 1, 5 and 6 are no part of the pose
+    X = np.tile(data.data[:1], (18, 1))
+    # Joints 1, 5 and 6 are no part of the pose.
+    X[np.arange(18), np.arange(18) % 6] = np.repeat([np.nan, np.inf, -np.inf], 6)
     with pytest.raises(ValueError, match=r"NaN|infinity"):
         model.predict(X)
     for name in ("correct", "point"):
@@ -243,31 +222,23 @@ def test_refuses_with_nan_what_predict_refuses(build, data, form, bad, kernel):
     assert np.isnan(call("correct_std", X, 3, n_results=2)).all()
 
 
-def test_on_the_axis_the_forms_differ_as_in_python(build):
-    # A two-joint arm that can reach its own base axis exactly.
-    arm = Arm(a=[300, 300], alpha=[0, 0], d=[100, 0], pose_joints=(1, 2), pose_frames=(0, 1))
+@pytest.mark.parametrize("what", ["base axis", "theta_dis is undefined"])
+def test_poses_where_the_model_is_not_defined(build, what):
+    """A probe on the axis of the base has no azimuth, a wrist at the shoulder no elevation."""
+    if what == "base axis":
+        arm = Arm(a=[300, 300], alpha=[0, 0], d=[100, 0], pose_joints=(1, 2), pose_frames=(0, 1))
+        form, pose = form_b, np.array([[0.0, np.pi]])
+    else:
+        arm = Arm(
+            a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[100, 0, 0],
+            pose_joints=(2, 3), pose_frames=(1, 3), probe=(0, 50, 0),
+        )  # fmt: skip
+        form, pose = form_a, np.array([[0.3, 0.2, np.pi]])
     rng = np.random.default_rng(0)
-    X, y = rng.uniform(-1, 1, (40, 2)), rng.normal(size=(40, 3))
-    on_axis = np.array([[0.0, np.pi]])
-    assert np.abs(arm.forward(on_axis)[0, :2]).max() < 1e-6
-    b = form_b(arm).fit(X, y)
-    with pytest.raises(ValueError, match="base axis"):
-        b.predict(on_axis)
-    assert np.isnan(build(b)("correct", on_axis, 3)).all()
-
-
-def test_wrist_on_shoulder_is_refused(build):
-    arm = Arm(
-        a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[100, 0, 0],
-        pose_joints=(2, 3), pose_frames=(1, 3), probe=(0, 50, 0),
-    )  # fmt: skip
-    rng = np.random.default_rng(0)
-    X, y = rng.uniform(-1, 1, (40, 3)), rng.normal(size=(40, 3))
-    model = form_a(arm).fit(X, y)
-    folded = np.array([[0.3, 0.2, np.pi]])
-    with pytest.raises(ValueError, match="theta_dis is undefined"):
-        model.predict(folded)
-    assert np.isnan(build(model)("correct", folded, 3)).all()
+    model = form(arm).fit(rng.uniform(-1, 1, (40, arm.n_joints)), rng.normal(size=(40, 3)))
+    with pytest.raises(ValueError, match=what):
+        model.predict(pose)
+    assert np.isnan(build(model)("correct", pose, 3)).all()
 
 
 def test_a_direction_that_is_given_is_checked(build):
@@ -287,7 +258,7 @@ def test_a_direction_that_is_given_is_checked(build):
 
 @pytest.mark.parametrize("compiler", COMPILERS or ["none"])
 def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
-    both = of_arm(data.arm, "kinematics", "wobble", orders=2, regressor=network(degree=-1))
+    both = of_arm(data.arm, "kinematics", "wobble", orders=2)
     X = angles_everywhere(6, 100)
     # C++ has its own rules on constants and names; the functions keep their C names.
     strict = ["-x", "c++", *STRICT]
@@ -433,27 +404,21 @@ def test_comments_hold_no_code(build, data, tmp_path):
         )
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["", "2d", "a b", "a;b", "a-b", "_a", "a__b", "é", "a\n", "x" * 41, "int", "class", "main", 3,
-     "a(void){}", 'a"', "a/*"],
-)  # fmt: skip
-def test_names_are_c_identifiers(small, tmp_path, name):
-    with pytest.raises(ValueError, match="name must"):
-        export_c(small, tmp_path / "arm.c", name=name)
-    assert not list(tmp_path.iterdir())
+NAMES = ["", "2d", "a b", "a;b", "a-b", "_a", "a__b", "é", "a\n", "x" * 41, "int", "class", "main"]
+NAMES += [3, "a(void){}", 'a"', "a/*"]
+PATHS = ["arm", "arm.cpp", "arm.h", 'a".c', "a\n.c", "a b.c", "é.c"]
 
 
-@pytest.mark.parametrize("path", ["arm", "arm.cpp", "arm.h", 'a".c', "a\n.c", "a b.c", "é.c"])
-def test_paths_name_a_c_file(small, tmp_path, path):
-    with pytest.raises(ValueError, match=r"path must name a file .* ends in \.c"):
-        export_c(small, tmp_path / path, name="arm")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_stem_that_is_no_name_asks_for_one(small, tmp_path):
+def test_names_are_c_identifiers_and_paths_name_a_c_file(small, tmp_path):
+    for name in NAMES:
+        with pytest.raises(ValueError, match="name must"):
+            export_c(small, tmp_path / "arm.c", name=name)
+    for path in PATHS:
+        with pytest.raises(ValueError, match=r"path must name a file .* ends in \.c"):
+            export_c(small, tmp_path / path, name="arm")
     with pytest.raises(ValueError, match=r"name must be a C identifier.*arm-7"):
         export_c(small, tmp_path / "arm-7.c")
+    assert not list(tmp_path.iterdir())
     source, _ = export_c(small, tmp_path / "arm-7.c", name="arm_7")
     assert '#include "arm-7.h"' in source.read_text()
 
@@ -484,7 +449,7 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     assert "posefeatures comes after another transformer" in refused(scaled)
     behind = CylindricalResidualTarget(network(), azimuth=arm.azimuth)
     assert "comes after a transformer" in refused(make_pipeline(StandardScaler(), behind))
-    free = form_a(arm).set_params(azimuth=_azimuth)
+    free = form_a(arm).set_params(azimuth=no_azimuth)
     assert "only the method of an Arm" in refused(free)
     mixed = form_a(arm).set_params(azimuth=AACMM.azimuth)
     assert "different arms" in refused(mixed)
@@ -494,10 +459,6 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     ridge = form_b(arm, net=Ridge()).fit(X, y)
     with pytest.raises(ValueError, match="ridge is a Ridge, which has no standard deviation"):
         export_c(ridge, tmp_path / "arm.c", std=True)
-
-
-def _azimuth(X):
-    return np.zeros(len(X))
 
 
 def test_bad_calls_are_refused(data, tmp_path):
@@ -510,7 +471,7 @@ def test_bad_calls_are_refused(data, tmp_path):
     fitted = network().fit(data.data, data.target)
     with pytest.raises(ValueError, match="dtype must be"):
         export_c(fitted, path, dtype="float64")
-    with pytest.raises(ValueError, match="std must be"):
+    with pytest.raises(TypeError, match="std must be"):
         export_c(fitted, path, std="yes")
     with pytest.raises(TypeError, match="names"):
         export_c(fitted, path, names="arm")
@@ -523,10 +484,6 @@ def test_bad_calls_are_refused(data, tmp_path):
 
 
 # -- the arm's own error model --------------------------------------------------------------------
-
-
-def of_arm(arm, *causes, **params):
-    return ArmResidualRegressor(arm, **{"orders": 5, "causes": list(causes), **params})
 
 
 @pytest.fixture(autouse=True)
@@ -567,33 +524,20 @@ def test_models_of_the_arm(build, name, families):
     agree(build(model, std=True), model, np.concatenate([X[:20], angles_everywhere(len(X[0]), 50)]))
 
 
-def second_stage(arm, joints):
-    return make_pipeline(PoseFeatures(arm, joints=joints), StandardScaler(), network(degree=-1))
-
-
 @pytest.mark.parametrize("fade", [0.0, 0.5, 2.0])
-@pytest.mark.parametrize("second", [None, "pose", "all", "angles"])
-def test_both_stages(build, data, second, fade):
-    regressor = network() if second == "angles" else second and second_stage(data.arm, second)
-    model = of_arm(data.arm, "kinematics", "wobble", orders=2, regressor=regressor, fade=fade)
+def test_fading(build, data, fade):
+    model = of_arm(data.arm, "kinematics", "wobble", orders=2, fade=fade)
     model.fit(data.data, data.target)
     X = np.concatenate([data.data, angles_everywhere(6, 100)])
     agree(build(model, std=True), model, X)
-    agree(build(model), model, X, with_std=False)
+    call = build(model)
+    agree(call, model, X, with_std=False)
     bad = np.tile(data.data[:1], (6, 1))
     bad[np.arange(6), np.arange(6)] = np.nan
-    assert np.isnan(build(model)("correct", bad, 3)).all()
-
-
-@pytest.mark.parametrize("second", [None, "pose"])
-def test_a_model_that_did_not_help_is_zero(build, data, second):
-    regressor = second and second_stage(data.arm, second)
-    model = of_arm(data.arm, "kinematics", orders=2, regressor=regressor).fit(
-        data.data, data.target
-    )
+    assert np.isnan(call("correct", bad, 3)).all()
     model.helps_ = False
     agree(build(model, std=True), model, data.data)
-    assert np.any(model.predict(data.data)) == (second is not None)
+    assert not np.any(model.predict(data.data))
 
 
 @pytest.mark.parametrize("std", [False, True])
@@ -633,5 +577,3 @@ def test_a_model_of_zero_terms(build, data):
     assert call.fingerprint == fingerprint(model)
     np.testing.assert_array_equal(call("correct_std", data.data, 3, n_results=2), 0)
     np.testing.assert_allclose(call("point", data.data, 3), data.arm.forward(data.data), atol=1e-11)
-    again = from_json(to_json(model))
-    np.testing.assert_array_equal(again.predict(data.data), 0)

@@ -27,7 +27,7 @@ def node_with_runtime():
 
 
 def test_the_script_of_the_page(tmp_path):
-    pytest.importorskip("skl2onnx", reason="needs the extra onnx")
+    pytest.importorskip("onnx", reason="needs the extra onnx")
     from sklearn_raacmm.export import to_onnx
 
     node = node_with_runtime()

@@ -1,36 +1,31 @@
 """Models that were updated, registered or take degrees: every way out of Python."""
 
 import pickle
-import shutil
 import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    PoseFeatures,
     RBFNetRegressor,
-    calibrate,
-    transfer_correction,
     update_correction,
 )
 from sklearn_raacmm.error_model import Terms, term_columns
 from sklearn_raacmm.export import (
     describe,
     export_c,
-    from_json,
     load_c,
-    to_json,
     to_onnx,
 )
+from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._program import run
+
+from ._chains import COMPILERS, STRICT
 
 ARM = Arm.from_name("aacmm6")
-STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
-STRICT += ["-Wdouble-promotion", "-Wfloat-conversion"]
 pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
 
 
@@ -43,11 +38,6 @@ def residuals(angles, arcsec):
 
 def linear(**params):
     return ArmResidualRegressor(ARM, orders=2, causes=["kinematics"], **params)
-
-
-def both(**params):
-    net = RBFNetRegressor(10, length_scale=1.5, alpha=0.05, degree=-1)
-    return linear(regressor=make_pipeline(PoseFeatures(ARM), net), **params)
 
 
 @pytest.fixture(scope="module")
@@ -66,12 +56,11 @@ def new():
 
 def ways_out(model, folder):
     """Each way of a model out of Python, as a function of rows."""
-    yield "JSON", from_json(to_json(model)).predict
-    if any(map(shutil.which, ("cc", "gcc", "clang"))):
+    yield "program", lambda X: run(program_of(model), X)["y"]
+    if COMPILERS:
         yield "C", load_c(model, cache_dir=folder / "cache").predict
     try:
         import onnxruntime
-        import skl2onnx  # noqa: F401
     except ImportError:
         return
     text = to_onnx(model).SerializeToString()
@@ -87,26 +76,15 @@ def agree(model, X, folder):
         np.testing.assert_allclose(correct(X), expected, rtol=0, atol=2e-12, err_msg=way)
 
 
-@pytest.mark.parametrize("make", [linear, both])
-def test_degrees(data, tmp_path, make):
+def test_degrees(data, tmp_path):
     X, y = data
     in_degrees = np.rad2deg(X)
-    model = make(angle_unit="deg").fit(in_degrees, y)
+    model = linear(angle_unit="deg").fit(in_degrees, y)
     agree(model, np.rad2deg(np.concatenate([X[:20], 3 * X[20:40]])), tmp_path)
     header = export_c(model, tmp_path / "arm.c")[1].read_text()
     assert '#define ARM_INPUT_UNIT "deg"' in header
     assert "Joint angles in degrees" in header
     assert describe(model)["input"] == "6 joint angles in deg"
-
-
-@pytest.mark.parametrize("make", [linear, both])
-def test_updated(data, new, tmp_path, make):
-    model = make().fit(*data)
-    updated = update_correction(model, *new, date="2026-01-02")
-    updated = update_correction(updated, *new, date="2026-02-03")
-    gap = np.abs(updated.predict(new[0]) - model.predict(new[0])).max()
-    assert gap > 0.01  # mm: it is another model
-    agree(updated, np.concatenate([new[0], 2 * new[0]]), tmp_path)
 
 
 EXTRA = ("temperature", "force x", "force z", "payload", "direction 2", "temperature 3")
@@ -132,11 +110,9 @@ def with_references(names, values):
     return tuple(zip(names, ((mean,) for mean in values.mean(axis=0)), strict=True))
 
 
-@pytest.mark.parametrize("guarded", [False, True])
-def test_extra_columns(with_extra, tmp_path, guarded):
+def test_extra_columns(with_extra, tmp_path):
     X, y = with_extra
-    model = linear(extra=EXTRA)
-    model = both(extra=EXTRA).fit(X, y) if guarded else model.fit(X, y)
+    model = linear(extra=EXTRA).fit(X, y)
     assert len(model.linear_model_.terms.extra) == 6
     rng = np.random.default_rng(3)
     new = np.column_stack([rng.uniform(-3, 3, (40, 6)), rng.permuted(X[:40, 6:], axis=0)])
@@ -164,10 +140,9 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
     assert "then temperature, force x, force z, payload, direction 2, temperature 3" in header
     assert "#define ARM_N_INPUTS 12\n" in header
     assert "6 joints, standard DH" in header
-    compiler = shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
+    if not COMPILERS:
         pytest.skip("neither gcc nor clang is on PATH")
-    command = [compiler, "-std=c99", *STRICT, "-o", "t", "arm_test.c", "arm.c", "-lm"]
+    command = [COMPILERS[0], "-std=c99", *STRICT, "-o", "t", "arm_test.c", "arm.c", "-lm"]
     assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
     assert subprocess.run(["./t"], cwd=tmp_path, check=False).returncode == 0
 
@@ -176,65 +151,25 @@ def test_extra_columns_updated(with_extra, tmp_path):
     X, y = with_extra
     model = linear(extra=EXTRA).fit(X[:150], y[:150])
     updated = update_correction(model, X[150:], 1.3 * y[150:], date="2026-01-02")
+    updated = update_correction(updated, X[150:], 1.3 * y[150:], date="2026-02-03")
     assert np.abs(updated.predict(X) - model.predict(X)).max() > 0.01
     agree(updated, X[:40], tmp_path)
     assert_same_files(updated, X[:40])
-    (entry,) = describe(updated, X, y)["updates"]
-    assert entry["n_poses"] == 50
-
-
-def test_orientations_updated(data, new, tmp_path):
-    rng = np.random.default_rng(5)
-    turns = [rng.normal(0, 1e-4, (len(part[0]), 3)) for part in (data, new)]
-    model = linear().fit(*data, orientation_residuals=turns[0])
-    updated = update_correction(model, *new, orientation_residuals=turns[1], date="2026-01-02")
-    agree(updated, new[0], tmp_path)
-    assert_same_files(updated, new[0])
-
-
-@pytest.mark.parametrize("measured", [False, True])
-def test_started_from_earlier_arms(data, new, tmp_path, measured):
-    """Without poses of its own, with some, and updated afterwards."""
-    earlier = [linear().fit(data[0], size * data[1]) for size in (1.0, 1.2)]
-    arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]))
-    model = transfer_correction(earlier, arm, *(new if measured else ()), date="2026-01-02")
-    agree(model, new[0], tmp_path)
-    assert_same_files(model, new[0])
-    updated = update_correction(model, *new, date="2026-02-03")
-    agree(updated, new[0], tmp_path)
-    history = describe(updated, *new)["updates"]
-    assert [entry["date"] for entry in history] == ["2026-01-02", "2026-02-03"][-1 - measured :]
-    if measured:
-        assert history[0]["n_arms"] == 2
-        assert np.isfinite(history[0]["gain_nats"])
+    assert [entry["n_poses"] for entry in describe(updated, X, y)["updates"]] == [50, 50]
 
 
 def assert_same_files(model, X):
-    """Pickle gives back the same numbers and the same history, JSON the same predictions."""
+    """Pickle gives back the same numbers and the same history, the program the same deviation."""
     again = pickle.loads(pickle.dumps(model))
     assert getattr(again, "updates_", ()) == getattr(model, "updates_", ())
-    for read in (again, from_json(to_json(model, std=True))):
-        mean, std = model.predict(X, return_std=True)
-        np.testing.assert_allclose(read.predict(X), mean, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(read.predict(X, return_std=True)[1], std, rtol=1e-9)
-
-
-def test_registered_through_the_model(data, new, tmp_path):
-    """The way of the page: calibrate(correction=), residuals, update, and every file."""
-    model = both().fit(*data)
-    rng = np.random.default_rng(7)
-    X = new[0]
-    points = ARM.replace(probe=(1.0, 2.0, 90.0)).forward(X) - residuals(X, 40)
-    points += np.array([1000.0, 0.0, 0.0]) + rng.normal(scale=0.01, size=points.shape)
-    found = calibrate(ARM, X, points=points, correction=model, free=["probe"])
-    updated = update_correction(model, X, found.residuals(X, points), date="2026-01-02")
-    agree(updated, X, tmp_path)
-    assert_same_files(updated, X)
+    mean, std = model.predict(X, return_std=True)
+    np.testing.assert_array_equal(again.predict(X, return_std=True), (mean, std))
+    np.testing.assert_allclose(run(program_of(model, std=True), X)["std"], std, rtol=1e-9)
 
 
 def test_a_registered_arm(data, tmp_path):
     """Another base and tool: the same model on the arm that the registration found."""
-    model = both().fit(*data)
+    model = linear().fit(*data)
     arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]), probe=(0.2, -0.1, 5.0))
     model.arm, model.linear_model_ = arm, replace(model.linear_model_, arm=arm)
     agree(model, data[0][:30], tmp_path)
@@ -260,19 +195,15 @@ def test_the_card_of_an_updated_model(data, new):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_tables_that_are_not_finite_are_refused(data, tmp_path, bad):
-    for make, damage in (
-        (linear, lambda model: model.linear_model_.coef),
-        (both, lambda model: model.regressor_.regressor_[-1].networks_[0].coef),
-    ):
-        model = make().fit(*data)
-        damage(model).flat[3] = bad
+    pytest.importorskip("onnx", reason="needs the extra onnx")
+    net = RBFNetRegressor(10, length_scale=1.5, alpha=0.05).fit(*data)
+    model = linear().fit(*data)
+    model.linear_model_.coef[3] = net.networks_[0].coef[3, 0] = bad
+    for one in (model, net):
         with pytest.raises(ValueError, match=r"holds NaN or infinity, .* not finite, among the"):
-            export_c(model, tmp_path / "arm.c")
-        with pytest.raises(ValueError, match=r"holds NaN or infinity"):
-            to_json(model, tmp_path / "arm.json")
-        pytest.importorskip("onnx", reason="needs the extra onnx")
+            export_c(one, tmp_path / "arm.c")
         with pytest.raises(ValueError, match="holds NaN or infinity"):
-            to_onnx(model, tmp_path / "arm.onnx")
+            to_onnx(one, tmp_path / "arm.onnx")
     assert not list(tmp_path.iterdir())
 
 

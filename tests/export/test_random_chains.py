@@ -1,12 +1,8 @@
 """Random chains of every kind: each way out of Python gives what predict gives."""
 
 import ctypes
-import json
-import runpy
-import shutil
 import subprocess
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,12 +17,13 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.export import export_c, from_json, to_json, to_onnx
+from sklearn_raacmm.export import export_c, to_onnx
+from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._program import run
 from sklearn_raacmm.network import KERNELS
 
-plain_python = runpy.run_path(str(Path(__file__).parents[2] / "doc" / "read_json.py"))["run"]
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
-STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
+from ._chains import COMPILERS, STRICT
+
 SANITIZE = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 MAIN = """
 #include "arm.h"
@@ -79,16 +76,15 @@ def random_model(rng):
     pose = {"joints": str(rng.choice(["pose", "all"]))}
     pose["encoding"] = str(rng.choice(["angle", "periodic"]))
     kind, std = rng.integers(6), last is network
-    if kind in (0, 1):
+    if kind <= 1:
         causes = [c for c in ("gravity", "kinematics", "wobble") if rng.random() < 0.6]
         extra = ["temperature", "force y", "direction 2"] if rng.random() < 0.5 else []
         if extra:
             X = np.column_stack([X, rng.normal(size=(n, 2)), rng.choice([-1.0, 1.0], n)])
-        second = make_pipeline(PoseFeatures(arm, **pose), scaler, last) if kind else None
         fade = [0.0, 0.7, "auto"][rng.integers(3)]
         model = ArmResidualRegressor(
             arm, orders=int(rng.integers(0 if causes else 1, 4)), causes=causes, extra=extra,
-            fade=fade, regressor=second, angle_unit=unit,
+            fade=fade, angle_unit=unit,
         )  # fmt: skip
         std = True
     elif kind == 2:
@@ -142,11 +138,8 @@ def ways_out(folder, model, X, std):
     """Name, mean and deviation or None of every way out of Python."""
     for compiler in COMPILERS:
         yield compiler, *in_c(folder, compiler, model, X, std)
-    text = to_json(model, std=std)
-    read = from_json(text)
-    yield "JSON", *(read.predict(X, return_std=True) if std else (read.predict(X), None))
-    rows = [plain_python(json.loads(text), row) for row in X.tolist()]
-    yield "plain Python", *(np.array([row.get(key, [0]) for row in rows]) for key in ("y", "std"))
+    found = run(program_of(model, std), X)
+    yield "program", found["y"], found.get("std")
     try:
         import onnxruntime
     except ImportError:
@@ -174,7 +167,7 @@ def test_every_way_gives_what_predict_gives(tmp_path, seed):
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("seed", [4, 6])  # of an arm: with two stages and with one
+@pytest.mark.parametrize("seed", [4, 6])  # of an arm
 def test_sanitizers(tmp_path, compiler, seed):
     model, X, std = random_model(np.random.default_rng(seed))
     source, _ = export_c(model, tmp_path / "arm.c", std=True)

@@ -15,6 +15,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import _moved_seats, find_steps, moved_positions
 from sklearn_raacmm.measurements._moved_seats import MOVED
+from sklearn_raacmm.utils import numbered_rows
 
 NOISE = 0.01
 # In the order of the rows; what is left of the poses is random.
@@ -120,15 +121,16 @@ def test_exact_residuals():
 def test_variance_of_a_difference_of_means_against_its_covariance():
     """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
     angles, left = poses_and_noise()
-    poses = _moved_seats._Poses.of(left, angles, CODES)
-    spread = _moved_seats._Spread(np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1]))
+    poses = _moved_seats._sorted_poses(left, angles, CODES)
+    spread = np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1])
     place = poses.place[:8]
     apart = np.sqrt(np.square(place[:, None] - place).sum(axis=2))
     gamma = np.where(apart < 1.5, 0.3, np.where(apart < 2.5, 0.5, 1.1))
     np.fill_diagonal(gamma, 0.0)
     w = np.r_[np.full(3, -1 / 3), np.full(5, 1 / 5)]
     expected = max(w @ (2.0 - gamma) @ w, 0.3 * (1 / 3 + 1 / 5))
-    assert_allclose(spread.of_difference(place, 3), expected, rtol=1e-12)
+    found = _moved_seats._variance_of_difference(place, 3, spread)
+    assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_spread_of_a_process():
@@ -137,11 +139,11 @@ def test_spread_of_a_process():
     codes = np.repeat(np.arange(100), 20)
     angles = rng.uniform(-1, 1, (2000, 6))
     left = rng.normal(0, NOISE, (2000, 3)) + 0.1 * angles[:, :3]
-    poses = _moved_seats._Poses.of(left, angles, codes)
-    spread = _moved_seats._Spread.of(poses, 0.0)
-    assert np.all(np.diff(spread.half) >= 0)
+    poses = _moved_seats._sorted_poses(left, angles, codes)
+    _, half = _moved_seats._semivariogram(poses, 0.0)
+    assert np.all(np.diff(half) >= 0)
     # Of two uniform angles: 0.01 / 3, and the noise. Medians of no normal differences: a third off.
-    assert_allclose(spread.half.mean(), 0.01 / 3 + NOISE**2, rtol=0.35)
+    assert_allclose(half.mean(), 0.01 / 3 + NOISE**2, rtol=0.35)
 
 
 # -- what users see -------------------------------------------------------------------------------
@@ -161,11 +163,15 @@ def test_the_warning_names_position_rows_and_size():
     test, angles, groups, first = moved_test()
     left = test.arm.forward(angles) - test.arm.forward(test.data)
     left += np.random.default_rng(0).normal(0, NOISE, left.shape)
-    expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first} \(rows counted"
+    expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first}\."
     weights = np.ones(len(left))
     (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
     assert re.match(f"^{MOVED} {expected}", str(found))
     assert (found.weight, found.positions, found.rows) == ("repair", (2,), (first,))
+    with numbered_rows(np.arange(len(left)) + 100):
+        (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
+    assert f"between rows {first + 99} and {first + 100}." in found.text
+    assert found.rows == (first + 100,)
     weights = ((np.arange(len(left)) < first) | (groups != 2)).astype(float)
     assert not list(moved_positions(left, angles, weights, groups, NOISE**2))
     # Labels of their own after each step are the way out.
@@ -178,7 +184,7 @@ def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)
     model = ArmResidualRegressor(orders=2)
-    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first} ") as said:
+    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as said:
         learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
     assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
 

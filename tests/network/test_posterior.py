@@ -59,7 +59,7 @@ def test_covariance_has_the_standard_deviation_on_its_diagonal(degree):
     assert model.sample_y(T, 3).shape == (20, 2, 3)
     with pytest.raises(ValueError, match="one of return_std and return_cov"):
         model.predict(T, return_std=True, return_cov=True)
-    with pytest.raises(ValueError, match="n_samples must be a whole number"):
+    with pytest.raises(ValueError, match="n_samples"):
         model.sample_y(T, 0)
 
 

@@ -151,21 +151,6 @@ def test_wrong_number_of_joints(n_columns):
         pose.transform(np.zeros((3, n_columns)))
 
 
-@pytest.mark.parametrize(
-    "params",
-    [
-        {"arm": "panda"},
-        {"angle_unit": "gon"},
-        {"encoding": "sin"},
-        {"joints": [3, 4]},
-        {"append_azimuth": "yes"},
-    ],
-)
-def test_parameters_are_validated(params):
-    with pytest.raises(ValueError, match=f"The '{next(iter(params))}' parameter of PoseFeatures"):
-        PoseFeatures(**params).fit(np.zeros((3, 6)))
-
-
 def test_probe_on_the_base_axis():
     """A hinge at the base that can bring the probe straight above it."""
     arm = Arm(a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[400, 0, 0], pose_joints=(2, 3),
@@ -199,12 +184,6 @@ def test_one_row_is_the_same_to_the_last_bit_as_among_others(name, encoding):
     together = pose.transform(angles)
     alone = np.concatenate([pose.transform(row[None]) for row in angles])
     assert_array_equal(alone, together)
-
-
-def test_rows_of_a_table_without_names_still_warn():
-    pose = PoseFeatures().fit(pd.DataFrame(np.zeros((2, 6)), columns=list("abcdef")))
-    with pytest.warns(UserWarning, match="does not have valid feature names"):
-        pose.transform(np.zeros((1, 6)))
 
 
 # -- joints that turn on --------------------------------------------------------------------------

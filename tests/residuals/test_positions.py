@@ -179,16 +179,6 @@ def test_one_dimension_and_one_column():
     assert_allclose(column, flat.reshape(column.shape), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("groups", "message"),
-    [(np.arange(89) % 6, "names 89 samples, but there are 90"), ([None] * 90, "90 missing labels")],
-)
-def test_labels_that_cannot_be(groups, message):
-    X, y, _ = deviations()
-    with pytest.raises(ValueError, match=message):
-        plain(Ridge()).fit(X, y, groups=groups)
-
-
 def test_a_search_within_splits_by_position():
     X, y, groups = deviations()
     search = GridSearchCV(Ridge(), {"alpha": [0.1, 10.0]}, cv=GroupKFold(3))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.utils import _chunks, check_whole_number, chunks, html_table, natural_order
+from sklearn_raacmm.utils import _chunks, chunks, html_table, natural_order
 
 
 @pytest.mark.parametrize("limit", [None, 3])
@@ -15,23 +15,6 @@ def test_chunks_hold_each_row_once(n_rows, size, limit, monkeypatch):
     parts = list(chunks(n_rows, size))
     assert np.concatenate([np.arange(100)[p] for p in parts] or [[]]).tolist() == [*range(n_rows)]
     assert all(0 < p.stop - p.start <= min(max(size, 1), limit or 100) for p in parts)
-
-
-@pytest.mark.parametrize("value", [2, np.int8(3), np.uint64(4)])
-def test_whole_numbers(value):
-    assert type(check_whole_number("n", value, 2, 4)) is int
-
-
-@pytest.mark.parametrize("value", [1, 5, 2.0, np.float64(3), "3", True, np.True_, None, [3]])
-def test_what_is_no_whole_number_within_the_bounds(value):
-    with pytest.raises(ValueError, match=r"^n must be a whole number from 2 to 4, got "):
-        check_whole_number("n", value, 2, 4)
-
-
-def test_no_upper_bound():
-    assert check_whole_number("n", 10**30, 2) == 10**30
-    with pytest.raises(ValueError, match=r"^n must be a whole number of at least 2, got -1\.$"):
-        check_whole_number("n", -1, 2)
 
 
 def test_html_is_escaped():

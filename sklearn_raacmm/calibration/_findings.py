@@ -1,0 +1,243 @@
+"""What is to be said of a calibration that has settled."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+
+from sklearn_raacmm.arm import parameter_jacobian, reach_mm
+from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
+from sklearn_raacmm.calibration._problem import points_and_jacobian
+from sklearn_raacmm.calibration._result import is_angle
+from sklearn_raacmm.measurements import base_motions, moved_positions, moved_set_up
+from sklearn_raacmm.utils import Finding, row_numbers
+
+# Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
+_LENGTH_OUTLIER = 5.0
+# Standard errors by which a correction has to enlarge the scatter: of corrections that change
+# nothing on the average one in forty does by chance.
+_HARM = 2.0
+# What no calibration of an arm comes to: a scatter, as a part of the reach.
+SHARE_OF_REACH = 0.02
+# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
+# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
+MUCH_SCATTER_MM = 1.0
+_MOST_NAMED = 4
+_MEANING = {
+    "a": "the length of link",
+    "d": "the offset of joint",
+    "alpha": "the twist of link",
+    "theta_offset": "the zero of joint",
+}
+# Departures from the table that are worth a word, mm and rad: more than a tape and a protractor get
+# wrong; and the same in standard deviations of a prior that was given.
+_FAR_MM, _FAR_RAD, _FAR_PRIORS = 10.0, 0.1, 10.0
+# Poses anywhere that the standard deviation is computed at, and the part of what the table alone
+# leaves there from which on too little is known: 0.02 in clean tests of 60 poses, 0.2 along a path.
+_TRIED, _OPEN = 100, 0.1
+# Points that scatter by more than a part of that promise nothing.
+_FAR = 5.0
+# Share of rows far off that slips do not come to. A choice.
+_MOST_OUTLIERS = 0.1
+
+
+def findings_of_fit(fit, result, bare, lengths, poses):
+    """All findings, but that of outliers; `bare` is the fit without the correction, or None."""
+    if not fit.converged:
+        yield Finding(
+            "not-settled",
+            f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is "
+            f"{result.scatter_after_mm:.4g} mm.",
+            size_mm=result.scatter_after_mm,
+        )
+    yield from wrong_lengths(lengths, fit.length_errors(), fit.sigma)
+    yield from _few_rows(fit.problem, result.rank, result.n_free)
+    no_arm = list(_no_such_arm(fit.nominal_arm, result.scatter_before_mm, result.scatter_after_mm))
+    yield from no_arm
+    if not no_arm:
+        n, scatter = len(fit.names), result.scatter_after_mm
+        sd = result.standard_deviations[:n]
+        yield from wrong_table(fit.names, fit.nominal, fit.x[:n], sd, _far(fit), lengths, scatter)
+    if bare is not None:
+        yield from _harm(fit.distances(), bare.distances())
+    if result.groups is not None:
+        groups, left = result.groups[poses.first], result.residuals_mm
+        every, noise = np.ones(len(left)), fit.sigma**2
+        yield from moved_positions(left, fit.angles, every, groups, noise, poses.first)
+    yield from _set_up_moved(fit, poses)
+    yield from _poses_alike(fit)
+
+
+def wrong_lengths(lengths, errors, sigma):
+    """Known lengths that disagree with the rest of the data."""
+    wrong = [
+        f"{first} to {second} is {float(length) + error:.6g} mm, given as {float(length):g} +- "
+        f"{float(sd):g} mm"
+        for (first, second, length, sd), error in zip(lengths, errors, strict=True)
+        if abs(error) > _LENGTH_OUTLIER * max(float(sd), sigma)
+    ]
+    if wrong:
+        text = (
+            f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
+            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}."
+        )
+        size = max(abs(error) for error in errors)
+        yield Finding("wrong-length", text, size_mm=size)
+
+
+def _few_rows(problem, rank, n_free):
+    """The rows cannot carry what is asked of them."""
+    n, spare = problem.n_coordinates, problem.n_coordinates - rank
+    if not n_free or spare >= rank:
+        return
+    rows = int(np.ceil((n + rank - spare) / n * problem.n_informative))
+    what = "measured points" if problem.points is not None else "groups of points"
+    known = (
+        "The noise, and with it every standard deviation, is unknown."
+        if spare <= 0
+        else "The noise and the standard deviations are hardly known, and the arm may be far off "
+        "at other poses."
+    )
+    yield Finding(
+        "few-rows",
+        f"{problem.n_informative} {what} give {max(n, 0)} coordinates for {n_free} free "
+        f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
+        f"with. {known}",
+        f"Measure about {rows} rows or more, or let fewer fields change (free=).",
+    )
+
+
+def _no_such_arm(arm, before, after):
+    """A fit that has settled makes no sense."""
+    reach = reach_mm(arm)
+    if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
+        yield Finding(
+            "no-such-arm",
+            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
+            f"{reach:.4g} mm).",
+            "Look at the labels, known lengths, the order and sense of the joints, the convention "
+            "of the table, and the unit of the angles.",
+            "repair",
+            size_mm=after,
+        )
+
+
+def _far(fit):
+    """Departure of each parameter from the table that is worth a word."""
+    length, angle, _ = fit.priors
+    far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
+    far_rad = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
+    far = {"probe_mm": np.inf, "angle_rad": far_rad}
+    return np.where(fit.is_free, [far.get(KINDS[i], far_mm) for i in fit.kind], np.inf)
+
+
+def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
+    """A table that the data contradict: an offset forgotten, a link mistyped.
+
+    Arrays (n_parameters,), mm and rad: before, after and its standard deviation, and how far apart
+    they may be. Known lengths may be what is wrong.
+    """
+    departure = np.abs(values - nominal)
+    # Parameters that only others determine wander: an offset along the last axis and the probe.
+    is_wrong = (departure > far) & ~(departure < _LENGTH_OUTLIER * sd)
+    wrong = [i for i in np.argsort(-departure / far) if is_wrong[i]]
+    if not wrong:
+        return
+    parts, joints = [], []
+    for i in wrong:
+        field = names[i].rstrip("0123456789")
+        joints.append(int(names[i].removeprefix(field)))
+        factor, unit = (180 / np.pi, "°") if is_angle(names[i]) else (1.0, " mm")
+        parts.append(
+            f"{_MEANING[field]} {joints[-1]} ({names[i]}) is {factor * values[i]:.1f}{unit}, "
+            f"the table says {factor * nominal[i]:.6g}{unit}"
+        )
+    if scatter_mm > MUCH_SCATTER_MM:
+        advice = (
+            f"But with it the points scatter by {scatter_mm:.1f} mm: search_table finds joints "
+            "that are reversed or exchanged."
+        )
+    else:
+        advice = "If it is built so, take the calibrated arm as the new table (arm.json)"
+        advice += "; if not, look at the known lengths and their unit." if lengths else "."
+    yield Finding(
+        "table-off",
+        f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}.",
+        advice,
+        joints=tuple(sorted(set(joints))),
+        size_mm=float(max((departure[i] for i in wrong if not is_angle(names[i])), default=0)),
+    )
+
+
+def _harm(corrected, bare):
+    """The points scatter more with a correction than without it, distances (n,) in mm."""
+    more = corrected - bare
+    if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
+        yield Finding(
+            "harmful-correction",
+            f"With the correction the points scatter by {corrected.mean():.4g} mm, without it by "
+            f"{bare.mean():.4g} mm: do not use it here.",
+            "Is it of this arm, and is the table that of the arm that it was learnt with?",
+            size_mm=corrected.mean(),
+        )
+
+
+def _set_up_moved(fit, poses):
+    """The tracker, the base or the tool moved during the measurement."""
+    problem, n = fit.problem, 4 * fit.nominal_arm.n_joints + 3
+    if problem.points is None or problem.n_stations > 1 or problem.n_tools > 1:
+        return
+    points, columns = points_and_jacobian(fit.nominal_arm, fit.angles, fit.x[:n], problem)
+    turns = fit.arm().frames(fit.angles)[:, -1, :3, :3]
+    columns = columns[:, :, fit.is_free]
+    ridge = np.square(fit.sigma / fit.prior_sd[fit.is_free])
+    parts = fit.residuals(), columns, ridge, points, turns, fit.weights, poses.first
+    yield from moved_set_up(*parts)
+
+
+def _poses_alike(fit):
+    """Away from the poses of the test little more is known of the arm than its table says."""
+    mask = fit.mask_of(fit.is_free)
+    arm, n = fit.arm(), 4 * fit.nominal_arm.n_joints + 3
+    # Of too few rows another finding tells.
+    if not mask[: n - 3].any() or fit.problem.n_coordinates < 2 * mask.sum():
+        return
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_TRIED, arm.n_joints))
+    points, jac = parameter_jacobian(arm, angles)
+    free = [jac[:, :, -3:], base_motions(points, reach_mm(arm))]
+    if fit.problem.points is None:  # which cannot see the scale
+        free.append(points[:, :, None] / reach_mm(arm))
+    # What a registration takes away again: base and probe.
+    base = np.linalg.qr(np.concatenate(free, axis=2).reshape(3 * _TRIED, -1))[0]
+    jac = jac.reshape(3 * _TRIED, -1)
+    jac = (jac - base @ (base.T @ jac))[:, mask[:n]]
+    covariance = fit.covariance(mask)[: mask[:n].sum(), : mask[:n].sum()]
+    if not np.all(np.isfinite(covariance)):
+        return
+    known = np.sqrt(np.einsum("np,pq,nq->n", jac, covariance, jac).mean() * 3)
+    table = np.sqrt(np.square(jac * fit.prior_sd[:n][mask[:n]]).sum(axis=1).mean() * 3)
+    if known > max(_OPEN * table, _FAR * fit.sigma):
+        yield Finding(
+            "poses-alike",
+            f"At other poses the calibrated arm is known to {known:.2g} mm only, where the table "
+            f"alone leaves {table:.2g} mm: the poses of this test are too much alike.",
+            "Swing every joint through its range, at places all over the volume.",
+            size_mm=known,
+        )
+
+
+def outliers(result):
+    """Rows far from where they belong."""
+    rows, n = result.outliers, len(result.residuals_mm)
+    if rows:
+        far = np.linalg.norm(result.residuals_mm[list(rows)], axis=1).max()
+        many = len(rows) > _MOST_OUTLIERS * n
+        yield Finding(
+            "outliers",
+            f"{len(rows)} of {n} rows lie farther than {result.outlier_limit_mm:.3g} mm from where "
+            f"they belong, up to {far:.3g} mm.",
+            "They are not learnt from. " + "Look at their labels and at the seat." * many,
+            "doubt" if many else "note",
+            rows=row_numbers(rows),
+            size_mm=far,
+        )

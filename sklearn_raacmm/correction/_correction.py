@@ -1,0 +1,503 @@
+"""A correction in use: points and distances corrected, checked, registered, updated, moved."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from os import PathLike
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sklearn_raacmm.arm import Arm, check_angles, reach_mm
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.correction._causes import with_causes
+from sklearn_raacmm.correction._deviations import distances, of_coordinate, predict_with_std
+from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
+from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
+from sklearn_raacmm.correction._update import update_correction
+from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.utils import Finding, check_option
+
+# A base of which more is open is none that a correction could be used with, mm.
+_WELL_KNOWN_MM = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A calibrated arm, the model of what calibration leaves, and what both are worth.
+
+    :func:`learn_correction` returns one and :meth:`load` reads one. `register`, `update`, `move`
+    and `with_tool` return new ones, with the same scores.
+
+    Attributes
+    ----------
+    arm : Arm
+        The calibrated arm with the probe in use.
+    model : estimator
+        Fitted: ``model.predict(angles)``, in rad, is to be subtracted from ``arm.forward(angles)``.
+    base : (ndarray of shape (3, 3), ndarray of shape (3,)) or None
+        Rotation and translation in mm of the arm's base in the tracker's frame; None where no
+        tracker has measured it.
+    facts : dict
+        Scores, verdict and versions as plain values: what ``correction.json`` holds.
+    scores : CorrectionScores or None
+        Positions left out, before and after. None after `load`.
+    calibration : CalibrationResult or None
+        Of the calibration, or of the last registration: parameters with their standard deviations,
+        and what could not be identified. None after `load`.
+    angles : ndarray of shape (n_samples, n_joints) or None
+        Of the rows that it was learnt from, rad and within a turn. None after `load`.
+    positions : ndarray of shape (n_samples,) or None
+        Their labels. None after `load`.
+    """
+
+    arm: Arm
+    model: Any
+    base: tuple[Any, ...] | None = field(repr=False)
+    facts: dict[str, Any] = field(repr=False)
+    scores: Any = None
+    calibration: Any = field(default=None, repr=False)
+    angles: np.ndarray | None = field(default=None, repr=False)
+    positions: np.ndarray | None = field(default=None, repr=False)
+
+    @property
+    def helps(self) -> bool:
+        """Whether the correction is worth using at new positions."""
+        return self.facts["helps"]
+
+    @property
+    def verdict(self) -> str:
+        """The same in one sentence."""
+        return self.facts["verdict"]
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What there is to say about the data, a tuple of :class:`Finding`."""
+        return tuple(Finding(**finding) for finding in self.facts["findings"])
+
+    @property
+    def noise(self) -> float:
+        """Root mean square of a coordinate that the model leaves of its training rows, mm."""
+        return self.facts["noise_mm"]
+
+    @property
+    def causes(self) -> dict[str, Any]:
+        """The causes that the model takes after the angles, and what counts where one is not known.
+
+        The mean, no direction, and of time the last value.
+        """
+        return self.facts["causes"]
+
+    @property
+    def tools(self) -> dict[str, Any]:
+        """Vectors of the probes that it was learnt with by their labels, mm."""
+        return self.facts.get("tools", {})
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """Rows left out as outliers, the farthest first: a structured array (n_outliers,).
+
+        ``row``, ``position`` and ``distance`` in mm, see :class:`CorrectionScores`.
+        """
+        rows = [tuple(row) for row in self.facts["outliers"]]
+        labels = np.array([row[1] for row in rows]) if rows else np.empty(0, "U1")
+        fields = [("row", "i8"), ("position", labels.dtype), ("distance", "f8")]
+        return np.array(rows, dtype=fields)
+
+    def correct(
+        self,
+        angles: ArrayLike,
+        *,
+        angle_unit: str = "rad",
+        std_of: str = "coordinate",
+        extra: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Corrected points, and how far to trust them.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+        std_of : {"coordinate", "position"}, default="coordinate"
+            What the standard deviations are of: a coordinate of one reading in the arm's base
+            frame; or its deviation within a position, which is all that cones show: 95 % of the
+            coordinates left out lay within 1.96 of them.
+        extra : dict of str to array-like of shape (n_samples,), default=None
+            The causes that `causes` names; for those that are missing it has what counts instead.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            Corrected points in the arm's base frame, mm.
+        std : ndarray of shape (n_samples, 3)
+            Standard deviation of each coordinate of one reading, mm (k = 1). Beside that within a
+            position, that of a coordinate in the base frame holds the scale, s (P - S) with P the
+            point, S the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a
+            function of the place. For distances see :meth:`distances`.
+
+        Raises
+        ------
+        ValueError
+            If `angles` do not fit the arm, or `extra` names what the model does not know.
+        """
+        check_option("std_of", std_of, ("coordinate", "position"))
+        X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit), extra)
+        points, within = self._within_positions(X)
+        if std_of == "position":
+            return points, within
+        return points, of_coordinate(self, X, points, within)
+
+    def distances(
+        self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Distances between pairs of corrected readings, and how far to trust them.
+
+        Parameters
+        ----------
+        angles, others : array-like of shape (n_samples, n_joints)
+            Joint angles at both ends.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of both.
+
+        Returns
+        -------
+        lengths : ndarray of shape (n_samples,)
+            In mm.
+        std : ndarray of shape (n_samples,)
+            Standard deviation of a distance between two readings, mm (k = 1): of its ends along
+            the line, and of the scale of the arm.
+
+        Raises
+        ------
+        ValueError
+            If the angles do not fit the arm or each other.
+        """
+        one, other = (
+            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
+        )
+        if len(one[0]) != len(other[0]):
+            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
+        return distances(one, other, self.facts["scale_sd"])
+
+    def check(
+        self,
+        angles: ArrayLike,
+        positions: ArrayLike | None = None,
+        points: ArrayLike | None = None,
+        lengths: Iterable[Sequence[Any]] = (),
+        *,
+        angle_unit: str = "rad",
+        extra: dict[str, Any] | None = None,
+        new_base: bool = False,
+        false_alarm_rate: float = 0.01,
+        date: str | None = None,
+    ) -> CorrectionCheck:
+        """Say from a few poses of today whether the correction still holds.
+
+        Parameters
+        ----------
+        angles, positions, points, lengths, angle_unit
+            As in :meth:`register`.
+        extra : dict of str to array-like of shape (n_samples,), default=None
+            As in :meth:`correct`.
+        new_base : bool, default=False
+            Whether the tracker stands elsewhere: its frame is then found from these same points,
+            which takes up a part of any change, as where `base` is None.
+        false_alarm_rate, date
+            As in :func:`check_correction`.
+
+        Returns
+        -------
+        CorrectionCheck
+
+        Raises
+        ------
+        TypeError, ValueError
+            As :func:`check_correction`.
+        """
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        refitted: tuple[str, ...] = ()
+        if points is not None:
+            known = self
+            if self.base is None or new_base:
+                known = self.register(angles, positions, points, free=())
+                refitted = ("base",)
+            y = known.residuals(angles, points)
+        elif positions is not None:
+            y = position_residuals(self.arm.forward(angles), positions)
+        else:
+            raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
+        return check_correction(
+            self.model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
+            refitted=refitted, false_alarm_rate=false_alarm_rate, date=date,
+        )  # fmt: skip
+
+    def register(
+        self,
+        angles: ArrayLike,
+        positions: ArrayLike | None = None,
+        points: ArrayLike | None = None,
+        lengths: Iterable[Sequence[Any]] = (),
+        *,
+        angle_unit: str = "rad",
+        free: Sequence[str] = ("probe",),
+    ) -> Self:
+        """Find the probe, and the base from a tracker's points, through the correction.
+
+        Of causes beside the angles counts what is usual.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles of today's poses.
+        positions : array-like of shape (n_samples,), default=None
+            Label of the position of each.
+        points : array-like of shape (n_samples, 3), default=None
+            Positions measured by a tracker, mm.
+        lengths : iterable of (label, label, length, standard deviation), default=()
+            Known distances between two positions, mm.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+        free : list of str, default=("probe",)
+            What is found beside the base, see :func:`calibrate`.
+
+        Returns
+        -------
+        Correction
+            With the probe and the base that were found; `calibration` is that of these poses.
+
+        Raises
+        ------
+        ValueError
+            As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
+        """
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        found = calibrate(
+            self.arm, angles, positions, points=points, lengths=lengths,
+            correction=self._of_angles(self.model), free=list(free),
+        )  # fmt: skip
+        turns = np.char.startswith(found.names, "base_r")
+        open_mm = reach_mm(self.arm) * found.standard_deviations[turns].max(initial=0.0)
+        if open_mm > _WELL_KNOWN_MM:
+            raise ValueError(
+                f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "
+                "points that are spread in all directions, not along a line."
+            )
+        base, model = self.base, self.model
+        if found.base_rotation is not None:
+            base = found.base_rotation, found.base_translation
+        if hasattr(model, "with_arm"):
+            model = model.with_arm(found.arm)
+        return replace(self, arm=found.arm, model=model, base=base, calibration=found)
+
+    def update(
+        self,
+        angles: ArrayLike,
+        positions: ArrayLike | None = None,
+        points: ArrayLike | None = None,
+        lengths: Iterable[Sequence[Any]] = (),
+        *,
+        angle_unit: str = "rad",
+        extra: dict[str, Any] | None = None,
+        date: str | None = None,
+    ) -> Self:
+        """Register, and bring the model up to date with the same poses.
+
+        Parameters
+        ----------
+        angles, positions, points, lengths, angle_unit
+            As in :meth:`register`.
+        extra : dict of str to array-like of shape (n_samples,), default=None
+            As in :meth:`correct`.
+        date : str, default=None
+            As in :func:`update_correction`.
+
+        Returns
+        -------
+        Correction
+
+        Raises
+        ------
+        TypeError, ValueError
+            As :meth:`register` and :func:`update_correction`.
+        """
+        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        new = self.register(angles, positions, points, lengths)
+        y = new.calibration.residuals(angles, points, positions)
+        X = self.inputs(angles, extra)
+        return replace(new, model=update_correction(new.model, X, y, groups=positions, date=date))
+
+    def move(self, probe: ArrayLike) -> Self:
+        """The same with another probe, whose vector is known.
+
+        Parameters
+        ----------
+        probe : array-like of shape (3,)
+            From the last frame to the centre of the probe, mm.
+
+        Raises
+        ------
+        ValueError
+            If the model knows no causes, so that only a registration helps.
+        """
+        if not hasattr(self.model, "with_arm"):
+            raise ValueError(
+                "this correction has no model of causes: register the new probe instead."
+            )
+        arm = self.arm.replace(probe=probe)
+        return replace(self, arm=arm, model=self.model.with_arm(arm))
+
+    def with_tool(self, tool: str) -> Self:
+        """The same with another of the probes that it was learnt with.
+
+        Parameters
+        ----------
+        tool : str
+            Its label.
+
+        Raises
+        ------
+        ValueError
+            If there is none of this label.
+        """
+        if str(tool) not in self.tools:
+            known = ", ".join(self.tools) or "one only"
+            raise ValueError(
+                f"the correction knows no tool {str(tool)!r}; it was learnt with {known}."
+            )
+        return self.move(self.tools[str(tool)])
+
+    def save(
+        self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
+    ) -> list[Path]:
+        """Write the arm, the model and the scores into a folder.
+
+        ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
+        should load. Whatever interrupts the writing, the folder holds the old correction or this.
+
+        Parameters
+        ----------
+        folder : str or path-like
+            Made if it does not exist.
+        others : dict of str to str or bytes, default=None
+            Names and contents of files to write with them, such as a report.
+
+        Returns
+        -------
+        list of pathlib.Path
+            ``correction.json`` with scores, verdict and versions, ``arm.json``, the model, and the
+            others.
+        """
+        name, model = dump_model(self.model)
+        base = None
+        if self.base is not None:
+            rotation, translation = self.base
+            base = {"rotation": rotation.tolist(), "translation_mm": translation.tolist()}
+        contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
+        return write_folder(folder, self.facts | {"base": base}, contents)
+
+    @classmethod
+    def load(cls, folder: str | PathLike[str]) -> Self:
+        """Read a folder that `save` has written: the same without the data.
+
+        Parameters
+        ----------
+        folder : str or path-like
+
+        Returns
+        -------
+        Correction
+
+        Raises
+        ------
+        ValueError
+            If the files do not belong together, or are of another version.
+        OSError
+            If one is missing.
+        ImportError
+            If skops is not there.
+        """
+        facts, (arm, model) = read_folder(folder, ["arm.json", "model.skops"])
+        model, base = load_model(folder, model), facts.get("base")
+        if base is not None:
+            base = np.array(base["rotation"]), np.array(base["translation_mm"])
+        return cls(Arm.from_json(arm), model, base, facts)
+
+    def inputs(self, angles: np.ndarray, extra: dict[str, Any] | None = None) -> np.ndarray:
+        """What the model takes: angles in rad, (n, n_joints), then its causes."""
+        return with_causes(angles, self.causes, extra)
+
+    def columns(self, X: np.ndarray) -> np.ndarray:
+        """What a corrected table gets, (n_samples, 10) in mm, of what `inputs` returns.
+
+        Points; standard deviations of the coordinates in the base frame and within a position; that
+        of a distance of 1 m from here to a point that is known as well.
+        """
+        points, within = self._within_positions(X)
+        scale = 1000 * self.facts["scale_sd"]
+        of_metre = np.sqrt(2 * np.mean(within**2, axis=1) + scale**2)
+        return np.column_stack([points, of_coordinate(self, X, points, within), within, of_metre])
+
+    def residuals(self, angles: np.ndarray, points: ArrayLike) -> np.ndarray:
+        """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.
+
+        Raises
+        ------
+        ValueError
+            If no tracker has measured the base.
+        """
+        if self.base is None:
+            raise ValueError(
+                "this correction was learnt without a tracker and knows no frame of measured "
+                "points: register it with some first."
+            )
+        rotation, translation = self.base
+        return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
+
+    def _within_positions(self, X):
+        """Corrected points, and standard deviations of their coordinates within a position."""
+        correction, std = predict_with_std(self.model, X, self.noise)
+        points = self.arm.forward(X[:, : self.arm.n_joints]) - correction
+        return points, self.facts["std_factor"] * std
+
+    def _of_angles(self, model):
+        """The model as one of angles alone, to register by: of each cause counts what is usual."""
+        more = {}
+        if hasattr(model, "with_arm"):
+            more["with_arm"] = lambda arm: self._of_angles(model.with_arm(arm))
+        return SimpleNamespace(
+            predict=lambda angles: model.predict(self.inputs(angles)),
+            arm_=getattr(model, "arm_", None), regressor_=getattr(model, "regressor_", None),
+            **more,
+        )  # fmt: skip
+
+    def __str__(self) -> str:
+        lines = [f"{self.arm!r}, {self.facts['n_rows']} rows"]
+        if self.calibration is not None:
+            before, after = self.calibration.scatter_before_mm, self.calibration.scatter_after_mm
+            lines.append(f"calibration: mean scatter {before:.3f} -> {after:.3f} mm")
+        lines.append(self.verdict if self.scores is None else str(self.scores))
+        return "\n".join([*lines, *self._outlier_lines()])
+
+    def _outlier_lines(self):
+        lines = [
+            f"  outlier: row {row} ({label}), {distance:.3g} mm"
+            for row, label, distance in self.facts["outliers"][:10]
+        ]
+        more = len(self.facts["outliers"]) - len(lines)
+        return lines + [f"  and {more} more"] * bool(more)
+
+    def _repr_html_(self):
+        scores = f"<p>{escape(self.verdict)}</p>"
+        if self.scores is not None:
+            scores = self.scores._repr_html_()
+        lines = map(escape, [*self._outlier_lines(), repr(self.arm)])
+        return f"{scores}<p>{'<br>'.join(lines)}</p>"

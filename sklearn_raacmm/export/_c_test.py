@@ -1,0 +1,71 @@
+"""The test program that comes with exported C: it compares rows with what predict gave."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+
+from sklearn_raacmm.export._c_text import Tables
+from sklearn_raacmm.export._proof import TOLERANCE
+
+_TEST = """\
+/* {stem}_test.c: compares {stem}.c with what predict gave in Python, at {n} rows.
+   {command} */
+#include "{stem}.h"
+
+#include <math.h>
+#include <stdio.h>
+
+{tables}
+int main(void)
+{{
+    {real} largest = 0;
+    int wrong = 0;
+    for (int i = 0; i < {n}; ++i) {{
+        {real} row[{d}], got[{q}];
+        for (int j = 0; j < {d}; ++j)
+            row[j] = input_kind[i][j] == 0 ? input[i][j]
+                : input_kind[i][j] == 1 ? ({real})NAN
+                : input_kind[i][j] == 2 ? ({real})INFINITY : -({real})INFINITY;
+        const int status = {name}_{verb}(row, got);
+        for (int k = 0; k < {q}; ++k) {{
+            const {real} gap = fabs{f}(got[k] - expected[i][k]);
+            if (refused[i] ? !isnan(got[k]) || status != {upper}_NOT_FINITE
+                           : !(gap <= tolerance) || status == {upper}_NOT_FINITE) {{
+                printf("row %d, output %d: got %.17g, expected %.17g, status %d\\n", i, k,
+                    (double)got[k], (double)expected[i][k], status);
+                ++wrong;
+            }}
+            if (!refused[i] && gap > largest)
+                largest = gap;
+        }}
+    }}
+    printf("{name}: %d of %d numbers differ; the largest gap is %.3g.\\n", wrong, {total},
+        (double)largest);
+    return wrong != 0;
+}}
+"""
+
+
+def make_test(rows, gap, name, stem, dtype, corrects):
+    """Text of the test program of ``<stem>.c``.
+
+    `rows` are test rows and their answers, from which the same operations in Python are `gap` away.
+    ``corrects`` says whether the function is ``correct``, not ``predict``.
+    """
+    write, X, expected = Tables(dtype), rows["X"], rows["y"]
+    refused = np.isnan(expected).any(axis=1)
+    kind = np.select([np.isnan(X), np.inf == X, -np.inf == X], [1, 2, 3], 0)
+    tolerance = TOLERANCE[dtype] * np.abs(expected[~refused]).max(initial=1e-3)
+    tolerance = max(tolerance, 10 * gap)
+    tables = write.table("input", np.where(kind == 0, X, 0.0))
+    tables += write.table("input_kind", kind, "0 a number, 1 NaN, 2 infinity, 3 -infinity")
+    tables += write.table("expected", np.where(refused[:, None], 0.0, expected))
+    tables += write.table("refused", refused, "1 where all outputs have to be NaN")
+    tables += f"static const {dtype} tolerance = {write.literal(tolerance)};\n"
+    n, q = expected.shape
+    return _TEST.format(
+        tables=tables, n=n, d=X.shape[1], q=q, f=write.suffix, total=expected.size, real=dtype,
+        verb="correct" if corrects else "predict", name=name, upper=name.upper(), stem=stem,
+        command=f"cc -std=c99 -O2 -o {stem}_test {stem}_test.c {stem}.c -lm && ./{stem}_test",
+    )  # fmt: skip

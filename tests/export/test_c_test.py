@@ -1,0 +1,113 @@
+"""What comes with the C files: the test program agrees, and would notice a change."""
+
+import re
+import subprocess
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import (
+    CylindricalResidualTarget,
+    RBFNetRegressor,
+)
+from sklearn_raacmm.export import _load_c, export_c
+
+from ._chains import COMPILERS, STRICT, form_b, network, of_arm
+
+needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
+
+
+@pytest.fixture(scope="module")
+def models(data):
+    fitted = {
+        "chain": form_b(data.arm),
+        "guarded": of_arm(data.arm, "kinematics", orders=2, fade=1.0),
+    }
+    fitted = {name: model.fit(data.data, data.target) for name, model in fitted.items()}
+    fitted["features"] = network().fit(data.data[:, :2], data.target[:, :2])
+    return fitted
+
+
+def run(command, folder):
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("dtype", ["double", "float"])
+@pytest.mark.parametrize("which", ["chain", "guarded", "features"])
+def test_the_test_program_agrees_with_predict(models, data, tmp_path, compiler, dtype, which):
+    model = models[which]
+    rows = data.data[:, : model.n_features_in_]
+    export_c(model, tmp_path / "arm.c", dtype=dtype, poses=rows)
+    text = (tmp_path / "arm_test.c").read_text()
+    # The line in its comment, with every warning an error.
+    command = re.search(r"cc (-std=c99 .*) && (\./arm_test)", text)
+    done = run([compiler, *STRICT, *command[1].split()], tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = run([command[2]], tmp_path)
+    n = 2 if which == "features" else 3
+    assert re.match(rf"arm: 0 of {32 * n} numbers differ; the largest gap is .*e-", said.stdout)
+    assert said.returncode == 0
+
+
+@needs_compiler
+def test_the_test_program_notices_another_model(models, data, tmp_path):
+    source, _ = export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
+    text = source.read_text()
+    weight = re.search(r"static const double rows_\d+\[1\]\[24\] = \{\n    \{([-0-9.e]+),", text)[1]
+    source.write_text(text.replace(weight, str(1.001 * float(weight))))
+    command = [COMPILERS[0], "-std=c99", "-o", "t", "arm_test.c", "arm.c", "-lm"]
+    assert run(command, tmp_path).returncode == 0
+    said = run(["./t"], tmp_path)
+    assert said.returncode == 1
+    assert re.search(r"row \d+, output 0: got .* expected", said.stdout)
+
+
+@needs_compiler
+def test_a_source_that_does_not_keep_its_promise_is_refused(models, tmp_path, monkeypatch):
+    write = _load_c.sources
+
+    def wrong(*args):
+        source, header = write(*args)
+        return re.sub(r"(rows_\d+\[\d\]\[24\] = \{\n    \{)", r"\g<1>1 + ", source), header
+
+    monkeypatch.setattr(_load_c, "sources", wrong)
+    with pytest.raises(ValueError, match=r"the C source is up to .* away from predict, .* of the"):
+        export_c(models["chain"], tmp_path / "arm.c")
+    assert not list(tmp_path.iterdir())
+
+
+@needs_compiler
+def test_the_header_says_what_single_precision_costs(models, data, tmp_path):
+    paths = export_c(models["chain"], tmp_path / "arm.c", dtype="float", poses=data.data)
+    for path in paths:
+        found = re.search(
+            r"single precision, at 28 rows: within (\S+) mm of predict, (\S+) of the\s+"
+            r"(?:\*\s+)?largest;\s+(?:\*\s+)?the\s+(?:\*\s+)?point\s+(?:\*\s+)?within (\S+) mm",
+            path.read_text(),
+        )
+        correction, share, point = map(float, found.groups())
+        assert 1e-9 < correction < 1e-4
+        assert 1e-7 < share < 1e-2
+        assert 1e-5 < point < 3e-3  # a metre has 7 digits
+
+
+def test_poses_are_checked(models, data, tmp_path):
+    bad = np.where(np.arange(6) == 1, np.nan, data.data)
+    for poses in (data.data[:, :5], data.data[0], data.data[:0], bad):
+        with pytest.raises(ValueError, match="poses must be rows of 6 finite numbers"):
+            export_c(models["chain"], tmp_path / "arm.c", poses=poses)
+    assert not list(tmp_path.iterdir())
+    # One row is enough: it is its own corner.
+    export_c(models["chain"], tmp_path / "arm.c", poses=data.data[:1])
+
+
+def test_rows_that_predict_refuses_prove_nothing(tmp_path):
+    rng = np.random.default_rng(0)
+    turns = rng.uniform(-3, 3, 50)
+    X = np.column_stack([rng.normal(size=(50, 2)), np.cos(turns), np.sin(turns)])
+    model = CylindricalResidualTarget(RBFNetRegressor(5)).fit(X, rng.normal(size=(50, 3)))
+    with pytest.raises(ValueError, match=r"predict refuses all of 32 rows, .* give poses"):
+        export_c(model, tmp_path / "arm.c", poses=2 * X)  # directions that are none
+    assert not list(tmp_path.iterdir())
