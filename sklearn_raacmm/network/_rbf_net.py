@@ -82,7 +82,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     loss : {"auto", "squared", "tukey"}, default="auto"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
         "auto" takes this where it makes the rows more probable than least squares, far ones having
-        a variance of their own. It needs widths or ridge to be found, and at most 100 000 rows.
+        a variance of their own, and an eighth of the rows is the most. It needs widths or ridge to
+        be found, and at most 100 000 rows.
 
     random_state : int, RandomState instance or None, default=None
         Draws the rows of the search, and candidates.

@@ -18,6 +18,10 @@ from sklearn_raacmm.utils import check_weights, encode_groups, many_without_weig
 CUT = 5.5
 # Fits at most: slips are clear after the second, and what comes and goes near the limit is not.
 MAX_FITS = 4
+# Share of far rows above which the robust loss is not taken by itself: so many are no slips but the
+# tail of a skewed target, whose mean they are a part of. A choice; with none the error was up to
+# 1.17 times as large on tables of survival times.
+MOST_FAR = 0.125
 # Mean change of the weights at which they have settled.
 SETTLED = 5e-3
 # Weighted mean square over the variance, of normal residuals: E[w z^2] / E[w] with
@@ -76,7 +80,7 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
         far = residuals[(factor == 0) & (given > 0)]
         one, two = first["log_marginal_likelihood_value_"], estimator.log_marginal_likelihood_value_
         n = np.sum(given > 0)
-        if evidence(two, n, far) < evidence(one, n, far[:0]):
+        if len(far) > MOST_FAR * n or evidence(two, n, far) < evidence(one, n, far[:0]):
             vars(estimator).clear()
             vars(estimator).update(first)
             return
