@@ -2,6 +2,7 @@
 
     python benchmarks/bench_speed.py forward
     python benchmarks/bench_speed.py calibrate
+    python benchmarks/bench_speed.py python
     python benchmarks/bench_speed.py row              # prints the table
     python benchmarks/bench_speed.py row --write      # and puts it into doc/log.md
 
@@ -11,6 +12,9 @@
 ``calibrate``: beside what a laboratory writes in an afternoon, `scipy.optimize.least_squares` over
 the same parameters, with differences for derivatives and the same loss, but no search of priors, no
 standard deviations and no outliers.
+
+``python``: `predict` of one row beside that of scikit-learn's `Ridge`. Nearly all is validation:
+what counts is how often it is done.
 
 ``row``: a fitted model in C, in ONNX and in Python, and the files' sizes. C is timed in a loop in
 C; `load_c`, ONNX and `predict` one row per call from Python. All on one thread.
@@ -36,6 +40,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -164,7 +169,7 @@ def by_hand(arm, angles, points, groups):
     return least_squares(residuals, z, loss="soft_l1", x_scale="jac").cost
 
 
-def calibrations(repeats):
+def calibrations(repeats=3):
     """Time `calibrate` and the fit by hand by turns."""
     arm = Arm.from_name("aacmm6")
     for n, n_groups in ((3000, None), (10_000, 40)):
@@ -313,15 +318,44 @@ def table(n_rows):
     return [*head, *body, "", note]
 
 
+def python(rounds=60, calls=20):
+    """Time `predict` of one row against that of a bare Ridge, by turns."""
+    data = make_single_point(n_positions=12, n_poses=30, random_state=0)
+    X, y, arm = data.data, data.target, data.arm
+    network = RBFNetRegressor(60, random_state=0)
+    inner = make_pipeline(StandardScaler(), network)
+    models = {
+        "Ridge": Ridge(),
+        "RBFNetRegressor": network,
+        "chain, pipeline": make_pipeline(
+            PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
+        ),
+        "ArmResidualRegressor": ArmResidualRegressor(arm, orders=8),
+    }
+    times = {name: [] for name in models}
+    for model in models.values():
+        model.fit(X, y)
+    row = X[:1].copy()
+    for _ in range(rounds):
+        for name, model in models.items():
+            start = time.process_time()
+            for _ in range(calls):
+                model.predict(row)
+            times[name].append((time.process_time() - start) / calls)
+    medians = {name: np.median(values) for name, values in times.items()}
+    print(f"{'one row, 60 centres':<36}{'CPU us':>8}{'ratio':>8}")
+    for name, seconds in medians.items():
+        print(f"{name:<36}{1e6 * seconds:>8.0f}{seconds / medians['Ridge']:>8.2f}")
+
+
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["forward", "calibrate", "row"])
-    parser.add_argument("--repeats", type=int, default=3, help="of a calibration")
+    parser.add_argument("part", choices=["forward", "calibrate", "python", "row"])
     parser.add_argument("--rows", type=int, default=20_000, help="of a model")
     parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
     args = parser.parse_args(argv)
     if args.part != "row":
-        return forward() if args.part == "forward" else calibrations(args.repeats)
+        return {"forward": forward, "calibrate": calibrations, "python": python}[args.part]()
     lines = table(args.rows)
     print("\n".join(lines))
     if args.write:
