@@ -176,7 +176,7 @@ def table(rows, title, value, methods, relative_to=None):
         line.setdefault(row["method"], []).append(row.get(value, np.nan))
     for (name, n), line in lines.items():
         base = np.array(line.get(relative_to, line[OURS[0]])) if relative_to else 1.0
-        found = [np.median(line[m] / base) if m in line else np.nan for m in methods]
+        found = [np.median(np.divide(line[m], base)) if m in line else np.nan for m in methods]
         means.setdefault(n, []).append(found)
         print(f"{name:<20} {n:>6} " + "".join(f"{figure:>12.4g}" for figure in found))
     for n, found in means.items() if relative_to else ():

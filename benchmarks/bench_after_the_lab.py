@@ -53,7 +53,7 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
-from sklearn_raacmm.correction._transfer import transferred_model
+from sklearn_raacmm.correction._transfer import LEAST_GAIN_NATS, transferred_model
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -339,7 +339,7 @@ def compare_starts(row, starts, arm, angles, y, left, groups=None):
     for name, models in starts.items():
         moved = transferred_model(models, arm, angles, y, groups=groups)
         row[name] = left(moved)
-        row[f"{name}, believed"] = moved.updates_[0]["gain_nats"] > 0
+        row[f"{name}, believed"] = moved.updates_[0]["gain_nats"] >= LEAST_GAIN_NATS
     return row
 
 
