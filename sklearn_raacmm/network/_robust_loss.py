@@ -9,7 +9,7 @@ References
 import numpy as np
 
 from sklearn_raacmm.network._blocks import is_dask
-from sklearn_raacmm.utils import check_weights, encode_groups, many_without_weight, say_findings
+from sklearn_raacmm.utils import check_weights, encode_groups, many_without_weight, report_findings
 
 # Residual, in standard deviations, from which a row has no weight; while none is as far off, all
 # rows have theirs in full. 4e-8 of normal residuals are: one table of 10 000 rows in 2600 has one.
@@ -64,4 +64,4 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
         parts = (network.with_noise(1 / NORMAL_SQUARE) for network in estimator.networks_)
         estimator.networks_ = tuple(parts)
     estimator.row_weight_ = factor
-    say_findings(many_without_weight(factor[given > 0]))
+    report_findings(many_without_weight(factor[given > 0]))
