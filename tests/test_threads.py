@@ -22,7 +22,9 @@ def fitted(n_threads):
     with threadpool_limits(n_threads, user_api="blas"):
         if blas_threads() != {n_threads}:
             pytest.skip(f"BLAS cannot be given {n_threads} threads here")
-        apart, shared = (RBFNetRegressor(60, shared=bool(s), random_state=0).fit(X, y) for s in (0, 1))
+        apart, shared = (
+            RBFNetRegressor(60, shared=bool(s), random_state=0).fit(X, y) for s in (0, 1)
+        )
         model = ArmResidualRegressor(Arm.from_name("aacmm6"), orders=8).fit(angles, bends)
         return [apart.coef_, apart.length_scale_, shared.coef_, shared.centers_, model.coef_]
 
