@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping
-from dataclasses import replace
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,9 @@ def with_kept_causes(data, calibration):
     if not data.causes:
         return data
     rows, _ = data.without_lonely(np.arange(len(data.angles)))
-    prior_sd = replace(data, like=()).fit(None, calibration, rows)[0].prior_sd_
+    own = copy(data)
+    own.like = ()
+    prior_sd = own.fit(None, calibration, rows)[0].prior_sd_
     kinds = [name.split()[0] for name in data.causes]
     keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * IDLE_SD for kind in kinds])
     named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
@@ -75,7 +77,9 @@ def with_kept_causes(data, calibration):
     if gone:
         said = f"The evidence does not ask for {', '.join(gone)}: left out of the model."
         say_findings([Finding("cause-not-kept", said, weight="note")])
-    return replace(data, causes=tuple(named), values=data.values[:, keep])
+    kept = copy(data)
+    kept.causes, kept.values = tuple(named), data.values[:, keep]
+    return kept
 
 
 def usual_values(names, values):

@@ -153,7 +153,7 @@ def learn_correction(
     )
 
     def inside():
-        data = Data.checked(
+        data = Data(
             arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools
         )
         calibration = _calibrated(data, angles, angle_unit)

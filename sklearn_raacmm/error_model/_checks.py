@@ -61,18 +61,16 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     say_findings(check_targets(targets))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     if probes is not None:
-        X = np.hstack([X, _check_probes(probes, len(X), estimator.regressor)])
+        X = np.hstack([X, _check_probes(probes, len(X))])
     rows = Rows(arm, X, y, weights, codes, tuple(lengths))
     return rows, np.arange(len(y)) if groups is None else positions
 
 
-def _check_probes(probes, n_rows, regressor):
+def _check_probes(probes, n_rows):
     """Probe of each row, (n, 3) in mm."""
     probes = floats("probes", probes, finite=True)
     if probes.shape != (n_rows, 3):
         raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
-    if regressor is not None:
-        raise ValueError("A second stage sees one probe only: probes go with regressor=None.")
     return probes
 
 

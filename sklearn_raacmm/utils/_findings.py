@@ -127,8 +127,8 @@ def say_findings(findings: Iterable[Finding]) -> None:
 class heard_findings:  # noqa: N801  (a context manager, as those of the standard library)
     """Collect the findings that are made within, instead of warning.
 
-    ``with heard_findings() as found`` gives a list, with each finding once; notes, too. It is no
-    generator: one that is interrupted and closed later would end the collection of others.
+    ``with heard_findings() as found`` gives a list, with each finding once; notes, too. It
+    is no generator: one that is interrupted and closed later would end the collection of others.
     """
 
     def __enter__(self) -> list[Finding]:

@@ -34,8 +34,8 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Fit], Fit]:
         def wrapper(self, *args, **kwargs):
             aside = object.__new__(type(self))
             aside.__dict__ = dict(vars(self))
-            _, heard = hear(fit, aside, *args, **kwargs)
-            aside.findings_ = tuple(heard)
+            _, findings = hear(fit, aside, *args, **kwargs)
+            aside.findings_ = tuple(findings)
             self.__dict__ = aside.__dict__
             return self
 

@@ -295,7 +295,7 @@ def test_a_perfect_model_knows_the_new_sources(source):
     assert metrics.single_point_repeatability(test.points, test.groups) > 1e-3
 
 
-def test_slipped_poses_have_left_their_seat():
+def test_slipped_poses_have_left_their_cone():
     errors = ArmErrors.only(slip_share=0.2, slip_mm=0.5)
     test = make_single_point(4, 50, machine=errors, random_state=1)
     slipped = test.simulation.slipped
