@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from sklearn_raacmm.app._causes import find_unnamed_probe
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._files import (
     correction_files,
+    find_rows,
+    find_unnamed_probe,
     in_rad,
     load_correction,
     parse_vector,
     print_notes,
-    read_rows,
 )
 from sklearn_raacmm.app._lengths import read_lengths
 from sklearn_raacmm.arm import check_angles
@@ -221,7 +221,8 @@ def _open_correction(options):
 def _read_today(options, arm):
     """What was measured today: its table, the angles in rad, and known lengths."""
     by_tracker = bool(options.points)
-    table = read_rows(options, arm, labelled=not by_tracker)
+    table = find_rows(options, arm, labelled=not by_tracker).read()
+    print_notes(table.notes)
     lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
