@@ -26,7 +26,7 @@ _LONG_SHARE = 0.25
 # gives the same: nine freedoms that a few poses determine.
 UNKNOWN_PLACE_MM = 1000.0
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
-# worst way of registering leaves in benchmarks/bench_after_the_lab.py.
+# worst way of registering leaves in benchmarks/bench_after_the_lab.py series.
 REGISTERED_PLACE_MM = 5.0
 
 
