@@ -18,12 +18,14 @@ import numpy as np
 
 from sklearn_raacmm.network._likelihood import (
     Data,
+    covariance,
     exact_likelihood,
     leave_out,
     left_out,
     log_likelihood,
     noise_density,
     noise_likelihood,
+    solve_and_invert,
 )
 from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
 from sklearn_raacmm.network._objective import (
@@ -56,6 +58,11 @@ TRAILING = 20.0
 # none a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by less
 # than 2 % (benchmarks/bench_noise.py --margins).
 KERNEL_MARGIN = 10.0
+# And for each observation: rougher kernels take centres by the hundred, which 1 % of the error in
+# evidence and in what is left out, 0.02 nats, is not worth.
+KERNEL_MARGIN_OF_ROW = 0.02
+# Rows of a last stage, and its steps, where so many parameters a row show a rough function.
+FINE_ROWS, FINE_STEPS, ROUGH = 2000, 12, 0.25
 # Nats by which constants of groups have to lead, lest few groups seem to have them.
 CONSTANTS_MARGIN = 20.0
 # Observations a feature below which leave-one-out densities count in part: the widths have been
@@ -115,24 +122,30 @@ def search(
     task = Task(spread, used, q, isotropic, length_scale, alpha, constants, constant_std)
     sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
     few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
-    ends = _coarse(task, kernels, few)
+    first, *others = kernels
+    theta = _coarse(task, first, few)
     if constants and constant_std is None:
         # Constants explain what a function does between groups, too, and need not be there.
         plain = task._replace(constants=False)
-        other = _coarse(plain, kernels, few)
-        first = kernels[0]
-        lead = score(plain, first, other[first], few) - score(task, first, ends[first], few)
+        other = _coarse(plain, first, few)
+        lead = score(plain, first, other, few) - score(task, first, theta, few)
         if lead < CONSTANTS_MARGIN:
-            task, ends = plain, other
+            task, theta = plain, other
+    ends = {first: theta}
+    ends |= {name: minimise(task, theta, few, name, COARSE_STEPS)[0] for name in others}
     if len(many.X) > len(few.X):
         ends = _refine(task, ends, many)
     scores = {name: score(task, name, theta, many) for name, theta in ends.items()}
-    kernel = min(scores, key=lambda name: scores[name] + KERNEL_MARGIN * (name != kernels[0]))
+    margin = KERNEL_MARGIN + KERNEL_MARGIN_OF_ROW * many.n_total * q
+    kernel = min(scores, key=lambda name: scores[name] + margin * (name != kernels[0]))
     theta = ends[kernel]
     if task.n_alphas and task.n_widths:
         simple = _simpler(task, kernel, theta, scores[kernel], many, may_be_linear)
         if simple is not None:
             return simple
+    if len(data.X) > len(many.X) and parameters(task, kernel, theta, many) > ROUGH * len(many.X):
+        more = data.rows(data.draw(FINE_ROWS, random_state))
+        theta = minimise(task, theta, more, kernel, FINE_STEPS)[0]
     log_width, log_alpha, ratio = task.unpack(theta)
     width = np.exp(log_width)
     narrow = task.n_widths and width < 1.01 * WIDTH_BOUNDS[0] * spread
@@ -178,20 +191,17 @@ def score(task, kernel, theta, data):
     return value + leave_out(data, kernel, *task.unpack(theta))[1]
 
 
-def _coarse(task, kernels, data):
-    """An end for each kernel, from several starts on few rows."""
-    first, *others = kernels
+def _coarse(task, kernel, data):
+    """Where the search for one kernel ends, from several starts on few rows."""
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
-    starts.sort(key=lambda theta: objective(task, theta, data, first)[0])
+    starts.sort(key=lambda theta: objective(task, theta, data, kernel)[0])
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
     middle = task.start(WIDE, 1.0)[:1] if task.n_widths else np.inf
     rough = [theta for theta in starts if theta[:1] < middle]
     wide = [theta for theta in starts if not theta[:1] < middle]
-    ends = [minimise(task, some[0], data, first, COARSE_STEPS)[0] for some in (rough, wide) if some]
-    theta = min(ends, key=lambda theta: score(task, first, theta, data)) if ends[1:] else ends[0]
-    found = {name: minimise(task, theta, data, name, COARSE_STEPS)[0] for name in others}
-    return {first: theta} | found
+    ends = [minimise(task, s[0], data, kernel, COARSE_STEPS)[0] for s in (rough, wide) if s]
+    return min(ends, key=lambda theta: score(task, kernel, theta, data)) if ends[1:] else ends[0]
 
 
 def _refine(task, ends, many):
@@ -206,6 +216,14 @@ def _refine(task, ends, many):
         start[: task.n_widths] = np.minimum(start[: task.n_widths], cap)
         refined[name] = minimise(task, start, many, name, EXACT_STEPS)[0]
     return refined
+
+
+def parameters(task, kernel, theta, data):
+    """Effective number of parameters of a process, of the output that needs most of them."""
+    log_width, log_alpha, ratio = task.unpack(theta)
+    K, alpha = covariance(data, kernel, log_width)[0], np.exp(log_alpha.min())
+    half = solve_and_invert(K + alpha * data.noise(ratio), data.targets[:, 0])[2]
+    return len(K) - 2 * alpha * np.trace(half)
 
 
 def _simpler(task, kernel, theta, value, data, may_be_linear):
