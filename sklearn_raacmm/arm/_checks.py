@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, floats, say_findings
+from sklearn_raacmm.utils import Finding, floats, report_findings
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -176,4 +176,4 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
 
 
 def _say(text, advice, weight: Any = "doubt", joints=()):
-    say_findings([Finding("angle-unit", text, advice, weight, joints=joints)])
+    report_findings([Finding("angle-unit", text, advice, weight, joints=joints)])

@@ -28,13 +28,13 @@ from sklearn_raacmm.utils._findings import (
     Finding,
     FindingError,
     FindingWarning,
-    hear,
-    heard_findings,
+    call_collecting,
+    collected_findings,
+    ignored_findings,
     numbered_rows,
     one_warning,
+    report_findings,
     row_numbers,
-    say_findings,
-    unheard,
     with_findings,
 )
 from sklearn_raacmm.utils._groups import (
