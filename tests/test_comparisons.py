@@ -95,6 +95,7 @@ def nested_fourier(cone, module, n_folds):
     return single_point_repeatability(cone.target - correction, cone.groups, aggregate=None)
 
 
+@pytest.mark.exhaustive
 def test_quick_comparison(example, capsys):
     module, data_sets = example("_regressors"), example("_data_sets")
     problem = data_sets.simulated("typical", 0, 4, 32, 2)

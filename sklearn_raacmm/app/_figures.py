@@ -143,18 +143,16 @@ def _volume(figure, result):
     joints = result.arm.frames(some)[:, :, :, 3]
     chains = np.concatenate([joints, result.arm.forward(some)[:, None]], axis=1)
     above, side = figure.subplots(1, 2)
-    for ax, view in ((above, lambda p: p[:, :2].T), (side, _beside_axis)):
+    for ax, view in (
+        (above, lambda p: p[:, :2].T),
+        (side, lambda p: (np.hypot(p[:, 0], p[:, 1]), p[:, 2])),
+    ):
         for chain in chains:
             ax.plot(*view(chain), color="0.6", linewidth=0.8, alpha=0.6)
         ax.plot(*view(points), ".", color=_AFTER, markersize=3)
     above.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
     side.set(xlabel="distance from the base axis, mm", ylabel="z, mm", title="from the side")
     side.set_aspect("equal")
-
-
-def _beside_axis(points):
-    """Distance from the base axis and height of points (n, 3)."""
-    return np.hypot(points[:, 0], points[:, 1]), points[:, 2]
 
 
 def _lengths(figure, scores):

@@ -87,22 +87,16 @@ def write_report(
 
 def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
     """Text of the report; parameters as for `write_report`."""
-    try:
-        import jinja2
-    except ImportError:
-        raise ImportError("The report needs jinja2: pip install jinja2.") from None
     limit = None if limit_2s is None else judge_limit(result.scores, limit_2s)
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
-    template = files("sklearn_raacmm.app").joinpath("_report.html").read_text(encoding="utf-8")
-    return environment.from_string(template).render(
+    table = result.scores.table
+    worst_first = np.argsort(-table["after"], kind="stable")
+    return render(
+        "_report.html",
         result=result,
         scores=result.scores,
         limit=limit,
         facts=_facts(result) | (facts or {}),
-        positions=_positions(result.scores),
+        positions=[{name: column[i] for name, column in table.items()} for i in worst_first],
         sheet=_sheet(result.scores),
         deviations=_deviations(result),
         parameters=_parameters(result.calibration),
@@ -112,6 +106,20 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
         figures=draw_figures(result, limit_2s),
         most_rows=_MOST_ROWS,
     )
+
+
+def render(name, **values):
+    """Page of a template in this folder."""
+    try:
+        import jinja2
+    except ImportError:
+        raise ImportError("Pages need jinja2: pip install jinja2.") from None
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
+    template = files("sklearn_raacmm.app").joinpath(name).read_text(encoding="utf-8")
+    return environment.from_string(template).render(values)
 
 
 def describe_result(result):
@@ -181,13 +189,6 @@ def _facts(result):
         "versions": f"{card['written_by']}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
         f"Python {platform.python_version()}",
     }
-
-
-def _positions(scores):
-    """Rows of the table of positions, the worst first."""
-    table = scores.table
-    order = np.argsort(-table["after"], kind="stable")
-    return [{name: column[i] for name, column in table.items()} for i in order]
 
 
 def _sheet(scores):

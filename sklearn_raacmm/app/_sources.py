@@ -79,26 +79,20 @@ def _find_sheet(path, n_numbers, wanted):
     if not candidates:
         raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
     for name in candidates:
-        dialect = _sheet_dialect(path, name, names, n_numbers)
-        if dialect is not None:
-            return dialect
+        others = ", ".join(other for other in names if other != name)
+        more = f" (--sheet takes another: {others})" if others else ""
+        what, read = f"Spreadsheet, sheet {name!r}{more}", partial(_sheet_rows, path, name)
+        best, most = None, 0
+        for decimal, separator in ((".", ","), (",", ";")):
+            dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
+            counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
+            found = sum(count for count in counts if count >= n_numbers)
+            if found > most:
+                best, most = dialect, found
+        if best is not None:
+            return best
     sheets = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
     raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
-
-
-def _sheet_dialect(path, name, names, n_numbers):
-    """How a sheet is written, by its decimal sign with most numbers; None if no row has so many."""
-    others = ", ".join(other for other in names if other != name)
-    more = f" (--sheet takes another: {others})" if others else ""
-    what, read = f"Spreadsheet, sheet {name!r}{more}", partial(_sheet_rows, path, name)
-    best, most = None, 0
-    for decimal, separator in ((".", ","), (",", ";")):
-        dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
-        counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
-        found = sum(count for count in counts if count >= n_numbers)
-        if found > most:
-            best, most = dialect, found
-    return best
 
 
 def _sheet_rows(path, name):
@@ -145,15 +139,13 @@ def _open_book(path):
 
 def _frame(path, reader):
     """A table that pandas reads; lists in cells become columns of their own."""
-    try:
-        import pandas
-    except ImportError:
-        raise TableError(f"{path}: to read it, install pandas (pip install pandas).") from None
     options = {"lines": True} if reader == "read_json" else {}
     try:
+        import pandas
+
         frame = getattr(pandas, reader)(path, **options)
     except ImportError:
-        raise TableError(f"{path}: to read it, install pyarrow (pip install pyarrow).") from None
+        raise TableError(f"{path}: to read it, pip install pandas pyarrow.") from None
     except Exception as error:  # of a damaged file, anything
         raise TableError(f"{path} cannot be read: {error}.") from None
 

@@ -16,7 +16,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
-    say_findings,
+    report_findings,
 )
 
 # A picometre: smaller than any length is known, large enough to divide by.
@@ -58,7 +58,7 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     if lonely:
         names = tuple(positions[i] for i in lonely)
         text = f"{len(lonely)} groups have one point and say nothing, such as {names[0]}."
-        say_findings([Finding("lonely-position", text, positions=names)])
+        report_findings([Finding("lonely-position", text, positions=names)])
     return problem
 
 
@@ -145,7 +145,7 @@ def one_row_a_pose(angles, problem):
     poses = find_poses(angles, None if codes is None else codes.ravel(), problem.points)
     if not poses.merges:
         return poses, angles, problem
-    say_findings(poses.findings())
+    report_findings(poses.findings())
     names = ("index", "points", "correction", "tools", "stations")
     parts = {name: poses.mean(getattr(problem, name)) for name in names}
     problem = replace(problem, **parts)

@@ -32,7 +32,7 @@ from sklearn_raacmm.correction._change import (
 from sklearn_raacmm.correction._new_poses import NewPoses, place_columns
 from sklearn_raacmm.error_model import order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
-from sklearn_raacmm.utils import Finding, centred, one_blas_thread, say_findings
+from sklearn_raacmm.utils import Finding, centred, one_blas_thread, report_findings
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
@@ -95,7 +95,7 @@ def _suitable_models(models, arm, n_columns):
     for number, model in enumerate(models, start=1):
         if why := _why_not(model, kept, arm, n_columns):
             said = f"Earlier arm {number} of {len(models)} is passed over: {why}."
-            say_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
+            report_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
         else:
             kept.append(model)
     return kept

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
-from sklearn_raacmm.app import _commands, _files, _life, main
+from sklearn_raacmm.app import _arms, _commands, _files, _life, main
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._lengths import parse_length, read_places
 from sklearn_raacmm.datasets import make_single_point
@@ -311,7 +311,7 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
     def full(options):
         raise OSError(28, "No space left on device", "/out/arm.svg.bba5d764bf6cf999.tmp")
 
-    monkeypatch.setattr(_commands, "arm", full)
+    monkeypatch.setattr(_arms, "arm", full)
     assert main(["arm", "aacmm6"]) == 2
     assert capsys.readouterr().err == "raacmm arm: /out/arm.svg: no space left on device.\n"
 
@@ -341,7 +341,7 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
         table.write_text(text)
         assert main(["arm", "--dh", str(table)]) == 2
         assert message in capsys.readouterr().err
-    # Written into the robot's own file, and a workbook to begin with.
+    # Written into the robot's own file.
     (tmp_path / "arm.urdf").write_text(URDF)
     own = Arm.from_urdf(URDF)
     own.replace(d=own.d + 0.25).to_json(tmp_path / "arm.json")
@@ -353,12 +353,6 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
         Arm.from_urdf(new, tip="tip").forward(angles),
         own.replace(d=own.d + 0.25).forward(angles), atol=1e-9,
     )  # fmt: skip
-    workbook = str(tmp_path / "new.xlsx")
-    assert main(["arm", "--template", workbook]) == 0
-    capsys.readouterr()
-    assert main(["arm", "--dh", workbook, "--probe", "0,0,100", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["d_mm"] == Arm.from_lengths("2-2-2", 375, 750, 500, 100).d.tolist()
 
 
 def test_known_lengths_and_places_of_the_command_line(tmp_path):

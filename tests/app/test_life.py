@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.app import main, read_table
-from sklearn_raacmm.app._causes import read_tools
+from sklearn_raacmm.app._files import read_tools
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 
 MACHINE = SimulatedArm("typical", random_state=1)

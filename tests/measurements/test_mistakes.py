@@ -314,9 +314,9 @@ MISTAKES = [
 
 def codes_of(door, data):
     """Codes of what is said, notes included, and the sentence of a refusal."""
-    from sklearn_raacmm.utils import heard_findings
+    from sklearn_raacmm.utils import collected_findings
 
-    with heard_findings() as heard, warnings.catch_warnings():
+    with collected_findings() as heard, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             door(data)
