@@ -83,17 +83,12 @@ def _macros(program, name, digest, card, tables):
         "TABLE_BYTES": tables.n_bytes,
         "INPUT_UNIT": f'"{about["angle_unit"]}"' if "arm" in about else None,
         "OUTPUT_UNIT": '"mm"' if about["corrects"] else None,
-        "SERIAL_NUMBER": _quoted(card.get("serial_number")),
-        "DATE": _quoted(card.get("date")),
-        "DATA_FINGERPRINT": _quoted(card.get("training", {}).get("data_fingerprint")),
     }
+    if "training" in card:
+        values["DATA_FINGERPRINT"] = f'"{plain(card["training"]["data_fingerprint"])}"'
     values |= {k.upper(): repr(float(v)) for k, v in card.get("standard_deviation", {}).items()}
     values |= {status: i for i, status in enumerate(STATUS)}
     return "".join(f"#define {name.upper()}_{k} {v}\n" for k, v in values.items() if v is not None)
-
-
-def _quoted(text):
-    return None if text is None else f'"{plain(text)[:200]}"'
 
 
 def _functions(program, name, real):

@@ -18,7 +18,7 @@ from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import program_of
-from sklearn_raacmm.export._onnx import LEAST_OPSET, converted, run_onnx
+from sklearn_raacmm.export._onnx import convert, run_onnx
 from sklearn_raacmm.export._program import fingerprint_of, run
 from sklearn_raacmm.export._proof import check_answers, make_test_rows, rows_as_json
 from sklearn_raacmm.utils import check_flags, write_whole
@@ -216,7 +216,6 @@ def to_onnx(
     *,
     dtype: str = "double",
     std: bool = False,
-    target_opset: int = 17,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
 ) -> Any:
@@ -235,9 +234,6 @@ def to_onnx(
 
     std : bool, default=False
         Whether there is a second output, the standard deviation.
-
-    target_opset : int, default=17
-        Version of the ONNX operators, 13 or newer.
 
     card : ModelCard or str, default=None
         Facts to keep in the file's metadata, see :func:`describe`.
@@ -271,15 +267,8 @@ def to_onnx(
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
     _check(dtype, card, std=std)
-    whole = isinstance(target_opset, int) and not isinstance(target_opset, bool)
-    if not whole or target_opset < LEAST_OPSET:
-        raise ValueError(
-            f"target_opset must be a whole number, {LEAST_OPSET} or newer, got "
-            f"{target_opset!r:.60}."
-        )
-    path = None if path is None else Path(path)
     program = program_of(model, std)
-    made = converted(program, dtype, target_opset)
+    made = convert(program, dtype)
     facts = {"sklearn_raacmm_version": __version__, "fingerprint": fingerprint_of(program)}
     rows = make_test_rows(model, poses, std, dtype)
     found = run_onnx(made, rows["X"])
@@ -291,5 +280,5 @@ def to_onnx(
     for key, value in facts.items():
         made.metadata_props.add(key=key, value=value)
     if path is not None:
-        write_whole({path: made.SerializeToString()})
+        write_whole({Path(path): made.SerializeToString()})
     return made
