@@ -27,7 +27,7 @@ from sklearn_raacmm.datasets import (
     make_single_point,
 )
 from sklearn_raacmm.display import ArmPosesDisplay, LengthErrorDisplay, RepeatabilityDisplay
-from sklearn_raacmm.export import describe, fingerprint, to_onnx
+from sklearn_raacmm.export import describe, fingerprint
 from sklearn_raacmm.metrics import (
     articulated_location_error,
     axis_repeatability,
@@ -332,7 +332,6 @@ SENTENCES = {
         lambda: describe(fit_pipeline(), ANGLES, RESIDUALS[:, :2]),
         "model predicts 3",
     ),
-    "ONNX: opset": (lambda: to_onnx(fit_pipeline(), target_opset="latest"), "whole number"),
 }
 
 

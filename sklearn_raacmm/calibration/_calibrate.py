@@ -16,7 +16,6 @@ from sklearn.utils._param_validation import Interval, StrOptions, validate_param
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration._checks import (
     check_correction,
-    check_free,
     check_problem,
     one_row_a_pose,
     predicted,
@@ -175,7 +174,9 @@ def calibrate(
     >>> bool(np.abs(result.arm.d[2] - truth.d[2]) < 0.02)
     True
     """
-    lengths, free = listed("lengths", lengths), check_free(free)
+    lengths, free = listed("lengths", lengths), listed("free", free)
+    if not all(isinstance(name, str) and name in FIELDS for name in free):
+        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     asked = None if correction is None else check_correction(correction, angles, angle_unit)
     # Within one turn, lest a warning of far angles be repeated by what follows.
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
@@ -186,16 +187,13 @@ def calibrate(
         asked = asked[poses.first]
         problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
 
-    def fitted(problem):
-        fit = Fit(arm, angles, problem, loss, free, priors)
-        return fit, *_fit_in_steps(fit)
-
     priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
-    fit, given, before = fitted(problem)
+    fit, given, before = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))
     bare = None
     if asked is not None:
         _settle(fit, correction, asked)
-        bare = fitted(replace(problem, correction=None))[0]
+        problem = replace(problem, correction=None)
+        bare = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))[0]
     result = _result(fit, given, before, groups)
     say_findings(findings_of_fit(fit, result, bare, lengths, poses))
     result = _with_all_rows(result, poses)
@@ -204,7 +202,7 @@ def calibrate(
 
 
 def _fit_in_steps(fit):
-    """Fit; scatter of the arm as given, and with nothing but probe and base fitted."""
+    """The fit; scatter of the arm as given, and with nothing but probe and base fitted."""
     fit.run(np.zeros_like(fit.is_free))
     given = fit.distances().mean()
     fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm")))
@@ -212,7 +210,7 @@ def _fit_in_steps(fit):
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
     fit.reset_weights()
     fit.run(fit.is_free)
-    return given, before
+    return fit, given, before
 
 
 def _settle(fit, correction, asked):
@@ -275,7 +273,7 @@ def _result(fit, given, before, groups):
 
 def _identified(fit, names):
     """What the data say of the free parameters, as fields of a `CalibrationResult`."""
-    mask = fit.mask_of(fit.is_free)
+    mask = fit.free_mask(fit.is_free)
     free_names = [name for name, is_in in zip(names, mask, strict=True) if is_in]
     angle = np.array([is_angle(name) for name in names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)

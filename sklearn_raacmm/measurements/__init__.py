@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
-from sklearn_raacmm.measurements._moved_seats import find_steps, moved_positions
+from sklearn_raacmm.measurements._moved_positions import find_steps, moved_positions
 from sklearn_raacmm.measurements._order import (
     MOST_TOLD,
     coarse_angles,

@@ -54,9 +54,3 @@ def test_what_knows_one_probe_only_is_refused(tmp_path):
     X = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     with pytest.raises(ValueError, match="needs an ArmResidualRegressor"):
         export_c(RBFNetRegressor(4).fit(X, X), tmp_path / "net.c", any_probe=True)
-
-
-def test_poses_are_rows_of_the_model(tmp_path):
-    for poses in (np.zeros((3, 5)), np.zeros(6)):
-        with pytest.raises(ValueError, match="poses must be rows of 6 finite numbers"):
-            export_c(fitted(), tmp_path / "arm.c", any_probe=True, poses=poses)

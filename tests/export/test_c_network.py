@@ -12,7 +12,7 @@ import pytest
 from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.export import _networks, export_c
 
-from ._chains import COMPILERS
+from ._chains import COMPILERS, library
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
 
@@ -21,14 +21,6 @@ pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is 
 def model():
     X = np.random.default_rng(0).uniform(-2, 2, (60, 2))
     return RBFNetRegressor(11, length_scale=1.0, alpha=0.01).fit(X, np.sin(X[:, 0]))
-
-
-def library(folder, compiler, source, *flags):
-    """The loaded library, or None where the compiler knows no such processor."""
-    out = folder / f"{compiler}.so"
-    command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", out, source, "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return ctypes.CDLL(str(out)) if done.returncode == 0 else None
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -138,7 +130,7 @@ def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
     np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=0.05)
 
 
-def test_too_many_centres_for_a_table_are_told(model, tmp_path, monkeypatch):
+def test_too_many_centres_for_a_table_are_refused(model, tmp_path, monkeypatch):
     monkeypatch.setattr(_networks, "MOST_CENTERS", 10)
     with pytest.raises(ValueError, match="a network of 11 centres would need a table of"):
         export_c(model, tmp_path / "arm.c", std=True)

@@ -6,10 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from sklearn_raacmm import (
-    CylindricalResidualTarget,
-    RBFNetRegressor,
-)
+from sklearn_raacmm import CylindricalResidualTarget, RBFNetRegressor
 from sklearn_raacmm.export import _load_c, export_c
 
 from ._chains import COMPILERS, STRICT, form_b, network, of_arm

@@ -21,12 +21,7 @@ from sklearn.preprocessing import (
     StandardScaler,
 )
 
-from sklearn_raacmm import (
-    Arm,
-    CylindricalResidualTarget,
-    PoseFeatures,
-    RBFNetRegressor,
-)
+from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.export import describe, export_c, fingerprint
 from sklearn_raacmm.network import KERNELS
 
@@ -56,12 +51,8 @@ def build(tmp_path):
         folder.mkdir()
         source, _ = export_c(model, folder / "arm.c", name="arm", dtype=dtype, **params)
         library = folder / "arm.so"
-        subprocess.run(
-            [compiler, *flags, "-shared", "-fPIC", "-o", library, source, "-lm"],
-            check=True,
-            capture_output=True,
-            text=True,
-        )
+        command = [compiler, *flags, "-shared", "-fPIC", "-o", library, source, "-lm"]
+        subprocess.run(command, check=True, capture_output=True, text=True)
         loaded = ctypes.CDLL(library)
         real = {"double": np.float64, "float": np.float32}[dtype]
         array = np.ctypeslib.ndpointer(dtype=real, flags="C")
@@ -129,8 +120,7 @@ def test_agrees_with_predict(build, data, compiler, form, joints, encoding):
 
 
 @pytest.mark.parametrize(
-    ("kernel", "degree"),
-    [*((kernel, 0) for kernel in KERNELS), ("gaussian", -1), ("matern32", 1)],
+    ("kernel", "degree"), [*((kernel, 0) for kernel in KERNELS), ("gaussian", -1), ("matern32", 1)]
 )
 def test_every_kernel_and_tail(build, data, kernel, degree):
     net = network(kernel=kernel, degree=degree)
@@ -423,11 +413,6 @@ def test_names_are_c_identifiers_and_paths_name_a_c_file(small, tmp_path):
     assert '#include "arm-7.h"' in source.read_text()
 
 
-def test_a_missing_folder_is_named(small, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"No such folder: .*nowhere\.$"):
-        export_c(small, tmp_path / "nowhere" / "arm.c")
-
-
 # -- what cannot be exported ---------------------------------------------------------------------
 
 
@@ -466,7 +451,7 @@ def test_bad_calls_are_refused(data, tmp_path):
     for model in (form_a(data.arm), form_b(data.arm), RBFNetRegressor()):
         with pytest.raises(NotFittedError, match="not fitted"):
             export_c(model, path)
-    with pytest.raises(TypeError, match="model must be a fitted estimator"):
+    with pytest.raises(TypeError, match="is a class, not an instance"):
         export_c(RBFNetRegressor, path)
     fitted = network().fit(data.data, data.target)
     with pytest.raises(ValueError, match="dtype must be"):

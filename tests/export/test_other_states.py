@@ -7,23 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    RBFNetRegressor,
-    update_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, update_correction
 from sklearn_raacmm.error_model import Terms, term_columns
-from sklearn_raacmm.export import (
-    describe,
-    export_c,
-    load_c,
-    to_onnx,
-)
+from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.export._models import program_of
 from sklearn_raacmm.export._program import run
 
-from ._chains import COMPILERS, STRICT
+from ._chains import COMPILERS, STRICT, ways_out
 
 ARM = Arm.from_name("aacmm6")
 pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
@@ -54,26 +44,11 @@ def new():
     return X, residuals(X, 40) + rng.normal(scale=0.01, size=(len(X), 3))
 
 
-def ways_out(model, folder):
-    """Each way of a model out of Python, as a function of rows."""
-    yield "program", lambda X: run(program_of(model), X)["y"]
-    if COMPILERS:
-        yield "C", load_c(model, cache_dir=folder / "cache").predict
-    try:
-        import onnxruntime
-    except ImportError:
-        return
-    text = to_onnx(model).SerializeToString()
-    session = onnxruntime.InferenceSession(text, providers=["CPUExecutionProvider"])
-    yield "ONNX", lambda X: session.run(None, {"X": X})[0]
-
-
 def agree(model, X, folder):
     expected = model.predict(X)
     assert np.ptp(expected, axis=0).min() > 1e-3
-    ways = dict(ways_out(model, folder))
-    for way, correct in ways.items():
-        np.testing.assert_allclose(correct(X), expected, rtol=0, atol=2e-12, err_msg=way)
+    for way, found, _ in ways_out(folder, model, X):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-12, err_msg=way)
 
 
 def test_degrees(data, tmp_path):

@@ -9,12 +9,7 @@ from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    CylindricalResidualTarget,
-    PoseFeatures,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.measurements import Targets
 from sklearn_raacmm.measurements._targets import are_points
 

@@ -105,10 +105,7 @@ def test_degrees_taken_for_radians_warn(joints):
             {"arm": Arm.from_name("aacmm6").replace(pose_joints=(4, 2))},
             ["theta4", "theta2", "theta_dis"],
         ),
-        (
-            {"append_azimuth": True},
-            ["theta3", "theta4", "theta_dis", "azimuth_cos", "azimuth_sin"],
-        ),
+        ({"append_azimuth": True}, ["theta3", "theta4", "theta_dis", "azimuth_cos", "azimuth_sin"]),
         (
             {"encoding": "periodic"},
             [f"{a}_{part}" for a in ("theta3", "theta4", "theta_dis") for part in ("cos", "sin")],

@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    calibrate,
-    learn_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import _moved_seats, find_steps, moved_positions
-from sklearn_raacmm.measurements._moved_seats import MOVED
+from sklearn_raacmm.measurements import _moved_positions, find_steps, moved_positions
+from sklearn_raacmm.measurements._moved_positions import MOVED
 from sklearn_raacmm.utils import numbered_rows
 
 NOISE = 0.01
@@ -121,7 +116,7 @@ def test_exact_residuals():
 def test_variance_of_a_difference_of_means_against_its_covariance():
     """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
     angles, left = poses_and_noise()
-    poses = _moved_seats._sorted_poses(left, angles, CODES)
+    poses = _moved_positions._sorted_poses(left, angles, CODES)
     spread = np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1])
     place = poses.place[:8]
     apart = np.sqrt(np.square(place[:, None] - place).sum(axis=2))
@@ -129,7 +124,7 @@ def test_variance_of_a_difference_of_means_against_its_covariance():
     np.fill_diagonal(gamma, 0.0)
     w = np.r_[np.full(3, -1 / 3), np.full(5, 1 / 5)]
     expected = max(w @ (2.0 - gamma) @ w, 0.3 * (1 / 3 + 1 / 5))
-    found = _moved_seats._variance_of_difference(place, 3, spread)
+    found = _moved_positions._variance_of_difference(place, 3, spread)
     assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -139,8 +134,8 @@ def test_spread_of_a_process():
     codes = np.repeat(np.arange(100), 20)
     angles = rng.uniform(-1, 1, (2000, 6))
     left = rng.normal(0, NOISE, (2000, 3)) + 0.1 * angles[:, :3]
-    poses = _moved_seats._sorted_poses(left, angles, codes)
-    _, half = _moved_seats._semivariogram(poses, 0.0)
+    poses = _moved_positions._sorted_poses(left, angles, codes)
+    _, half = _moved_positions._semivariogram(poses, 0.0)
     assert np.all(np.diff(half) >= 0)
     # Of two uniform angles: 0.01 / 3, and the noise. Medians of no normal differences: a third off.
     assert_allclose(half.mean(), 0.01 / 3 + NOISE**2, rtol=0.35)
